@@ -1,0 +1,66 @@
+# `make help` lists the targets.
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow lint format organ colcon clean FORCE
+
+PY := .venv/bin/python
+COLCON := .venv/bin/colcon --log-base .colcon/log
+EXTRAS := ros,image,viewer,test
+
+# .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
+unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+ifneq ($(AMENT_PREFIX_PATH)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
+unexport AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+endif
+export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 18
+
+# With a terminal, set -m makes Ctrl-C reach the demo alone, which then ends with 0, and not make, which would report it.
+demo: .venv/.installed ## node, scripted haptic bridge and viewer (http://127.0.0.1:8080); SECONDS=20 ends by itself
+	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
+	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
+
+test: lint ## checks and tests; PYTEST="-k node" for some of them
+	@$(PY) -m pytest $(PYTEST)
+
+test-slow: .venv/.installed ## the tests that take longer
+	@$(PY) -m pytest -m slow $(PYTEST)
+
+lint: .venv/.installed ## ruff and mypy
+	@$(PY) -m ruff check --output-format concise
+	@$(PY) -m ruff format --check --output-format concise || { echo 'run "make format"'; exit 1; }
+	@$(PY) -m mypy
+
+format: .venv/.installed ## ruff's formatting and safe fixes
+	@$(PY) -m ruff check --fix --output-format concise
+	@$(PY) -m ruff format
+
+organ: .venv/.installed ## rebuilds config/organs/kidney.npz from the phantom
+	@$(PY) -m tissue_sim.organ.ship
+
+colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels, in .colcon
+	@$(COLCON) build --build-base .colcon/build --install-base .colcon/install
+	@$(COLCON) test --build-base .colcon/build --install-base .colcon/install \
+		--return-code-on-test-failure --event-handlers console_direct+
+	@$(COLCON) test-result --test-result-base .colcon/build
+
+clean: ## removes .venv, caches and builds
+	@rm -rf .venv .colcon .mypy_cache .pytest_cache .ruff_cache build install log dist *.egg-info
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A stamp holds the folder it was made in: scripts know their path, so a checkout that was moved installs anew.
+# The same where the Python below .venv is gone.
+STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.installed)),gone)
+
+.venv/.installed: setup.py setup.cfg constraints.txt tissue_sim/__init__.py .ci/venv $(if $(STALE),FORCE)
+	$(if $(shell .ci/venv --python),,$(error $(NO_PYTHON)))
+	@.ci/venv $(EXTRAS)
+	@printf %s '$(CURDIR)' > $@
+
+.venv/.installed-colcon: .venv/.installed
+	@.ci/venv colcon
+	@printf %s '$(CURDIR)' > $@
+
+NO_PYTHON = tissue_sim needs CPython 3.12 and found none: install it \
+(apt install python3.12, pyenv install 3.12 or uv python install 3.12) and run make again

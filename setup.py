@@ -1,0 +1,65 @@
+"""Installation of tissue_sim as a ROS 2 (ament_python) package and as a plain Python package."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "tissue_sim"
+HERE = Path(__file__).resolve().parent
+
+
+def version() -> str:
+    """Version named in tissue_sim/__init__.py, read without importing the package."""
+    text = (HERE / NAME / "__init__.py").read_text(encoding="utf-8")
+    return re.search(r'^__version__ = "(.+)"$', text, re.MULTILINE).group(1)
+
+
+def share_files(*folders: str) -> list[tuple[str, list[str]]]:
+    """Every file under the folders, as data_files that keep their place below share/tissue_sim."""
+    installed: dict[str, list[str]] = {}
+    for folder in folders:
+        for path in sorted((HERE / folder).rglob("*")):
+            local = path.relative_to(HERE)
+            if path.is_file() and not any(part == "__pycache__" or part.startswith(".") for part in local.parts):
+                installed.setdefault(f"share/{NAME}/{local.parent.as_posix()}", []).append(local.as_posix())
+    return list(installed.items())
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description="A real-time deformable organ served over ROS 2: contact, forces, markers and bags",
+    long_description="A ROS 2 node that serves a deformable organ, made from a CT, to haptic bridges at a fixed rate.",
+    long_description_content_type="text/plain",
+    maintainer="tissue_sim maintainers",
+    maintainer_email="tissue_sim@users.noreply.github.com",
+    license="Apache-2.0",
+    python_requires=">=3.12",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *share_files("launch", "config"),
+    ],
+    # False: Numba writes its cache beside the kernels, and the organs are opened as files.
+    zip_safe=False,
+    # No ROS package here: with an apt installation they come from rosdep, with PyPI alone from the extra "ros".
+    install_requires=["numpy", "numba", "scipy", "trimesh", "python-fcl", "rosbags", "tqdm"],
+    extras_require={
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "image": ["SimpleITK", "scikit-image"],
+        "viewer": ["viser"],
+        "calibration": ["scikit-fem", "pytetwild"],
+        "bench": ["matplotlib", "mujoco", "pypbd"],
+        # `colcon test` runs pytest because this extra names it.
+        "test": ["pytest", "pytest-timeout", "ruff", "mypy"],
+        "colcon": ["colcon-common-extensions"],
+    },
+    entry_points={
+        "console_scripts": [
+            "tissue_node = tissue_sim.ros.node:main",
+            "tissue_sim = tissue_sim.cli:main",
+        ],
+    },
+)

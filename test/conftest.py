@@ -1,0 +1,47 @@
+"""A ROS graph of its own for every test session: a free domain that reaches no further than this machine."""
+
+import importlib.util
+import os
+import random
+import socket
+import sys
+
+import pytest
+
+# 101 is the last domain whose ports lie below Linux's range of ephemeral ports.
+DOMAINS = range(1, 102)
+
+
+def claim_domain() -> tuple[int, socket.socket]:
+    """A random ROS domain that nobody on this machine uses, with the socket that holds the claim."""
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        # An abstract name, free again when this process ends: keeps two sessions from choosing the same domain.
+        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            claim.bind(f"\0tissue_sim_test_domain_{domain}")
+            # The first participant of a domain receives discovery at this port (DDSI-RTPS 9.6.1).
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind(("", 7410 + 250 * domain))
+        except OSError:
+            claim.close()
+            continue
+        return domain, claim
+    raise pytest.UsageError("every ROS domain from 1 to 101 is in use on this machine")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Set the environment before any test imports rclpy; child processes inherit it."""
+    domain, claim = claim_domain()
+    config.add_cleanup(claim.close)
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ.pop("ROS_LOCALHOST_ONLY", None)
+
+    # The wheels of ROS restart Python once to set LD_LIBRARY_PATH, and mark that in the environment. The mark without
+    # the path comes from a parent process that dropped one of the two: rclpy would fail with a riddle.
+    if importlib.util.find_spec("ros_wheels_bootstrapper") and f"{sys.prefix}/lib" not in os.environ.get(
+        "LD_LIBRARY_PATH", ""
+    ).split(os.pathsep):
+        raise pytest.UsageError(
+            "_ROS_WHEELS_BOOTSTRAP_COMPLETE is set but LD_LIBRARY_PATH lacks the ROS wheels; unset it and run again"
+        )

@@ -1,0 +1,122 @@
+"""What may import what: the core knows nothing of ROS, images stay out of the model, imports run one way."""
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "tissue_sim"
+
+# The layers, and the layers that each may import besides itself.
+MAY_IMPORT = {
+    "organ": set(),
+    "model": {"organ"},
+    "contact": {"organ", "model"},
+    "calibration": {"organ", "model"},
+    "ros": {"organ", "model", "contact", "calibration"},
+    "bench": {"organ", "model", "contact", "calibration", "ros"},
+    "cli": {"organ", "model", "contact", "calibration", "ros", "bench"},
+}
+ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
+TOP_LEVEL = {
+    *(".ci", ".gitignore", ".python-version", "LICENSE", "Makefile", "README.md", "constraints.txt"),
+    *("package.xml", "ruff.toml", "setup.cfg", "setup.py"),
+    *("bags", "config", "docs", "launch", "resource", "test", "tissue_sim"),
+}
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+
+def imported_modules(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and full name of everything that a source file imports, wherever in the file it does so."""
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join([*package[: len(package) - node.level + 1]] if node.level else [])
+            module = ".".join(part for part in (base, node.module) if part)
+            yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
+
+
+def layer_of(module: str) -> str | None:
+    """The layer that a module of tissue_sim belongs to; None for what all share, and for other packages."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "tissue_sim" and len(parts) > 1 and parts[1] in MAY_IMPORT else None
+
+
+def violations(path: Path) -> list[str]:
+    """Imports of a source file that break the rules, as `file:line: what`."""
+    own = layer_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    found = []
+    for line, module in imported_modules(path):
+        layer = layer_of(module)
+        # What has no layer (errors, progress) is shared by all and so depends on none.
+        if layer and layer != own and layer not in MAY_IMPORT.get(own or "", set()):
+            found.append(f"{path.relative_to(ROOT)}:{line}: {own or 'a shared module'} imports {module}")
+        if own != "ros" and ROS_PACKAGE.fullmatch(module.split(".")[0]):
+            found.append(f"{path.relative_to(ROOT)}:{line}: imports {module} outside tissue_sim/ros")
+    return found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_imports_run_one_way(path):
+    assert not violations(path)
+
+
+@pytest.mark.parametrize(
+    ("file", "code"),
+    [
+        ("organ/a.py", "from tissue_sim.model import forces"),
+        ("organ/a.py", "from tissue_sim import model"),
+        ("organ/a.py", "from ..model.forces import spring_forces"),
+        ("model/a.py", "def late():\n    import tissue_sim.contact.tools"),
+        ("contact/a.py", "import rclpy"),
+        ("model/a.py", "from geometry_msgs.msg import PoseStamped"),
+        ("ros/a.py", "import tissue_sim.cli"),
+        ("errors.py", "from tissue_sim.organ.organ import Organ"),
+    ],
+)
+def test_the_check_sees_a_violation(tmp_path, monkeypatch, file, code):
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    path = tmp_path / "tissue_sim" / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(code)
+    assert len(violations(path)) == 1
+
+
+def import_with_blocked(module: str, *blocked: str) -> subprocess.CompletedProcess[str]:
+    """Import a module in a fresh interpreter in which the blocked packages cannot be imported."""
+    code = f"import sys\nsys.modules.update(dict.fromkeys({blocked!r}))\nimport {module}\n"
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+
+
+def test_model_needs_neither_ros_nor_images_nor_meshes():
+    run = import_with_blocked("tissue_sim.model.simulation", "rclpy", "SimpleITK", "trimesh", "fcl", "rosbags")
+    assert run.returncode == 0, run.stderr
+
+
+def test_node_needs_no_extra():
+    pytest.importorskip("rclpy")
+    blocked = ("SimpleITK", "skimage", "viser", "skfem", "pytetwild", "matplotlib", "mujoco", "pypbd")
+    run = import_with_blocked("tissue_sim.ros.node", *blocked)
+    assert run.returncode == 0, run.stderr
+
+
+def test_command_line_starts_without_ros():
+    run = import_with_blocked("tissue_sim.cli", "rclpy", "SimpleITK", "skimage", "viser", "trimesh", "fcl", "rosbags")
+    assert run.returncode == 0, run.stderr
+
+
+def test_top_level_holds_only_what_it_should():
+    if not (ROOT / ".git").exists() or not shutil.which("git"):
+        pytest.skip("not a git checkout")
+    listed = subprocess.run(["git", "-C", ROOT, "ls-files"], capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip(f"git does not read this checkout: {listed.stderr.strip()}")
+    assert {name.split("/")[0] for name in listed.stdout.splitlines()} <= TOP_LEVEL

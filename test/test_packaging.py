@@ -1,0 +1,315 @@
+"""The package as users get it: metadata in step, executables that answer, pinned versions, licences."""
+
+import ast
+import importlib.metadata
+import importlib.util
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import tissue_sim
+
+ROOT = Path(__file__).resolve().parents[1]
+with mock.patch("setuptools.setup") as _setup, mock.patch.object(sys, "argv", ["setup.py"]):
+    runpy.run_path(str(ROOT / "setup.py"))
+SETUP = _setup.call_args.kwargs
+EXTRAS = SETUP["extras_require"]
+PINS = {
+    canonicalize_name(name): version
+    for name, version in re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+}
+COMMANDS = ("demo", "build", "solve", "replay", "view", "bridge")
+EXECUTABLES = dict(entry.split(" = ") for entry in SETUP["entry_points"]["console_scripts"])
+
+# Modules whose distribution has another name, and the ROS packages that an extra brings as one.
+DISTRIBUTION_OF = {"fcl": "python-fcl", "skimage": "scikit-image", "skfem": "scikit-fem", "SimpleITK": "simpleitk"}
+ROS_PACKAGES_OF = re.compile(r"rclpy|rpyutils|rcl_interfaces|ament_index_python|(\w+_(msgs|srvs|interfaces))")
+
+GPL_FAMILY = re.compile(r"GPL|General Public License|Affero|SSPL", re.IGNORECASE)
+# Distributions whose metadata names a licence of the GPL family, and why they may stay.
+CLEARED = {
+    "pygame": "LGPL, unchanged and linked dynamically; comes with pypbd, for benchmarks alone",
+    "docutils": "public domain and BSD; the GPL covers an Emacs mode that is not in the wheel; comes with colcon",
+}
+
+
+def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Call an executable as its installed script does."""
+    module, function = EXECUTABLES[executable].split(":")
+    code = f"import sys; sys.argv[0] = {executable!r}; from {module} import {function}; sys.exit({function}())"
+    return subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
+
+
+# metadata
+
+
+def test_package_xml_agrees_with_setup():
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert package.get("format") == "3"
+    assert package.findtext("name") == SETUP["name"] == "tissue_sim"
+    assert package.findtext("version") == SETUP["version"] == tissue_sim.__version__
+    assert package.findtext("license") == SETUP["license"] == "Apache-2.0"
+    assert package.findtext("export/build_type") == "ament_python"
+    assert "Apache License" in (ROOT / "LICENSE").read_text()[:200]
+
+
+def test_package_xml_names_every_ros_package_that_is_imported():
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    named = {element.text for element in package.findall("exec_depend")}
+    imported = {name for name in third_party_imports("tissue_sim", "launch") if is_ros(name) or "launch" in name}
+    assert imported <= named
+
+
+def test_everything_imported_is_declared():
+    declared = {
+        canonicalize_name(Requirement(line).name)
+        for lines in (SETUP["install_requires"], *EXTRAS.values())
+        for line in lines
+    }
+    imported = {name for name in third_party_imports("tissue_sim") if not is_ros(name)}
+    assert {canonicalize_name(DISTRIBUTION_OF.get(name, name)) for name in imported} <= declared
+
+
+def is_ros(name: str) -> bool:
+    """Whether a module comes with ROS."""
+    return bool(ROS_PACKAGES_OF.fullmatch(name))
+
+
+def third_party_imports(*folders: str) -> set[str]:
+    """Top-level names of all that the sources import from outside the standard library and the package."""
+    names = set()
+    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names.update(alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names.add(node.module.split(".")[0])
+    return names - set(sys.stdlib_module_names) - {"tissue_sim"}
+
+
+# executables
+
+
+@pytest.mark.parametrize("executable", ["tissue_node", "tissue_sim"])
+def test_executable_explains_itself(executable):
+    if executable == "tissue_node":
+        pytest.importorskip("rclpy")
+    answer = run(executable, "--help")
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.startswith(f"usage: {executable} ")
+
+
+def test_help_lists_the_commands():
+    listed = re.findall(r"^ {4}(\w+) ", run("tissue_sim", "--help").stdout, re.MULTILINE)
+    assert set(COMMANDS) <= set(listed)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_explains_itself(command):
+    answer = run("tissue_sim", command, "--help")
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.startswith(f"usage: tissue_sim {command} ")
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["no-such-command"], *([command, "--no-such-option"] for command in COMMANDS)]
+)
+def test_wrong_use_takes_one_line(arguments):
+    answer = run("tissue_sim", *arguments)
+    assert answer.returncode == 2
+    assert re.fullmatch(r"tissue_sim.*: error: .+\n", answer.stderr)
+
+
+# make
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """What make needs of a checkout, without an environment."""
+    for name in ("Makefile", "constraints.txt", "setup.cfg", "setup.py", ".ci/venv", "tissue_sim/__init__.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    return tmp_path
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="make is not installed")
+@pytest.mark.parametrize("target", ["demo", "test"])
+def test_make_says_in_one_line_that_python_is_missing(checkout, target):
+    tools = checkout / "bin"
+    tools.mkdir()
+    for tool in ("sh", "dirname"):
+        (tools / tool).symlink_to(shutil.which(tool))
+    environment = {"PATH": str(tools), "HOME": str(checkout)}
+    make = subprocess.run([shutil.which("make"), target], cwd=checkout, env=environment, capture_output=True, text=True)
+    assert make.returncode != 0
+    assert re.fullmatch(r".*needs CPython 3\.12.*install it.*\n", make.stdout + make.stderr)
+    assert not (checkout / ".venv").exists()
+
+
+def test_continuous_integration_runs_make_test():
+    assert os.access(ROOT / ".ci/run", os.X_OK)
+    assert re.search(r"^exec make test\b", (ROOT / ".ci/run").read_text(), re.MULTILINE)
+
+
+# what an installation holds
+
+
+@pytest.fixture(scope="module")
+def prefix(tmp_path_factory):
+    """Where the package was installed the way colcon does it, from a copy of the sources."""
+    source, prefix = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("prefix")
+    for name in ("config", "launch", "resource", "tissue_sim", "package.xml", "setup.cfg", "setup.py"):
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif (ROOT / name).exists():
+            shutil.copy(ROOT / name, source)
+    command = [sys.executable, "-W", "ignore", "setup.py", "--quiet", "install", "--prefix", str(prefix)]
+    command += ["--single-version-externally-managed", "--record", str(prefix / "record")]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return prefix
+
+
+def test_installation_is_an_ament_package(prefix):
+    assert (prefix / "share/ament_index/resource_index/packages/tissue_sim").is_file()
+    assert (prefix / "share/tissue_sim/package.xml").is_file()
+    for executable in ("tissue_node", "tissue_sim"):
+        assert os.access(prefix / "lib/tissue_sim" / executable, os.X_OK)
+
+
+def test_installation_has_configuration_and_launch_files(prefix):
+    for folder in ("config", "launch"):
+        wanted = {path.relative_to(ROOT) for path in (ROOT / folder).rglob("*.*") if path.suffix != ".pyc"}
+        share = prefix / "share/tissue_sim"
+        assert {path.relative_to(share) for path in (share / folder).rglob("*.*")} == wanted
+    assert (prefix / "share/tissue_sim/config/tissue_node.yaml").is_file()
+    assert list((prefix / "share/tissue_sim/config/organs").glob("*.npz"))
+
+
+def test_installation_has_every_module(prefix):
+    (site,) = prefix.glob("lib/python3*/site-packages")
+    wanted = {path.relative_to(ROOT) for path in (ROOT / "tissue_sim").rglob("*.py")}
+    assert {path.relative_to(site) for path in (site / "tissue_sim").rglob("*.py")} == wanted
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.py")), ids=lambda path: path.name)
+def test_launch_file(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)]
+    arguments = [call for call in calls if call.func.id == "DeclareLaunchArgument"]
+    assert arguments
+    assert all("description" in {keyword.arg for keyword in call.keywords} for call in arguments)
+    if importlib.util.find_spec("launch_ros"):
+        assert runpy.run_path(str(path))["generate_launch_description"]().entities
+
+
+# dependencies
+
+
+def requirements(extra: str | None) -> list[Requirement]:
+    """What setup.py asks for: always (None) or with an extra."""
+    return [Requirement(line) for line in (EXTRAS[extra] if extra else SETUP["install_requires"])]
+
+
+def with_dependencies(wanted: list[Requirement]) -> Iterator[importlib.metadata.Distribution]:
+    """The installed distributions of the requirements, and of all that these require in turn."""
+    queue = [(need.name, extra) for need in wanted for extra in ("", *need.extras)]
+    seen = set()
+    while queue:
+        name, extra = queue.pop()
+        if (canonicalize_name(name), extra) in seen:
+            continue
+        seen.add((canonicalize_name(name), extra))
+        distribution = importlib.metadata.distribution(name)
+        yield distribution
+        for need in map(Requirement, distribution.requires or []):
+            if need.marker is None or need.marker.evaluate({**default_environment(), "extra": extra}):
+                queue += [(need.name, inner) for inner in ("", *need.extras)]
+
+
+def installed(extra: str | None) -> list[importlib.metadata.Distribution]:
+    """The distributions behind an extra; skips the test where it is not installed from the package index."""
+    try:
+        return list(with_dependencies(requirements(extra)))
+    except importlib.metadata.PackageNotFoundError as error:
+        pytest.skip(f"{error.name} is not installed")
+
+
+def licence_of(distribution: importlib.metadata.Distribution) -> str:
+    """Licence as a distribution states it: expression, classifiers, a short field, package.xml, or a file's heading."""
+    metadata = distribution.metadata
+    found = [metadata.get("License-Expression") or ""]
+    found += [line for line in metadata.get_all("Classifier") or [] if line.startswith("License ::")]
+    if not any(found) and len(metadata.get("License") or "") < 200:
+        found.append(metadata.get("License") or "")
+    for file in distribution.files or []:
+        if file.name == "package.xml":
+            found += [element.text or "" for element in ElementTree.parse(file.locate()).iter("license")]
+    if not any(found):
+        own = [file for file in distribution.files or [] if file.parts[0].endswith(".dist-info")]
+        found += [" ".join(file.read_text()[:300].split()) for file in own if file.name.startswith("LICENSE")]
+    return "; ".join(filter(None, found))
+
+
+def is_gpl(licence: str) -> bool:
+    """Whether a licence is of the GPL family; with GCC's runtime exception it binds nobody who links to it."""
+    return bool(GPL_FAMILY.search(re.sub(r"GPL-[\w.-]+ WITH GCC-exception-[\d.]+", "", licence)))
+
+
+@pytest.mark.parametrize("extra", [None, *EXTRAS], ids=str)
+def test_direct_dependencies_are_pinned(extra):
+    assert {canonicalize_name(need.name) for need in requirements(extra)} <= set(PINS)
+
+
+@pytest.mark.parametrize("extra", [None, *EXTRAS], ids=str)
+def test_all_dependencies_are_pinned(extra):
+    assert {canonicalize_name(distribution.name) for distribution in installed(extra)} <= set(PINS)
+
+
+def test_build_tools_are_pinned():
+    assert {"pip", "setuptools"} <= set(PINS)
+
+
+@pytest.mark.parametrize("extra", [None, *EXTRAS], ids=str)
+def test_no_dependency_is_gpl(extra):
+    licences = {canonicalize_name(distribution.name): licence_of(distribution) for distribution in installed(extra)}
+    # A collection of other packages (a name and dependencies, no files of its own) has nothing to license.
+    empty = {canonicalize_name(d.name) for d in installed(extra) if all(".dist-info" in str(f) for f in d.files or [])}
+    assert {name for name, licence in licences.items() if not licence} <= empty
+    assert {name: licence for name, licence in licences.items() if is_gpl(licence)}.keys() <= CLEARED.keys()
+
+
+@pytest.mark.parametrize(
+    ("licence", "gpl"),
+    [
+        ("GPL-3.0-or-later", True),
+        ("License :: OSI Approved :: GNU General Public License v3 (GPLv3)", True),
+        ("AGPL-3.0-only", True),
+        ("License :: OSI Approved :: GNU Affero General Public License v3", True),
+        ("MIT; GPLv2", True),
+        ("License :: OSI Approved :: GNU Library or Lesser General Public License (LGPL)", True),
+        ("MPL-2.0", False),
+        ("BSD-3-Clause AND GPL-3.0-or-later WITH GCC-exception-3.1", False),
+    ],
+)
+def test_gpl_family_is_recognized(licence, gpl):
+    assert is_gpl(licence) is gpl
+
+
+def test_ros_comes_only_with_its_extra():
+    always = {canonicalize_name(need.name) for need in requirements(None)}
+    assert not {name for name in always if name.startswith("ros-")}
+    assert all(need.name.startswith("ros-") for need in requirements("ros"))

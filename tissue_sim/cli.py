@@ -1,0 +1,62 @@
+"""`tissue_sim COMMAND`: one module for each command, imported when it is used."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+import tissue_sim
+from tissue_sim.errors import UserError
+
+COMMANDS = {
+    "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
+    "build": ("tissue_sim.organ.build", "make an organ from a CT, a mask or a surface mesh"),
+    "solve": ("tissue_sim.model.solve", "settled displacements under given loads"),
+    "replay": ("tissue_sim.ros.replay", "run a recorded bag again and compare"),
+    "view": ("tissue_sim.ros.viewer", "show a running node in the browser"),
+    "bridge": ("tissue_sim.ros.bridge", "play a scripted haptic bridge to a running node"),
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose mistakes take one line."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        sys.stderr.write(f"{self.prog}: error: {message} (see '{self.prog} --help')\n")
+        raise SystemExit(2)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit code: 0, 1 for a failed check, 2 for wrong use."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    parser = _Parser(prog="tissue_sim", description=tissue_sim.__doc__)
+    parser.add_argument("--version", action="version", version=f"tissue_sim {tissue_sim.__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+    chosen = next((word for word in words if not word.startswith("-")), None)
+    for name, (module, summary) in COMMANDS.items():
+        command = commands.add_parser(
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        if name == chosen:
+            importlib.import_module(module).add_arguments(command)
+    args = parser.parse_args(words)
+    try:
+        return int(importlib.import_module(COMMANDS[args.command][0]).run(args))
+    except UserError as error:
+        sys.stderr.write(f"tissue_sim: error: {error}\n")
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

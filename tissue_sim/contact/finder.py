@@ -1,0 +1,173 @@
+"""From tool poses and a surface to a contact set: broad phase, FCL narrow phase, points under tips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import fcl
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from tissue_sim.contact.broad_phase import nearest_node, surface_box, triangles_in_box
+from tissue_sim.contact.tools import MARGIN, ToolSet
+from tissue_sim.model.assembly import winding_number
+from tissue_sim.model.shapes import CAPSULE, rotation_matrix
+from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs
+from tissue_sim.organ.organ import Ints
+
+TIP_REACH = 0.01  # m from the tip within which an external force finds the tissue
+MOST_FCL_CONTACTS = 256
+
+
+@dataclass(frozen=True)
+class ContactSet:
+    """Surface points that tools may touch, and those under the tools' tips. T tools, C entries."""
+
+    tool: Longs  # (C,)
+    node: Longs  # (C, 3)
+    weight: Floats  # (C, 3)
+    tip_node: Longs  # (T, 3), -1 where no surface is within reach
+    tip_weight: Floats  # (T, 3)
+    engaged: Longs  # (T,)
+    dropped: int = 0  # entries beyond the capacity, farthest first
+
+
+@dataclass
+class FinderCounters:
+    """What the finder did and what it could leave out."""
+
+    sets: int = 0
+    far_skips: int = 0  # tools whose box missed the organ's: nothing computed
+    narrow_phases: int = 0
+
+
+class ContactFinder:
+    """Finds contact sets. A pure function of poses and surface, but for preallocated arrays.
+
+    triangles (t, 3) of the surface; tools the scene's tools.
+    """
+
+    def __init__(self, triangles: Ints, n_surface: int, tools: ToolSet) -> None:
+        self.triangles = np.ascontiguousarray(triangles)
+        self.n_surface = n_surface
+        self.tools = tools
+        self.counters = FinderCounters()
+        self._found = np.zeros(len(triangles), dtype=np.int64)
+        self._low, self._high = np.zeros(3), np.zeros(3)
+        self._matrix = np.zeros(9)
+        order = np.argsort(self.triangles.ravel(), kind="stable")
+        self._node_triangle = order // 3
+        self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(n_surface + 1))
+
+    def find(self, position: Floats, poses: Floats, margins: Floats, engaged: Longs, pushing: Longs) -> ContactSet:
+        """Contact set of the engaged tools on a surface.
+
+        position (n, 3) m, surface first; poses (T, 7) m and unit quaternions xyzw; margins (T,) m beyond
+        MARGIN that fast tools need; engaged (T,) 1 for tools that may touch; pushing (T,) 1 for tools
+        whose external force needs the surface point under the tip.
+        """
+        n_tools = len(self.tools.tools)
+        nodes: list[NDArray[Any]] = []
+        weights: list[NDArray[Any]] = []
+        owners: list[NDArray[Any]] = []
+        tip_node, tip_weight = np.full((n_tools, 3), -1, dtype=np.int64), np.zeros((n_tools, 3))
+        self.counters.sets += 1
+        surface_box(position, self.n_surface, self._low, self._high)
+        for tool in range(n_tools):
+            if pushing[tool]:
+                tip_node[tool], tip_weight[tool] = self._under_tip(position, poses[tool, :3])
+            if not engaged[tool]:
+                continue
+            rotation, origin = self._rotation(poses[tool]), poses[tool, :3]
+            low, high = self.tools.box(tool, rotation, origin, MARGIN + margins[tool])
+            if np.any(low > self._high) or np.any(high < self._low):
+                self.counters.far_skips += 1
+                continue
+            count = triangles_in_box(position, self.triangles, low, high, self._found)
+            if not count:
+                self.counters.far_skips += 1
+                continue
+            near = self.triangles[self._found[:count]]
+            corners = np.unique(near)
+            keep = np.all((position[corners] >= low) & (position[corners] <= high), axis=1)
+            corners = corners[keep]
+            nodes.append(np.repeat(corners[:, None], 3, axis=1))
+            weights.append(np.tile([1.0, 0.0, 0.0], (len(corners), 1)))
+            face_nodes, face_weights = self._narrow(tool, position, near, rotation, origin)
+            nodes.append(face_nodes)
+            weights.append(face_weights)
+            owners.append(np.full(len(corners) + len(face_nodes), tool, dtype=np.int64))
+        node = np.concatenate([*nodes, np.zeros((0, 3), dtype=np.int64)]).astype(np.int64)
+        weight = np.concatenate([*weights, np.zeros((0, 3))])
+        owner = np.concatenate([*owners, np.zeros(0, dtype=np.int64)])
+        dropped = max(0, len(node) - MAX_ENTRIES)
+        if dropped:
+            points = np.einsum("ij,ijk->ik", weight, position[node])
+            distance = np.linalg.norm(points - poses[owner, :3], axis=1)
+            kept = np.sort(np.argsort(distance, kind="stable")[:MAX_ENTRIES])
+            node, weight, owner = node[kept], weight[kept], owner[kept]
+        return ContactSet(owner, node, weight, tip_node, tip_weight, np.array(engaged, dtype=np.int64), dropped)
+
+    def is_inside(self, tool: int, position: Floats, pose: Floats) -> bool:
+        """True when the centre of a tool's shape lies inside the organ."""
+        centre = self._rotation(pose) @ self.tools.centre[tool] + pose[:3]
+        surface_box(position, self.n_surface, self._low, self._high)
+        if np.any(centre < self._low) or np.any(centre > self._high):
+            return False
+        return bool(winding_number(centre[None], position, self.triangles)[0] > 0.5)
+
+    def _rotation(self, pose: Floats) -> Floats:
+        rotation_matrix(pose[3:], self._matrix)
+        return self._matrix.reshape(3, 3).copy()
+
+    def _narrow(
+        self, tool: int, position: Floats, near: Ints, rotation: Floats, origin: Floats
+    ) -> tuple[Longs, Floats]:
+        """One point in each triangle that FCL finds within MARGIN of the tool: the one nearest to it.
+
+        Nodes alone would let a tool through between them.
+        """
+        self.counters.narrow_phases += 1
+        local, inverse = np.unique(near, return_inverse=True)
+        vertices = np.ascontiguousarray(position[local])
+        model = fcl.BVHModel()
+        model.beginModel(len(near), len(vertices))
+        model.addSubModel(vertices, np.ascontiguousarray(inverse.reshape(-1, 3)))
+        model.endModel()
+        shift = np.zeros(3)
+        if self.tools.shapes.kind[tool] == CAPSULE:
+            shift = rotation @ np.array([0.0, 0.0, -0.5 * self.tools.shapes.size[tool, 1]])
+        body = fcl.CollisionObject(self.tools.grown[tool], fcl.Transform(rotation, origin + shift))
+        request = fcl.CollisionRequest(num_max_contacts=MOST_FCL_CONTACTS, enable_contact=True)
+        result = fcl.CollisionResult()
+        fcl.collide(fcl.CollisionObject(model), body, request, result)
+        touched: dict[int, Floats] = {}
+        for contact in result.contacts:
+            if 0 <= contact.b1 < len(near):
+                touched.setdefault(contact.b1, np.asarray(contact.pos))
+        if not touched:
+            return np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3))
+        order = sorted(touched)
+        corners = near[order].astype(np.int64)
+        return corners, nearest_weights(position[corners], np.array([touched[t] for t in order]))[0]
+
+    def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
+        node, squared = nearest_node(position, self.n_surface, tip[0], tip[1], tip[2])
+        around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
+        weight, distance = nearest_weights(position[around], np.repeat(tip[None], len(around), axis=0))
+        chosen = int(np.argmin(distance))
+        if distance[chosen] > TIP_REACH:
+            return np.full(3, -1, dtype=np.int64), np.zeros(3)
+        return around[chosen].astype(np.int64), weight[chosen]
+
+
+def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Nearest point of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m.
+
+    Returns the barycentric weights (k, 3) and the distances (k,) m.
+    """
+    nearest = trimesh.triangles.closest_point(corners, points)
+    weights = trimesh.triangles.points_to_barycentric(corners, nearest)
+    return weights, np.linalg.norm(nearest - points, axis=1)

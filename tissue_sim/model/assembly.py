@@ -1,0 +1,174 @@
+"""From an organ and a model variant to the arrays that the kernels run on."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.spatial import Delaunay
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind
+
+ModelName = Literal["surface", "volume", "hybrid"]
+LEAST_AREA = 0.1  # of the rest area, below which a pair of triangles counts as collapsed
+MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
+
+
+class Model(NamedTuple):
+    """Constants of one model variant, as the kernels read them. Shapes: n nodes, s springs, h hinges."""
+
+    n_surface: int
+    rest: Floats  # (n, 3) m
+    inverse_mass: Floats  # (n,) 1/kg, 0 where held or not part of the variant
+    damping: Floats  # (n,) kg/s
+    moving: Ints  # (a,) nodes with mass
+    spring_first: Ints  # (s,)
+    spring_second: Ints  # (s,)
+    spring_rest_length: Floats  # (s,) m
+    spring_stiffness: Floats  # (s,) N/m
+    angular_nodes: Ints  # (h, 4)
+    angular_weight: Floats  # (h, 4) of the mean curvature normal
+    angular_rest: Floats  # (h,) m
+    angular_stiffness: Floats  # (h,) N/m
+    angular_least_area: Floats  # (h,) m^4
+    return_nodes: Ints  # (r,) nodes with a return spring
+    return_stiffness: Floats  # (n,) N/m
+    neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
+    neighbours: Ints
+
+
+def assemble(organ: Organ, model: str = "hybrid") -> Model:
+    """Arrays of one of the paper's three variants.
+
+    `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a
+    spring on every edge of a tetrahedral mesh of the surface nodes and interior points;
+    `hybrid` the surface with spokes, virtual springs and skeleton (section 3.3). Nodes that a
+    variant doesn't use stay at rest.
+
+    Raises UserError for an unknown variant, or `volume` on an organ without interior points.
+    """
+    if model not in MODEL_NAMES:
+        raise UserError(f"unknown model '{model}'; choose one of {', '.join(MODEL_NAMES)}")
+    n, n_surface = organ.n_nodes, organ.n_surface
+    rest = np.ascontiguousarray(organ.rest_positions)
+    mass, damping = organ.mass.copy(), organ.damping.copy()
+    if model == "volume":
+        nodes, length, stiffness = _volume_springs(organ, rest)
+    else:
+        kept = np.ones(len(organ.spring_nodes), dtype=bool)
+        if model == "surface":
+            kept = organ.spring_kind == SpringKind.EDGE
+        nodes = organ.spring_nodes[kept]
+        length, stiffness = organ.spring_rest_length[kept], organ.spring_stiffness[kept]
+    used = np.zeros(n, dtype=bool)
+    used[nodes.ravel()] = True
+    # The mass of nodes that a variant leaves out goes to those that it keeps.
+    scale = mass.sum() / mass[used].sum()
+    moving = used.copy()
+    moving[organ.fixed] = False
+    inverse_mass = np.where(moving, 1.0 / (mass * scale), 0.0)
+
+    angular = model != "volume"
+    hinges = organ.angular_nodes if angular else np.empty((0, 4), dtype=np.int32)
+    weight, bent, normal = curvature_at_edges(rest, hinges)
+    edges = organ.spring_nodes[organ.spring_kind == SpringKind.EDGE]
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
+    graph = (graph + graph.T).tocsr()
+    graph.sort_indices()
+    returning = np.flatnonzero(moving & (organ.return_stiffness > 0.0))
+    return Model(
+        n_surface=n_surface,
+        rest=rest,
+        inverse_mass=inverse_mass,
+        damping=damping * scale,
+        moving=_ints(np.flatnonzero(moving)),
+        spring_first=_ints(nodes[:, 0]),
+        spring_second=_ints(nodes[:, 1]),
+        spring_rest_length=_floats(length),
+        spring_stiffness=_floats(stiffness),
+        angular_nodes=_ints(hinges),
+        angular_weight=weight,
+        angular_rest=bent,
+        angular_stiffness=organ.angular_stiffness.copy() if angular else np.empty(0),
+        angular_least_area=(LEAST_AREA * normal) ** 2,
+        return_nodes=_ints(returning),
+        return_stiffness=organ.return_stiffness.copy(),
+        neighbour_start=_ints(graph.indptr),
+        neighbours=_ints(graph.indices),
+    )
+
+
+def _ints(values: Any) -> Ints:
+    return np.array(values, dtype=np.int32, order="C")
+
+
+def _floats(values: Any) -> Floats:
+    return np.array(values, dtype=np.float64, order="C")
+
+
+def curvature_at_edges(rest: Floats, hinges: Ints) -> tuple[Floats, Floats, Floats]:
+    """Mean curvature normals at edges (Bergou et al. 2006, the operator of their section 3).
+
+    hinges (h, 4): edge i, j and opposite corners k, l. Returns the weights (h, 4) of the four nodes,
+    the curvature s0 (h,) m of the rest shape along the pair's normal, and the length of the
+    unnormalised normal e x (x_k - x_l), (h,) m^2.
+    """
+    i, j, k, m = (rest[hinges[:, c]] for c in range(4))
+    at_i, at_j = [_cotangent(j - i, corner - i) for corner in (k, m)], [_cotangent(i - j, c - j) for c in (k, m)]
+    weight = np.stack([at_j[0] + at_j[1], at_i[0] + at_i[1], -at_i[0] - at_j[0], -at_i[1] - at_j[1]], axis=1)
+    normal = np.cross(j - i, k - m)
+    length = np.linalg.norm(normal, axis=1)
+    bent = np.einsum("hc,hcx->hx", weight, rest[hinges])
+    return weight, np.einsum("hx,hx->h", bent, normal) / length, length
+
+
+def _cotangent(a: Floats, b: Floats) -> Floats:
+    return np.einsum("hx,hx->h", a, b) / np.linalg.norm(np.cross(a, b), axis=1)
+
+
+def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
+    """Springs on the edges of a tetrahedral mesh, k = E sum(V)/l^2 (Van Gelder 1998).
+
+    Delaunay tetrahedra whose centre lies inside the surface; surface edges that they miss are
+    added with the stiffness of the hybrid model's edge springs.
+    """
+    if organ.n_nodes == organ.n_surface:
+        raise UserError(f"organ '{organ.name}' has no interior points, which the volume model needs; use --atoms")
+    cells = Delaunay(rest).simplices.astype(np.int64)
+    cells = cells[winding_number(rest[cells].mean(axis=1), organ.surface_positions, organ.surface_triangles) > 0.5]
+    corner = rest[cells]
+    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
+    pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])
+    shares = np.tile(volume, 6)
+    edge_springs = organ.spring_kind == SpringKind.EDGE
+    surface_pairs = organ.spring_nodes[edge_springs].astype(np.int64)
+    both = np.sort(np.concatenate([pairs, surface_pairs]), axis=1)
+    unique, inverse = np.unique(both, axis=0, return_inverse=True)
+    share = np.bincount(inverse.ravel()[: len(pairs)], weights=shares, minlength=len(unique))
+    length = np.linalg.norm(rest[unique[:, 0]] - rest[unique[:, 1]], axis=1)
+    stiffness = organ.youngs_modulus * share / length**2
+    missed = share == 0.0
+    shell = np.zeros(len(unique))
+    shell[inverse.ravel()[len(pairs) :]] = organ.spring_stiffness[edge_springs]
+    return _ints(unique), length, np.where(missed, shell, stiffness)
+
+
+def winding_number(points: Floats, positions: Floats, triangles: Ints) -> Floats:
+    """Winding number of a closed surface about each point, (p,): 1 inside, 0 outside.
+
+    Sum of the triangles' solid angles (van Oosterom & Strackee 1983).
+    """
+    corners = positions[triangles]
+    total = np.empty(len(points))
+    for start in range(0, len(points), 256):
+        a, b, c = (corners[None, :, k] - points[start : start + 256, None] for k in range(3))
+        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+        numerator = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
+        denominator = la * lb * lc
+        denominator += np.einsum("ijk,ijk->ij", a, b) * lc
+        denominator += np.einsum("ijk,ijk->ij", b, c) * la
+        denominator += np.einsum("ijk,ijk->ij", c, a) * lb
+        total[start : start + 256] = np.arctan2(numerator, denominator).sum(axis=1) / (2.0 * np.pi)
+    return total

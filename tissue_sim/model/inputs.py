@@ -1,0 +1,115 @@
+"""What comes in from outside, taken up before a tick: by the node's loop, by a test, by a replay."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.model.jit import kernel
+from tissue_sim.model.state import (
+    AGE,
+    ASLEEP,
+    ASLEEP_TICKS,
+    BACKOFF,
+    CLAMPED,
+    CONTACT_SEQUENCE,
+    ENGAGED,
+    ENTRIES,
+    FAULTS,
+    FORCE_AGE,
+    FORCE_SEQUENCE,
+    FROZEN_TICKS,
+    POSE_SEQUENCE,
+    REMAINING,
+    TICK,
+)
+
+LONGEST_PERIOD = 20  # ticks over which a tool is led to its newest pose at the most
+
+
+@kernel
+def take_pose(state: Any, tool: int, pose: Any, sequence: int) -> None:
+    """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw.
+
+    The tool is led there over as many ticks as the pose took to come, so that input slower than
+    the tick rate moves it evenly.
+    """
+    tools = state.tool_count[tool]
+    if tools[ENGAGED] == 0:
+        state.tool_pose[tool] = pose
+        tools[REMAINING] = 0
+    else:
+        tools[REMAINING] = min(max(tools[AGE], 1), LONGEST_PERIOD)
+    state.tool_goal[tool] = pose
+    tools[AGE] = 0
+    tools[POSE_SEQUENCE] = sequence
+
+
+@kernel
+def take_force(state: Any, tool: int, force: Any, sequence: int) -> None:
+    """Take up the newest external force (3,) N on the tissue at a tool's tip."""
+    state.tool_force[tool] = force
+    state.tool_count[tool, FORCE_AGE] = 0
+    state.tool_count[tool, FORCE_SEQUENCE] = sequence
+
+
+@kernel
+def take_contacts(
+    state: Any,
+    entries: int,
+    contact_tool: Any,
+    contact_node: Any,
+    contact_weight: Any,
+    tip_node: Any,
+    tip_weight: Any,
+    engaged: Any,
+    sequence: int,
+) -> None:
+    """Take up a contact set: points (C,) on the surface that tools may touch.
+
+    contact_tool (C,), contact_node (C, 3), contact_weight (C, 3), of which the first `entries`
+    count; tip_node (T, 3) and tip_weight (T, 3) the surface point under each tool's tip, node -1
+    for none; engaged (T,) 1 for tools that may touch.
+    """
+    count = state.count
+    count[ENTRIES] = entries
+    count[CONTACT_SEQUENCE] = sequence
+    for entry in range(entries):
+        state.contact_tool[entry] = contact_tool[entry]
+        for c in range(3):
+            state.contact_node[entry, c] = contact_node[entry, c]
+            state.contact_weight[entry, c] = contact_weight[entry, c]
+    for tool in range(len(tip_node)):
+        for c in range(3):
+            state.tip_node[tool, c] = tip_node[tool, c]
+            state.tip_weight[tool, c] = tip_weight[tool, c]
+        state.tool_count[tool, ENGAGED] = engaged[tool] if state.tool_count[tool, AGE] >= 0 else 0
+
+
+@kernel
+def reset_state(model: Any, state: Any, scratch: Any) -> None:
+    """Back to the rest shape, asleep, without tools; the counters go on."""
+    tick, faults, asleep = state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS]
+    frozen, clamped = state.count[FROZEN_TICKS], state.count[CLAMPED]
+    state.count[:] = 0
+    state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS] = tick, faults, asleep
+    state.count[FROZEN_TICKS], state.count[CLAMPED] = frozen, clamped
+    state.count[ASLEEP] = 1
+    state.count[BACKOFF] = 1
+    state.position[:] = model.rest
+    state.good_position[:] = model.rest
+    state.velocity[:] = 0.0
+    state.good_velocity[:] = 0.0
+    state.nodal_force[:] = 0.0
+    state.tool_pose[:] = 0.0
+    state.tool_goal[:] = 0.0
+    state.tool_pose[:, 6] = 1.0
+    state.tool_goal[:, 6] = 1.0
+    state.tool_force[:] = 0.0
+    state.wrench[:] = 0.0
+    state.tool_count[:] = 0
+    for tool in range(len(state.tool_count)):
+        state.tool_count[tool, AGE] = -1
+        state.tool_count[tool, FORCE_AGE] = -1
+    state.tip_node[:] = -1
+    state.region_hop[:] = -1
+    scratch.stale[0] = 1

@@ -1,0 +1,272 @@
+"""The fixed-rate loop: one compiled function that never takes the GIL.
+
+Python and the loop exchange data through mailboxes in shared arrays. A mailbox has a sequence
+number and a few slots: the writer fills slot `(sequence + 1) % slots` and then raises the number;
+the reader copies slot `sequence % slots` and accepts it if the writer can't have come round to
+it meanwhile. Nobody waits for anybody.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+
+from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
+from tissue_sim.model.jit import kernel
+from tissue_sim.model.state import ASLEEP, MAX_ENTRIES, N_COUNT, N_SETTINGS, TICK, Floats, Longs, StateBuffer
+from tissue_sim.model.tick import tick
+
+IN_SLOTS = 3
+OUT_SLOTS = 4
+JOURNAL_ROWS = 8192
+TIMING_ROWS = 8192
+
+# Columns of Mailboxes.control.
+STOP, RESETS, SNAPSHOT_ASKED, SNAPSHOT_DONE, LOOP_TICKS, OVERRUNS, DROPPED, AWAKE_TICK = range(8)
+N_CONTROL = 8
+
+# First columns of a journal row; then pose and force sequence of each tool.
+ROW_TICK, ROW_CONTACTS, ROW_SETTINGS, ROW_RESETS, ROW_TOOLS = range(5)
+
+CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
+LATEST_CATCH_UP = 50_000_000  # ns; further behind than this, ticks are dropped instead of run in a burst
+
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+_clock_nanosleep = types.ExternalFunction(
+    "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
+)
+
+
+class Mailboxes(NamedTuple):
+    """Shared arrays between the loop and Python. T tools, n nodes, C contact set entries."""
+
+    pose_sequence: Longs  # (T,)
+    pose: Floats  # (3, T, 7)
+    taken_pose: Floats  # (T, 7) the loop's copy
+    force_sequence: Longs  # (T,)
+    force: Floats  # (3, T, 3)
+    contact_sequence: Longs  # (1,)
+    contact_entries: Longs  # (3,)
+    contact_tool: Longs  # (3, C)
+    contact_node: Longs  # (3, C, 3)
+    contact_weight: Floats  # (3, C, 3)
+    tip_node: Longs  # (3, T, 3)
+    tip_weight: Floats  # (3, T, 3)
+    engaged: Longs  # (3, T)
+    settings_sequence: Longs  # (1,)
+    settings: Floats  # (3, N_SETTINGS)
+    out_sequence: Longs  # (1,) small results, after every tick
+    out_wrench: Floats  # (4, T, 6)
+    out_count: Longs  # (4, N_COUNT)
+    out_tool_count: Longs  # (4, T, N_TOOL_COUNT)
+    surface_sequence: Longs  # (1,) positions, after every tick that moved
+    surface_tick: Longs  # (4,)
+    surface: Floats  # (4, n, 3)
+    control: Longs  # (N_CONTROL,)
+    snapshot_floats: Floats
+    snapshot_integers: Longs
+    journal_written: Longs  # (1,)
+    journal: Longs  # (JOURNAL_ROWS, ROW_TOOLS + 2 T) what each tick took up, where anything changed
+    timing: Longs  # (TIMING_ROWS, 2) ns: lateness and duration of each tick
+    clock: Longs  # (4,) timespecs of the loop
+
+
+def make_mailboxes(buffer: StateBuffer) -> Mailboxes:
+    """Empty mailboxes for a simulation's state buffer."""
+    state = buffer.state
+    n, n_tools = len(state.position), len(state.tool_pose)
+
+    def floats(*shape: int) -> Floats:
+        return np.zeros(shape)
+
+    def longs(*shape: int) -> Longs:
+        return np.zeros(shape, dtype=np.int64)
+
+    return Mailboxes(
+        pose_sequence=longs(n_tools),
+        pose=floats(IN_SLOTS, n_tools, 7),
+        taken_pose=floats(n_tools, 7),
+        force_sequence=longs(n_tools),
+        force=floats(IN_SLOTS, n_tools, 3),
+        contact_sequence=longs(1),
+        contact_entries=longs(IN_SLOTS),
+        contact_tool=longs(IN_SLOTS, MAX_ENTRIES),
+        contact_node=longs(IN_SLOTS, MAX_ENTRIES, 3),
+        contact_weight=floats(IN_SLOTS, MAX_ENTRIES, 3),
+        tip_node=longs(IN_SLOTS, n_tools, 3),
+        tip_weight=floats(IN_SLOTS, n_tools, 3),
+        engaged=longs(IN_SLOTS, n_tools),
+        settings_sequence=longs(1),
+        settings=floats(IN_SLOTS, N_SETTINGS),
+        out_sequence=longs(1),
+        out_wrench=floats(OUT_SLOTS, n_tools, 6),
+        out_count=longs(OUT_SLOTS, N_COUNT),
+        out_tool_count=longs(OUT_SLOTS, *state.tool_count.shape),
+        surface_sequence=longs(1),
+        surface_tick=longs(OUT_SLOTS),
+        surface=floats(OUT_SLOTS, n, 3),
+        control=longs(N_CONTROL),
+        snapshot_floats=floats(len(buffer.floats)),
+        snapshot_integers=longs(len(buffer.integers)),
+        journal_written=longs(1),
+        journal=longs(JOURNAL_ROWS, ROW_TOOLS + 2 * n_tools),
+        timing=longs(TIMING_ROWS, 2),
+        clock=longs(4),
+    )
+
+
+@intrinsic
+def fence(typing_context):  # type: ignore[no-untyped-def]
+    """Keep loads and stores on their side of this line, in the compiler and the processor."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@kernel
+def now(clock: Any) -> int:
+    """Monotonic time, ns."""
+    _clock_gettime(CLOCK_MONOTONIC, clock.ctypes.data)
+    return clock[0] * 1_000_000_000 + clock[1]
+
+
+@kernel
+def sleep_until(deadline: int, clock: Any) -> None:
+    """Sleep to an absolute monotonic time, ns; a signal doesn't end it early."""
+    clock[2], clock[3] = deadline // 1_000_000_000, deadline % 1_000_000_000
+    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, clock[2:].ctypes.data, 0) == 4:
+        pass
+
+
+@kernel
+def is_whole(sequences: Any, index: int, sequence_read: int) -> bool:
+    """True when the slot that was just copied can't have been written over meanwhile."""
+    fence()
+    return sequences[index] - sequence_read < IN_SLOTS - 1
+
+
+@kernel
+def take_inputs(model: Any, state: Any, settings: Any, scratch: Any, box: Any, row: Any) -> bool:
+    """Take up what is new in the mailboxes; row (ROW_TOOLS + 2 T) becomes this tick's journal row.
+
+    Returns True when anything was new.
+    """
+    changed = False
+    if box.control[RESETS] != row[ROW_RESETS]:
+        row[ROW_RESETS] = box.control[RESETS]
+        reset_state(model, state, scratch)
+        changed = True
+    while box.settings_sequence[0] != row[ROW_SETTINGS]:
+        sequence = box.settings_sequence[0]
+        fence()
+        settings[:] = box.settings[sequence % IN_SLOTS]
+        changed = True
+        if is_whole(box.settings_sequence, 0, sequence):
+            row[ROW_SETTINGS] = sequence
+            break
+    for tool in range(len(box.pose_sequence)):
+        column = ROW_TOOLS + 2 * tool
+        while box.pose_sequence[tool] != row[column]:
+            sequence = box.pose_sequence[tool]
+            fence()
+            box.taken_pose[tool] = box.pose[sequence % IN_SLOTS, tool]
+            changed = True
+            if is_whole(box.pose_sequence, tool, sequence):
+                row[column] = sequence
+                take_pose(state, tool, box.taken_pose[tool], sequence)
+                break
+        column += 1
+        while box.force_sequence[tool] != row[column]:
+            sequence = box.force_sequence[tool]
+            fence()
+            take_force(state, tool, box.force[sequence % IN_SLOTS, tool], sequence)
+            changed = True
+            if is_whole(box.force_sequence, tool, sequence):
+                row[column] = sequence
+                break
+    while box.contact_sequence[0] != row[ROW_CONTACTS]:
+        sequence = box.contact_sequence[0]
+        fence()
+        slot = sequence % IN_SLOTS
+        take_contacts(
+            state,
+            box.contact_entries[slot],
+            box.contact_tool[slot],
+            box.contact_node[slot],
+            box.contact_weight[slot],
+            box.tip_node[slot],
+            box.tip_weight[slot],
+            box.engaged[slot],
+            sequence,
+        )
+        changed = True
+        if is_whole(box.contact_sequence, 0, sequence):
+            row[ROW_CONTACTS] = sequence
+            break
+    return changed
+
+
+@kernel
+def post_results(state: Any, box: Any, moved: bool) -> None:
+    """Hand out wrenches and counters, and the positions when they moved."""
+    slot = (box.out_sequence[0] + 1) % OUT_SLOTS
+    box.out_wrench[slot] = state.wrench
+    box.out_count[slot] = state.count
+    box.out_tool_count[slot] = state.tool_count
+    fence()
+    box.out_sequence[0] += 1
+    if moved:
+        slot = (box.surface_sequence[0] + 1) % OUT_SLOTS
+        box.surface[slot] = state.position
+        box.surface_tick[slot] = state.count[TICK]
+        fence()
+        box.surface_sequence[0] += 1
+
+
+@kernel
+def run_loop(
+    model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, box: Any, floats: Any, integers: Any, period: int
+) -> None:
+    """Tick every `period` ns until control[STOP]; floats and integers are the state's flat buffers."""
+    row = np.zeros(box.journal.shape[1], dtype=np.int64)
+    deadline = now(box.clock)
+    moved = True  # the first tick hands out the rest shape
+    while box.control[STOP] == 0:
+        deadline += period
+        sleep_until(deadline, box.clock)
+        start = now(box.clock)
+        late = start - deadline
+        if late > period:
+            box.control[OVERRUNS] += 1
+        if late > LATEST_CATCH_UP:
+            box.control[DROPPED] += late // period
+            deadline = start
+        resets = row[ROW_RESETS]
+        if take_inputs(model, state, settings, scratch, box, row):
+            moved = moved or row[ROW_RESETS] != resets
+            row[ROW_TICK] = state.count[TICK] + 1
+            box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
+            fence()
+            box.journal_written[0] += 1
+        tick(model, state, shapes, settings, scratch)
+        moved = moved or state.count[ASLEEP] == 0
+        post_results(state, box, moved)
+        if moved:
+            box.control[AWAKE_TICK] = state.count[TICK]
+        moved = False
+        if box.control[SNAPSHOT_ASKED] != box.control[SNAPSHOT_DONE]:
+            box.snapshot_floats[:] = floats
+            box.snapshot_integers[:] = integers
+            fence()
+            box.control[SNAPSHOT_DONE] = box.control[SNAPSHOT_ASKED]
+        slot = box.control[LOOP_TICKS] % TIMING_ROWS
+        box.timing[slot, 0] = late
+        box.timing[slot, 1] = now(box.clock) - start
+        box.control[LOOP_TICKS] += 1
+        fence()

@@ -1,0 +1,81 @@
+"""`tissue_sim solve`: settled displacements of an organ under given loads."""
+
+from __future__ import annotations
+
+import argparse
+import time
+import zipfile
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.errors import UserError
+from tissue_sim.model.assembly import MODEL_NAMES
+from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
+from tissue_sim.model.state import Floats
+from tissue_sim.organ.organ import Organ
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
+    parser.add_argument(
+        "--loads", required=True, metavar="LOADS.npz", help="forces (L, n_surface, 3) in N, one set for each load"
+    )
+    parser.add_argument(
+        "--out",
+        required=True,
+        metavar="U.npz",
+        help="displacements (L, n_surface, 3) m, seconds (L,) of computing, converged (L,)",
+    )
+    parser.add_argument("--model", choices=MODEL_NAMES, default="hybrid", help="the paper's model variant")
+    parser.add_argument("--local-region", choices=LOCAL_REGIONS, default="off", help="what moves under a small load")
+    parser.add_argument("--rate", type=float, default=1000.0, help="ticks a second, Hz")
+    parser.add_argument("--tolerance", type=float, default=1e-3, help="residual force over load that counts as settled")
+    parser.add_argument("--longest", type=float, default=5.0, help="simulated seconds after which a load is given up")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Solve every load; returns 0, also when some did not settle (`converged` tells)."""
+    if not 0.0 < args.tolerance < 1.0:
+        raise UserError(f"--tolerance {args.tolerance:g} is outside 0..1")
+    if not args.longest > 0.0:
+        raise UserError(f"--longest {args.longest:g} must be greater than 0 s")
+    organ = Organ.load(args.organ)
+    forces = read_loads(args.loads, organ.n_surface)
+    simulation = Simulation(organ, args.model, args.rate, args.local_region)
+    simulation.step()  # compile before the clock runs
+    displacements = np.zeros_like(forces)
+    seconds = np.zeros(len(forces))
+    converged = np.zeros(len(forces), dtype=bool)
+    for load in tqdm(range(len(forces)), desc="solve", unit="load"):
+        start = time.perf_counter()
+        displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
+        seconds[load] = time.perf_counter() - start
+    try:
+        np.savez_compressed(args.out, displacements=displacements, seconds=seconds, converged=converged)
+    except OSError as error:
+        raise UserError(f"cannot write {args.out}: {error.strerror}") from None
+    print(
+        f"{len(forces)} loads, {int(converged.sum())} settled, {seconds.sum():.1f} s,"
+        f" largest displacement {1e3 * np.linalg.norm(displacements, axis=2).max(initial=0.0):.2f} mm -> {args.out}"
+    )
+    return 0
+
+
+def read_loads(path: str, n_surface: int) -> Floats:
+    """Forces (L, n_surface, 3) N of a loads file; raises UserError naming what is wrong with it."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            if "forces" not in stored.files:
+                raise UserError(f"{path} holds no array 'forces' (L, {n_surface}, 3)")
+            forces = np.asarray(stored["forces"], dtype=np.float64)
+    except FileNotFoundError:
+        raise UserError(f"loads file {path} does not exist") from None
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile):
+        raise UserError(f"{path} is no .npz file of loads; write one with numpy.savez(path, forces=...)") from None
+    if forces.ndim != 3 or forces.shape[1:] != (n_surface, 3):
+        raise UserError(f"{path}: forces has shape {forces.shape}, expected (L, {n_surface}, 3) for this organ")
+    if not np.all(np.isfinite(forces)):
+        raise UserError(f"{path}: forces holds values that are not finite")
+    return forces

@@ -1,0 +1,133 @@
+"""Everything that changes from tick to tick, in two flat buffers: one copy is a snapshot."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
+# Scalars in State.count, all 64-bit integers.
+TICK = 0  # ticks done
+ASLEEP = 1  # 1 while the organ is at rest and untouched
+QUIET = 2  # ticks in a row that were as good as at rest
+REGION = 3  # WHOLE or FROZEN, how the last tick was solved
+SUBSTEPS = 4  # substeps of the last tick
+BACKOFF = 5  # factor on the substeps after a fault
+ENTRIES = 6  # entries in the contact set
+TOUCHING = 7  # contact points that touched in the last tick
+ACTIVE = 8  # nodes that were integrated in the last tick
+FAULTS = 9  # times the guard restored the last good state
+ASLEEP_TICKS = 10  # ticks that were skipped asleep
+FROZEN_TICKS = 11  # ticks that moved a local region alone
+REGION_NODES = 12  # nodes in the local region
+REGION_SPRINGS = 13
+REGION_HINGES = 14
+LOADED = 15  # 1 when nodal_force holds anything for this tick
+CLAMPED = 16  # ticks in which a wrench was cut to the clamp
+CONTACT_SEQUENCE = 17  # which contact set is in use
+N_COUNT = 18
+
+WHOLE, FROZEN = 0, 1
+
+# Columns of State.tool_count.
+AGE = 0  # ticks since the newest pose; -1 before the first one
+REMAINING = 1  # ticks until the tool stands at the newest pose
+FORCE_AGE = 2  # ticks since the newest external force; -1 before the first one
+ENGAGED = 3  # 1 while the tool may touch: fresh, and outside the organ when it appeared
+POSE_SEQUENCE = 4  # which pose is in use
+FORCE_SEQUENCE = 5  # which external force is in use
+N_TOOL_COUNT = 6
+
+# Settings: parameters that may change between two ticks.
+TICK_TIME = 0  # s
+FRICTION = 1  # Coulomb coefficient
+FORCE_CLAMP = 2  # N
+STALE_TIME = 3  # s
+RAMP_TIME = 4  # s
+STIFFNESS_SCALE = 5
+DAMPING_SCALE = 6
+LOCAL_REGION = 7  # 0 off, 1 frozen
+REGION_FORCE = 8  # N above which the region is skipped
+LAST_GOOD_SPAN = 9  # m, displacement that the guard takes for runaway
+WANTED_SUBSTEPS = 10  # substeps in a tick, from the critical step
+N_SETTINGS = 11
+
+MAX_ENTRIES = 2048
+
+
+class State(NamedTuple):
+    """Views into the two buffers. T tools, n nodes, C contact set entries."""
+
+    position: Floats  # (n, 3) m
+    velocity: Floats  # (n, 3) m/s
+    good_position: Floats  # (n, 3) the last state that passed the guard
+    good_velocity: Floats  # (n, 3)
+    nodal_force: Floats  # (n, 3) N, for the coming tick
+    tool_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
+    tool_goal: Floats  # (T, 7) the newest pose: where it is going
+    tool_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
+    tip_weight: Floats  # (T, 3) barycentric weights of the surface point under the tip
+    wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
+    contact_weight: Floats  # (C, 3) barycentric weights of the contact points
+    count: Longs  # (N_COUNT,)
+    tool_count: Longs  # (T, N_TOOL_COUNT)
+    tip_node: Longs  # (T, 3) nodes of the triangle under the tip, -1 when none is near
+    contact_tool: Longs  # (C,)
+    contact_node: Longs  # (C, 3)
+    region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
+
+
+class StateBuffer:
+    """The two flat buffers (`floats`, `integers`) and the `state` viewing them."""
+
+    def __init__(self, n: int, n_tools: int) -> None:
+        float_shapes = {
+            "position": (n, 3),
+            "velocity": (n, 3),
+            "good_position": (n, 3),
+            "good_velocity": (n, 3),
+            "nodal_force": (n, 3),
+            "tool_pose": (n_tools, 7),
+            "tool_goal": (n_tools, 7),
+            "tool_force": (n_tools, 3),
+            "tip_weight": (n_tools, 3),
+            "wrench": (n_tools, 6),
+            "contact_weight": (MAX_ENTRIES, 3),
+        }
+        integer_shapes = {
+            "count": (N_COUNT,),
+            "tool_count": (n_tools, N_TOOL_COUNT),
+            "tip_node": (n_tools, 3),
+            "contact_tool": (MAX_ENTRIES,),
+            "contact_node": (MAX_ENTRIES, 3),
+            "region_hop": (n,),
+        }
+        self.floats, float_views = _carve(float_shapes, np.float64)
+        self.integers, integer_views = _carve(integer_shapes, np.int64)
+        self.state = State(**float_views, **integer_views)
+
+    def tick_of(self, integers: Longs) -> int:
+        """The tick of a snapshot of the integer buffer."""
+        start = (self.state.count.ctypes.data - self.integers.ctypes.data) // self.integers.itemsize
+        return int(integers[start + TICK])
+
+    def copy_from(self, floats: Floats, integers: Longs) -> None:
+        """Take over a snapshot; raises ValueError when it has another size."""
+        if floats.shape != self.floats.shape or integers.shape != self.integers.shape:
+            raise ValueError("the snapshot belongs to another organ or other tools")
+        self.floats[:] = floats
+        self.integers[:] = integers
+
+
+def _carve(shapes: dict[str, tuple[int, ...]], dtype: type) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+    buffer = np.zeros(sum(int(np.prod(shape)) for shape in shapes.values()), dtype=dtype)
+    views, start = {}, 0
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        views[name] = buffer[start : start + size].reshape(shape)
+        start += size
+    return buffer, views

@@ -1,0 +1,265 @@
+"""The organ file: geometry, springs, tissue and provenance in one NPZ, opened without pickle."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.errors import UserError
+
+SCHEMA_VERSION = 1
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class SpringKind(IntEnum):
+    """What an axial spring joins; springs are stored in this order."""
+
+    EDGE = 0  # two surface nodes of one triangle edge
+    SPOKE = 1  # a surface node and its nearest medial atom
+    VIRTUAL = 2  # a surface node and the next of its four nearest medial atoms
+    SKELETON = 3  # two neighbouring medial atoms
+
+
+def _floats(*shape: int | str) -> Any:
+    return field(metadata={"dtype": np.float64, "shape": shape})
+
+
+def _ints(*shape: int | str) -> Any:
+    return field(metadata={"dtype": np.int32, "shape": shape})
+
+
+@dataclass(frozen=True, eq=False)
+class Organ:
+    """An organ ready to be simulated. SI units; every array is read-only.
+
+    Nodes are numbered surface first, then medial atoms, then further interior nodes:
+    `n = n_surface + n_atoms + n_interior`.
+
+    Raises UserError (naming the field) when arrays don't fit together, hold non-finite values,
+    or the surface isn't one closed outward surface.
+    """
+
+    name: str
+    surface_positions: Floats = _floats("n_surface", 3)  # m, at rest
+    surface_triangles: Ints = _ints("n_triangles", 3)  # counter-clockwise seen from outside
+    atom_positions: Floats = _floats("n_atoms", 3)  # m, at rest
+    atom_radius: Floats = _floats("n_atoms")  # m, distance to the boundary
+    atom_parent: Ints = _ints("n_atoms")  # neighbour towards the root, -1 at the root
+    interior_positions: Floats = _floats("n_interior", 3)  # m, at rest
+    fixed: Ints = _ints("n_fixed")  # surface nodes that are held
+    mass: Floats = _floats("n")  # kg
+    damping: Floats = _floats("n")  # kg/s, nodal
+    return_stiffness: Floats = _floats("n")  # N/m, towards the rest position
+    spring_nodes: Ints = _ints("n_springs", 2)
+    spring_rest_length: Floats = _floats("n_springs")  # m
+    spring_stiffness: Floats = _floats("n_springs")  # N/m
+    spring_kind: Ints = _ints("n_springs")  # SpringKind
+    angular_nodes: Ints = _ints("n_angular", 4)  # edge i, j and the corners k, l opposite to it
+    angular_stiffness: Floats = _floats("n_angular")  # N/m, on edge length times angle
+    youngs_modulus: float = 0.0  # Pa
+    poisson_ratio: float = 0.0
+    density: float = 0.0  # kg/m^3
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for item in fields(self):
+            if "dtype" not in item.metadata:
+                continue
+            array = _frozen(item.name, getattr(self, item.name), item.metadata["dtype"])
+            _check_shape(item.name, array, item.metadata["shape"], sizes)
+            object.__setattr__(self, item.name, array)
+        self._check(sizes)
+
+    # sizes -------------------------------------------------------------------------------------
+    @property
+    def n_surface(self) -> int:
+        return len(self.surface_positions)
+
+    @property
+    def n_atoms(self) -> int:
+        return len(self.atom_positions)
+
+    @property
+    def n_nodes(self) -> int:
+        return self.n_surface + self.n_atoms + len(self.interior_positions)
+
+    @property
+    def rest_positions(self) -> Floats:
+        """Rest positions of all nodes, (n, 3) m: surface, medial atoms, interior."""
+        return np.concatenate([self.surface_positions, self.atom_positions, self.interior_positions])
+
+    @property
+    def volume(self) -> float:
+        """Volume enclosed by the rest surface, m^3 (divergence theorem)."""
+        return signed_volume(self.surface_positions, self.surface_triangles)
+
+    # checks ------------------------------------------------------------------------------------
+    def _check(self, sizes: dict[str, int]) -> None:
+        n = sizes["n_surface"] + sizes["n_atoms"] + sizes["n_interior"]
+        if sizes["n"] != n:
+            raise UserError(f"organ '{self.name}': mass has {sizes['n']} entries for {n} nodes")
+        limits = {
+            "surface_triangles": sizes["n_surface"],
+            "fixed": sizes["n_surface"],
+            "spring_nodes": n,
+            "angular_nodes": n,
+        }
+        for key, limit in limits.items():
+            array = getattr(self, key)
+            if array.size and (array.min() < 0 or array.max() >= limit):
+                raise UserError(f"organ '{self.name}': {key} names a node outside 0..{limit - 1}")
+        parent = self.atom_parent
+        if parent.size and (parent.min() < -1 or np.any(parent >= np.arange(len(parent)))):
+            raise UserError(f"organ '{self.name}': atom_parent must name an earlier atom, or -1 for the root")
+        for key in ("mass", "spring_rest_length", "atom_radius"):
+            if np.any(getattr(self, key) <= 0.0):
+                raise UserError(f"organ '{self.name}': {key} must be greater than 0 everywhere")
+        for key in ("damping", "return_stiffness", "spring_stiffness", "angular_stiffness"):
+            if np.any(getattr(self, key) < 0.0):
+                raise UserError(f"organ '{self.name}': {key} must not be negative")
+        check_surface(self.surface_positions, self.surface_triangles, f"organ '{self.name}'")
+
+    # files -------------------------------------------------------------------------------------
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the organ file (compressed NPZ, schema version and SHA-256 of its content inside).
+
+        The same organ gives the same bytes. Raises UserError when the file can't be written.
+        """
+        arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
+        header = {
+            "format": "tissue_sim organ",
+            "schema_version": SCHEMA_VERSION,
+            "name": self.name,
+            "units": "SI: m, kg, s, N, Pa",
+            "youngs_modulus": float(self.youngs_modulus),
+            "poisson_ratio": float(self.poisson_ratio),
+            "density": float(self.density),
+            "provenance": dict(self.provenance),
+        }
+        text = json.dumps(header, sort_keys=True)
+        try:
+            with open(path, "wb") as stream:
+                np.savez_compressed(
+                    stream,
+                    header=np.array(text),
+                    sha256=np.array(_digest(text, arrays)),
+                    allow_pickle=False,
+                    **arrays,
+                )
+        except OSError as error:
+            raise UserError(f"cannot write organ file {path}: {error.strerror}") from None
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Organ:
+        """Read an organ file.
+
+        Raises UserError naming the file when it is missing, not an organ, truncated, altered,
+        or of a schema version this package doesn't know.
+        """
+        try:
+            with np.load(Path(path), allow_pickle=False) as stored:
+                content = {key: stored[key] for key in stored.files}
+        except FileNotFoundError:
+            raise UserError(f"organ file {path} does not exist; make one with 'tissue_sim build'") from None
+        except IsADirectoryError:
+            raise UserError(f"organ file {path} is a folder; name the .npz file") from None
+        except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zlib.error):
+            raise UserError(f"organ file {path} is damaged or no organ file; build it again") from None
+        if "header" not in content or "sha256" not in content:
+            raise UserError(f"{path} is no organ file: it holds no header; make one with 'tissue_sim build'")
+        text = str(content.pop("header"))
+        digest = str(content.pop("sha256"))
+        try:
+            header = json.loads(text)
+            version = int(header["schema_version"])
+        except (ValueError, KeyError, TypeError):
+            raise UserError(f"organ file {path} has a damaged header; build it again") from None
+        if version > SCHEMA_VERSION:
+            raise UserError(
+                f"organ file {path} has schema version {version}, this package reads up to {SCHEMA_VERSION};"
+                " update tissue_sim"
+            )
+        expected = {item.name for item in fields(cls) if "dtype" in item.metadata}
+        if set(content) != expected:
+            odd = ", ".join(sorted(expected ^ set(content)))
+            raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
+        if digest != _digest(text, content):
+            raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
+        scalars = {key: header[key] for key in ("name", "youngs_modulus", "poisson_ratio", "density", "provenance")}
+        return cls(**scalars, **content)
+
+    def digest(self) -> str:
+        """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
+        arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
+        return _digest("", arrays)
+
+
+def signed_volume(positions: Floats, triangles: Ints) -> float:
+    """Volume enclosed by a closed surface, m^3: positive when triangles point outward."""
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
+    """Raise UserError unless the triangles form a closed, consistently wound, outward surface.
+
+    Every directed edge must occur once, with its opposite (closed and consistently wound); the
+    signed volume must be positive (outward).
+    """
+    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    if len(directed) == 0:
+        raise UserError(f"{name}: the surface has no triangles")
+    n = len(positions)
+    forward = np.sort(directed[:, 0] * n + directed[:, 1])
+    backward = np.sort(directed[:, 1] * n + directed[:, 0])
+    undirected = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)[1]
+    open_edges = int(np.count_nonzero(undirected == 1))
+    if open_edges:
+        raise UserError(f"{name}: the surface is open ({open_edges} open edges); close its holes first")
+    if not np.array_equal(forward, backward) or np.any(forward[1:] == forward[:-1]):
+        raise UserError(f"{name}: the surface's triangles are wound inconsistently; make them all point outward")
+    used = np.unique(triangles)
+    if len(used) != n:
+        raise UserError(f"{name}: {n - len(used)} surface points belong to no triangle; remove them")
+    if signed_volume(positions, triangles) <= 0.0:
+        raise UserError(f"{name}: the surface is inside out (negative volume); flip its triangles")
+
+
+def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
+    array = np.array(value, dtype=dtype, order="C")
+    if dtype is np.float64 and not np.all(np.isfinite(array)):
+        raise UserError(f"organ: {name} holds values that are not finite")
+    array.flags.writeable = False
+    return array
+
+
+def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], sizes: dict[str, int]) -> None:
+    if array.ndim != len(shape):
+        raise UserError(f"organ: {name} must have {len(shape)} dimensions, has {array.ndim}")
+    for actual, wanted in zip(array.shape, shape, strict=True):
+        expected = sizes.setdefault(wanted, actual) if isinstance(wanted, str) else wanted
+        if actual != expected:
+            raise UserError(f"organ: {name} has shape {array.shape}, expected {shape} with {wanted} = {expected}")
+
+
+def _digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for key in sorted(arrays):
+        array = np.ascontiguousarray(arrays[key])
+        digest.update(f"{key}{array.dtype.str}{array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,188 @@
+"""From geometry to springs: the hybrid topology of Zhang, Gu et al. (2006), section 3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind, check_surface, signed_volume
+
+NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
+SURFACE_MASS_SHARE = 0.8
+DAMPING_RATE = 45.0  # 1/s: settles a poke of a 10 kPa kidney in 0.2 s with under 5 % overshoot
+SHELL_THICKNESS = 0.8  # of the mean edge: the tissue that edge and angular springs stand for
+RETURN_SHARE = 0.02  # return spring as a share of the tissue column's stiffness
+
+
+def assemble_organ(
+    *,
+    name: str,
+    surface_positions: ArrayLike,
+    surface_triangles: ArrayLike,
+    atom_positions: ArrayLike,
+    atom_radius: ArrayLike,
+    atom_parent: ArrayLike,
+    fixed: ArrayLike = (),
+    youngs_modulus: float = 10_000.0,
+    poisson_ratio: float = 0.45,
+    density: float = 1060.0,
+    provenance: Mapping[str, Any] | None = None,
+) -> Organ:
+    """Make a node-ready organ from a closed surface and its medial atoms.
+
+    surface_positions (n_surface, 3) m, surface_triangles (n_triangles, 3) outward,
+    atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
+    root, fixed (n_fixed,) surface nodes, youngs_modulus Pa, density kg/m^3.
+
+    Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
+    0.8 of the mean edge length); from each surface node to its nearest atom (spoke) and the next three of its
+    four nearest (virtual), sharing the stiffness A sqrt(E M)/L of the tissue column under the node,
+    M the oedometric modulus;
+    between neighbouring atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge
+    with the bending stiffness of a plate, E h^3/(12 (1 - nu^2)), discretised as by
+    Bergou et al. (2006).
+    Masses: density times volume, 80 % on the surface by area, the rest on the atoms by stiffness,
+    so that the skeleton doesn't set the critical step.
+
+    Raises UserError for an open or inverted surface, no atoms, or tissue out of range.
+    """
+    surface = np.asarray(surface_positions, dtype=np.float64)
+    triangles = np.asarray(surface_triangles, dtype=np.int32)
+    atoms = np.asarray(atom_positions, dtype=np.float64)
+    radius = np.asarray(atom_radius, dtype=np.float64)
+    parent = np.asarray(atom_parent, dtype=np.int32)
+    _check_tissue(name, youngs_modulus, poisson_ratio, density)
+    if len(atoms) == 0:
+        raise UserError(f"organ '{name}' has no medial atoms; build it with --atoms 1 or more")
+    check_surface(surface, triangles, f"organ '{name}'")
+
+    area = triangle_area(surface, triangles)
+    edges, corners, edge_area = surface_edges(triangles, area)
+    edge_length = np.linalg.norm(surface[edges[:, 0]] - surface[edges[:, 1]], axis=1)
+    if np.any(edge_length <= 0.0) or np.any(area <= 0.0):
+        raise UserError(f"organ '{name}': the surface has triangles without area; remove them")
+    thickness = SHELL_THICKNESS * float(edge_length.mean())
+    node_area = np.bincount(triangles.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(surface))
+
+    # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
+    confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    columns = _columns(surface, atoms, node_area, youngs_modulus * np.sqrt(confined))
+    bones = np.flatnonzero(parent >= 0)
+    bone_length = np.linalg.norm(atoms[bones] - atoms[parent[bones]], axis=1)
+    if np.any(bone_length <= 0.0):
+        raise UserError(f"organ '{name}': two neighbouring medial atoms coincide; use fewer --atoms")
+    bone_section = np.pi * (0.5 * (radius[bones] + radius[parent[bones]])) ** 2
+
+    n_surface = len(surface)
+    nodes = [edges, columns.nodes, np.stack([bones, parent[bones]], axis=1) + n_surface]
+    lengths = [edge_length, columns.length, bone_length]
+    stiffness = [
+        youngs_modulus * thickness * edge_area / edge_length**2,
+        columns.stiffness,
+        youngs_modulus * bone_section / bone_length,
+    ]
+    kinds = [np.full(len(edges), SpringKind.EDGE), columns.kind, np.full(len(bones), SpringKind.SKELETON)]
+    spring_nodes = np.concatenate(nodes)
+    spring_stiffness = np.concatenate(stiffness)
+    spring_kind = np.concatenate(kinds)
+    order = np.argsort(spring_kind, kind="stable")
+
+    n = n_surface + len(atoms)
+    stiffness_sum = np.bincount(spring_nodes.ravel(), weights=np.repeat(spring_stiffness, 2), minlength=n)
+    total_mass = density * signed_volume(surface, triangles)
+    mass = np.empty(n)
+    mass[:n_surface] = SURFACE_MASS_SHARE * total_mass * node_area / node_area.sum()
+    mass[n_surface:] = (1.0 - SURFACE_MASS_SHARE) * total_mass * _share(stiffness_sum[n_surface:])
+
+    rigidity = youngs_modulus * thickness**3 / (12.0 * (1.0 - poisson_ratio**2))
+    return Organ(
+        name=name,
+        surface_positions=surface,
+        surface_triangles=triangles,
+        atom_positions=atoms,
+        atom_radius=radius,
+        atom_parent=parent,
+        interior_positions=np.empty((0, 3)),
+        fixed=np.unique(np.asarray(fixed, dtype=np.int32)),
+        mass=mass,
+        damping=DAMPING_RATE * mass,
+        return_stiffness=RETURN_SHARE * columns.node_stiffness(n),
+        spring_nodes=spring_nodes[order],
+        spring_rest_length=np.concatenate(lengths)[order],
+        spring_stiffness=spring_stiffness[order],
+        spring_kind=spring_kind[order],
+        angular_nodes=np.concatenate([edges, corners], axis=1),
+        angular_stiffness=3.0 * rigidity / edge_area,
+        youngs_modulus=youngs_modulus,
+        poisson_ratio=poisson_ratio,
+        density=density,
+        provenance=dict(provenance or {}),
+    )
+
+
+class _Columns:
+    """Spokes and virtual springs: the tissue columns between the surface and the skeleton."""
+
+    def __init__(self, nodes: Ints, length: Floats, stiffness: Floats, kind: Ints) -> None:
+        self.nodes, self.length, self.stiffness, self.kind = nodes, length, stiffness, kind
+
+    def node_stiffness(self, n: int) -> Floats:
+        """Sum of the column stiffnesses at each of n nodes, (n,) N/m."""
+        return np.bincount(self.nodes.ravel(), weights=np.repeat(self.stiffness, 2), minlength=n)
+
+
+def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: float) -> _Columns:
+    k = min(NEAREST_ATOMS, len(atoms))
+    length, atom = cKDTree(atoms).query(surface, k=k)
+    length, atom = length.reshape(len(surface), k), atom.reshape(len(surface), k)
+    if np.any(length <= 0.0):
+        raise UserError("a medial atom lies on the surface; use fewer --atoms or more --points")
+    share = 1.0 / (length * np.sum(1.0 / length, axis=1, keepdims=True))
+    stiffness = youngs_modulus * node_area[:, None] / length * share
+    kind = np.full((len(surface), k), SpringKind.VIRTUAL, dtype=np.int32)
+    kind[:, 0] = SpringKind.SPOKE
+    node = np.repeat(np.arange(len(surface)), k)
+    nodes = np.stack([node, atom.ravel() + len(surface)], axis=1).astype(np.int32)
+    return _Columns(nodes, length.ravel(), stiffness.ravel(), kind.ravel())
+
+
+def _share(values: Floats) -> Floats:
+    return values / values.sum()
+
+
+def _check_tissue(name: str, youngs_modulus: float, poisson_ratio: float, density: float) -> None:
+    if not 1.0 <= youngs_modulus <= 1e9:
+        raise UserError(f"organ '{name}': Young's modulus {youngs_modulus:g} Pa is outside 1..1e9")
+    if not 0.0 <= poisson_ratio < 0.5:
+        raise UserError(f"organ '{name}': Poisson's ratio {poisson_ratio:g} is outside 0..0.5")
+    if not 1.0 <= density <= 1e5:
+        raise UserError(f"organ '{name}': density {density:g} kg/m^3 is outside 1..1e5")
+
+
+def triangle_area(positions: Floats, triangles: Ints) -> Floats:
+    """Area of each triangle, (n_triangles,) m^2."""
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def surface_edges(triangles: Ints, area: Floats) -> tuple[Ints, Ints, Floats]:
+    """Edges of a closed surface.
+
+    Returns the edges (n_edges, 2), the corners opposite to each, (n_edges, 2): the first belongs to
+    the triangle that runs along the edge i -> j, the second to the one that runs j -> i, and
+    the summed area of the two triangles, (n_edges,).
+    """
+    directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
+    owner = np.tile(np.arange(len(triangles)), 3)
+    low, high = directed.min(axis=1).astype(np.int64), directed.max(axis=1).astype(np.int64)
+    backward = (directed[:, 0] > directed[:, 1]).astype(np.int64)
+    order = np.lexsort((backward, high, low))
+    along, against = order[0::2], order[1::2]
+    corners = np.stack([opposite[along], opposite[against]], axis=1)
+    return directed[along].astype(np.int32), corners.astype(np.int32), area[owner[along]] + area[owner[against]]

@@ -1,0 +1,123 @@
+"""Finds contact sets beside the physics loop, at a rate of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.model import state as st
+from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.tool_port import ToolPort
+
+MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
+
+
+class ContactWorker:
+    """A thread that turns the newest poses and surface into contact sets.
+
+    Nothing is found when no pose and no position changed; a tool that appears inside the organ
+    is held off until it has been outside.
+    """
+
+    def __init__(
+        self,
+        finder: ContactFinder,
+        physics: Physics,
+        ports: Sequence[ToolPort],
+        recorder: Callable[[], Recorder],
+        woken: threading.Event,
+        warn: Callable[[str], None],
+    ) -> None:
+        self.rate = 250.0  # Hz, may change while running
+        self.unchanged_skips = 0
+        self.dropped = 0
+        self.durations: list[float] = []
+        self.error = ""
+        self._finder, self._physics, self._ports = finder, physics, list(ports)
+        self._recorder, self._woken, self._warn = recorder, woken, warn
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
+        n_tools = len(self._ports)
+        self._positions = np.zeros((len(physics.simulation.model.rest), 3))
+        self._engaged = np.zeros(n_tools, dtype=np.int64)
+        self._last_pose = np.zeros((n_tools, 7))
+        self._last_time = time.monotonic()
+        self._last_key: tuple[int, ...] = ()
+        self._last_empty = False
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._woken.set()
+        self._thread.join(timeout=2.0)
+
+    def engaged(self, tool: int) -> bool:
+        """True while a tool may touch."""
+        return bool(self._engaged[tool])
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self._woken.wait(timeout=0.05)
+            self._woken.clear()
+            start = time.monotonic()
+            try:
+                self._refresh(start)
+            except Exception as error:  # the node goes on with the last set, and says so
+                self.error = f"contact search failed: {type(error).__name__}: {error}"
+                self._warn(self.error)
+            rest = 1.0 / self.rate - (time.monotonic() - start)
+            if rest > 0.0:
+                time.sleep(rest)
+
+    def _refresh(self, now: float) -> None:
+        settings = self._physics.settings()
+        alive = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
+        newest = [port.newest for port in self._ports]
+        sequences = [sequence for sequence, _, _ in newest]
+        poses = np.array([pose for _, pose, _ in newest])
+        fresh = [now - port.pose_clock < alive for port in self._ports]
+        pushing = np.array([now - port.force_clock < alive for port in self._ports], dtype=np.int64)
+        if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
+            self.unchanged_skips += 1
+            return
+        key = (*sequences, self._physics.surface_sequence, *map(int, fresh), *map(int, pushing))
+        if key == self._last_key:
+            self.unchanged_skips += 1
+            return
+        self._last_key = key
+        tick = self._physics.positions(self._positions)
+        elapsed = max(now - self._last_time, 1e-4)
+        margins = np.zeros(len(poses), dtype=np.int64)  # mm, whole ones so that a journal can hold them
+        for tool, is_fresh in enumerate(fresh):
+            if not is_fresh:
+                self._engaged[tool] = 0
+                continue
+            if not self._engaged[tool]:
+                if self._finder.is_inside(tool, self._positions, poses[tool]):
+                    self._warn(f"tool '{self._ports[tool].name}' appeared inside the organ; move it out to engage it")
+                    continue
+                self._engaged[tool] = 1
+            else:
+                covered = float(np.linalg.norm(poses[tool, :3] - self._last_pose[tool, :3]))
+                reach = covered / elapsed * 2.0 / self.rate
+                margins[tool] = math.ceil(1e3 * min(reach, MOST_MARGIN))
+        self._last_pose, self._last_time = poses, now
+        found = self._finder.find(self._positions, poses, 1e-3 * margins, self._engaged, pushing)
+        empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
+        sequence = self._physics.post_contacts(found)
+        self._last_empty = empty
+        self.dropped += found.dropped
+        pairs = [value for pair in zip(sequences, margins, strict=True) for value in pair]
+        bits = sum(int(flag) << tool for tool, flag in enumerate(pushing))
+        self._recorder().contacts(sequence, tick, found, bits, pairs)
+        self.durations.append(time.monotonic() - now)
+        if len(self.durations) > 1000:
+            del self.durations[:500]

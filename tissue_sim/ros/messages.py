@@ -1,0 +1,161 @@
+"""Messages as bytes: typed once as a template, then patched in place and published as they are."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, WrenchStamped
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+from shape_msgs.msg import Mesh, MeshTriangle
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tissue_sim.model.state import Floats
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.cdr import CDR_HEADER
+
+SENTINEL = 1.2345678901234567e89
+
+
+class WrenchTemplate:
+    """A WrenchStamped in a frame, ready to be patched."""
+
+    def __init__(self, frame_id: str) -> None:
+        message = WrenchStamped()
+        message.header.frame_id = frame_id
+        self._bytes = bytearray(serialize_message(message))
+        self._body = len(self._bytes) - 48
+
+    def bytes(self, stamp: int, wrench: Floats) -> bytes:
+        """The message with a stamp in ns and a wrench (6,) N, N m."""
+        struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        struct.pack_into("<6d", self._bytes, self._body, *wrench)
+        return bytes(self._bytes)
+
+
+class CloudTemplate:
+    """A PointCloud2 of float32 columns, ready to be patched."""
+
+    def __init__(self, frame_id: str, n_points: int, columns: tuple[str, ...]) -> None:
+        message = PointCloud2()
+        message.header.frame_id = frame_id
+        message.height, message.width = 1, n_points
+        message.fields = [
+            PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+            for index, name in enumerate(columns)
+        ]
+        message.point_step = 4 * len(columns)
+        message.row_step = message.point_step * n_points
+        message.is_dense = True
+        block = np.zeros((n_points, len(columns)), dtype="<f4")
+        block.reshape(-1)[:1] = 1.2345e30
+        message.data = block.tobytes()
+        self._bytes = bytearray(serialize_message(message))
+        start = self._bytes.find(block.tobytes())
+        self.points = np.frombuffer(self._bytes, dtype="<f4", offset=start, count=block.size).reshape(block.shape)
+
+    def bytes(self, stamp: int) -> bytes:
+        """The message as `points` stand, with a stamp in ns."""
+        struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        return bytes(self._bytes)
+
+
+class MarkersTemplate:
+    """The MarkerArray of a scene: surface, skeleton and an arrow for each tool's contact force."""
+
+    SURFACE_COLOUR = (0.72, 0.27, 0.24, 1.0)
+    SKELETON_COLOUR = (0.95, 0.90, 0.55, 1.0)
+    FORCE_COLOUR = (0.20, 0.55, 0.95, 1.0)
+    ARROW_LENGTH = 0.03  # m for 1 N
+
+    def __init__(self, frame_id: str, organ: Organ, n_tools: int) -> None:
+        self._corners = organ.surface_triangles.ravel()
+        self._bones = skeleton_lines(organ)
+        surface = _marker(frame_id, "surface", 0, Marker.TRIANGLE_LIST, self.SURFACE_COLOUR, (1.0, 1.0, 1.0))
+        skeleton = _marker(frame_id, "skeleton", 0, Marker.LINE_LIST, self.SKELETON_COLOUR, (0.001, 0.0, 0.0))
+        arrows = [
+            _marker(frame_id, "contacts", tool, Marker.ARROW, self.FORCE_COLOUR, (0.002, 0.004, 0.006))
+            for tool in range(n_tools)
+        ]
+        markers = [surface, *([skeleton] if len(self._bones) else []), *arrows]
+        blocks = [len(self._corners), *([len(self._bones)] if len(self._bones) else []), *([2] * n_tools)]
+        for marker, size in zip(markers, blocks, strict=True):
+            marker.points = [Point() for _ in range(size)]
+            marker.points[0].x = SENTINEL
+        for index, marker in enumerate(markers):
+            marker.header.stamp = Time(sec=0x5EED, nanosec=0x5EED0000 + index)
+            marker.action = 0x5EED000
+        raw = bytearray(serialize_message(MarkerArray(markers=markers)))
+        self._bytes = raw
+        self._blocks: list[Any] = []
+        self._stamps: list[int] = []
+        self._actions: list[int] = []
+        at = 0
+        for index, size in enumerate(blocks):
+            at = raw.find(struct.pack("<iI", 0x5EED, 0x5EED0000 + index), at)
+            self._stamps.append(at)
+            at = raw.find(struct.pack("<i", 0x5EED000), at)
+            self._actions.append(at)
+            at = raw.find(struct.pack("<d", SENTINEL), at)
+            self._blocks.append(np.frombuffer(raw, dtype="<f8", offset=at, count=3 * size).reshape(size, 3))
+            struct.pack_into("<i", raw, self._actions[-1], Marker.ADD)
+        self._n_tools = n_tools
+
+    def bytes(self, stamp: int, position: Floats, n_surface: int, centre: Floats, wrench: Floats) -> bytes:
+        """The message for positions (n, 3) m.
+
+        centre (T, 3) m where each tool touches, wrench (T, 6) what it feels; a tool without force
+        has its arrow deleted.
+        """
+        for at in self._stamps:
+            struct.pack_into("<iI", self._bytes, at, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        np.take(position, self._corners, axis=0, out=self._blocks[0])
+        if len(self._bones):
+            np.take(position[n_surface:], self._bones, axis=0, out=self._blocks[1])
+        for tool in range(self._n_tools):
+            index = len(self._blocks) - self._n_tools + tool
+            force = wrench[tool, :3]
+            felt = float(force @ force) > 1e-8
+            struct.pack_into("<i", self._bytes, self._actions[index], Marker.ADD if felt else Marker.DELETE)
+            self._blocks[index][0] = centre[tool]
+            self._blocks[index][1] = centre[tool] + self.ARROW_LENGTH * force
+        return bytes(self._bytes)
+
+    def deletion(self) -> bytes:
+        """The same markers, all deleted: for the shutdown."""
+        for at in self._actions:
+            struct.pack_into("<i", self._bytes, at, Marker.DELETE)
+        return bytes(self._bytes)
+
+
+def skeleton_lines(organ: Organ) -> Any:
+    """Atom indices (2 b,) of the skeleton's line list: each atom and its parent."""
+    child = np.flatnonzero(organ.atom_parent >= 0)
+    return np.stack([child, organ.atom_parent[child]], axis=1).ravel()
+
+
+def rest_mesh(organ: Organ) -> bytes:
+    """The rest surface as a shape_msgs/Mesh."""
+    message = Mesh(
+        triangles=[MeshTriangle(vertex_indices=row) for row in organ.surface_triangles.astype(np.uint32)],
+        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in organ.surface_positions],
+    )
+    return bytes(serialize_message(message))
+
+
+def _marker(
+    frame_id: str, namespace: str, number: int, kind: int, colour: tuple[float, ...], scale: tuple[float, ...]
+) -> Marker:
+    marker = Marker()
+    marker.header.frame_id = frame_id
+    marker.ns, marker.id, marker.type = namespace, number, kind
+    marker.pose = Pose()
+    marker.pose.orientation.w = 1.0
+    marker.scale.x, marker.scale.y, marker.scale.z = scale
+    red, green, blue, alpha = colour
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=alpha)
+    return marker

@@ -1,0 +1,166 @@
+"""The node's parameters: descriptor, range and unit of each, and which may change while it runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from tissue_sim.contact.tools import SHAPE_NAMES, Tool
+from tissue_sim.errors import UserError
+from tissue_sim.model import state as st
+from tissue_sim.model.assembly import MODEL_NAMES
+from tissue_sim.model.simulation import LOCAL_REGIONS
+from tissue_sim.model.state import Floats
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter. `setting` is the entry of the simulation's settings that it changes, if any."""
+
+    name: str
+    default: Any
+    text: str
+    low: float | None = None
+    high: float | None = None
+    live: bool = False
+    choices: tuple[str, ...] = ()
+    setting: int | None = None
+
+
+NODE_SPECS = (
+    Spec("organ_file", "", "organ file (.npz); empty for the kidney that ships"),
+    Spec("frame_id", "organ", "frame of the organ and of everything published"),
+    Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0),
+    Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
+    Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
+    Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
+    Spec("local_region", "off", "what moves under a small load", choices=LOCAL_REGIONS),
+    Spec("region_force", 0.1, "N above which the local region is skipped", 0.0, 100.0, True, setting=st.REGION_FORCE),
+    Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting=st.FRICTION),
+    Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting=st.FORCE_CLAMP),
+    Spec("stale_time", 0.05, "s without a pose or force after which it is stale", 0.005, 5.0, True, setting=st.STALE_TIME),
+    Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting=st.RAMP_TIME),
+    Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting=st.STIFFNESS_SCALE),
+    Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting=st.DAMPING_SCALE),
+    Spec("record", False, "record a bag from the start"),
+    Spec("record_folder", "recordings", "folder in which bags are made", live=True),
+    Spec("record_markers", False, "put the markers into the bag too (9 MB a second)", live=True),
+)
+
+TOOL_SPECS = (
+    Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
+    Spec("radius", 0.005, "m, of a sphere or capsule", 1e-4, 0.5),
+    Spec("length", 0.05, "m, of a capsule between the centres of its caps, from the tip along -z", 0.0, 2.0),
+    Spec("mesh", "", "mesh file of the tool in metres; its convex hull is used"),
+    Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
+    Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
+    Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
+    Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
+    Spec("reliable", False, "reliable instead of best effort for this tool's topics"),
+)
+
+
+class Parameters:
+    """Declares the parameters on a node and reads them.
+
+    Raises UserError naming the parameter when a value is out of range or of the wrong type.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._specs: dict[str, Spec] = {}
+        self.changed: list[Any] = []  # called after a live change
+        for spec in NODE_SPECS:
+            self._declare(spec.name, spec)
+        self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))
+        self.tools: list[str] = list(self["tools"])
+        for tool in self.tools:
+            if not tool.isidentifier() or self.tools.count(tool) > 1:
+                raise UserError(f"parameter 'tools': '{tool}' is no name of its own; use letters, digits and _")
+            for spec in TOOL_SPECS:
+                self._declare(f"{tool}.{spec.name}", spec)
+        node.add_on_set_parameters_callback(self._check)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._node.get_parameter(name).value
+
+    def tool(self, name: str) -> Tool:
+        """The tool of a name as its parameters describe it."""
+        get = {key: self[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh")}
+        return Tool(name, **get)
+
+    def topic(self, tool: str, name: str) -> str:
+        """Topic of a tool: measured_cp, measured_cf or servo_cf."""
+        return self[f"{tool}.{name}"] or f"{tool}/{name}"
+
+    def apply(self, settings: Floats) -> None:
+        """Write the parameters that are settings of the simulation."""
+        for spec in NODE_SPECS:
+            if spec.setting is not None:
+                settings[spec.setting] = self[spec.name]
+
+    def values(self) -> dict[str, Any]:
+        """All parameters by name, as plain values."""
+        return {name: _plain(self[name]) for name in self._specs}
+
+    # inside ------------------------------------------------------------------------------------
+    def _declare(self, name: str, spec: Spec) -> None:
+        descriptor = ParameterDescriptor(description=spec.text)
+        if spec.choices:
+            descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
+        if spec.low is not None and spec.high is not None:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high, step=0.0)]
+        descriptor.dynamic_typing = False
+        self._specs[name] = spec
+        try:
+            self._node.declare_parameter(name, spec.default, descriptor)
+        except InvalidParameterTypeException:
+            kind = type(spec.default).__name__
+            raise UserError(f"parameter '{name}' is of the wrong type; it takes a {kind}: {spec.text}") from None
+        except InvalidParameterValueException:
+            given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
+            value = given.value if given is not None else "its value"
+            raise UserError(f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})") from None
+        if problem := _problem(name, spec, self[name]):
+            raise UserError(problem)
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Accept live parameters in range; refuse others with the reason."""
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None:
+                continue
+            if not spec.live:
+                reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
+                return SetParametersResult(successful=False, reason=reason)
+            if problem := _problem(parameter.name, spec, parameter.value):
+                return SetParametersResult(successful=False, reason=problem)
+        names = [parameter.name for parameter in parameters if parameter.name in self._specs]
+        for call in self.changed if names else []:
+            call({parameter.name: parameter.value for parameter in parameters if parameter.name in names})
+        return SetParametersResult(successful=True)
+
+
+def _problem(name: str, spec: Spec, value: Any) -> str:
+    if spec.choices and value not in spec.choices:
+        return f"parameter '{name}': '{value}' is unknown; choose one of {', '.join(spec.choices)}"
+    if spec.low is not None and spec.high is not None:
+        if not np.isfinite(value) or not spec.low <= value <= spec.high:
+            return f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})"
+    return ""
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    return list(value) if isinstance(value, (list, tuple)) else value
+
+
+SETTING_OF = {spec.name: spec.setting for spec in NODE_SPECS if spec.setting is not None}

@@ -1,0 +1,198 @@
+"""The compiled loop in a thread of its own, and the mailboxes as Python methods."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.contact.finder import ContactSet
+from tissue_sim.model import realtime as rt
+from tissue_sim.model import state as st
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import Floats, Longs
+
+
+class Timing(NamedTuple):
+    """How the loop kept time since the last look."""
+
+    rate: float  # ticks a second
+    p50: float  # s, duration of a tick
+    p99: float
+    late_p99: float  # s
+    overruns: int  # ticks that began more than a period late, in all
+    dropped: int  # ticks given up because the loop was too far behind, in all
+    real_time_factor: float  # simulated over wall time
+
+
+class Physics:
+    """Runs a simulation at its rate. Methods may be called from any one thread each.
+
+    Everything that is posted is taken up by the next tick; the journal tells which.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.box = rt.make_mailboxes(simulation.buffer)
+        self.n_tools = len(simulation.shapes.kind)
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self._journal_read = 0
+        self._timing_read = 0
+        self._timing_clock = time.monotonic()
+        self._timing_tick = 0
+        self._settings_lock = threading.Lock()
+        self.post_settings(simulation.settings.copy())
+
+    def _run(self) -> None:
+        simulation = self.simulation
+        rt.run_loop(
+            simulation.model,
+            simulation.state,
+            simulation.shapes,
+            simulation.settings.copy(),
+            simulation.scratch,
+            self.box,
+            simulation.buffer.floats,
+            simulation.buffer.integers,
+            round(1e9 / simulation.rate),
+        )
+
+    def start(self) -> None:
+        """Start the loop; returns when the first tick is done (compiling takes a while)."""
+        self._thread.start()
+        while self.box.control[rt.LOOP_TICKS] == 0 and self._thread.is_alive():
+            time.sleep(0.01)
+        self._timing_clock, self._timing_read = time.monotonic(), int(self.box.control[rt.LOOP_TICKS])
+
+    def stop(self) -> None:
+        """End the loop after the running tick."""
+        self.box.control[rt.STOP] = 1
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    # in ----------------------------------------------------------------------------------------
+    def post_pose(self, tool: int, pose: Floats) -> int:
+        """The newest pose (7,) of a tool; returns its sequence number."""
+        sequence = int(self.box.pose_sequence[tool]) + 1
+        self.box.pose[sequence % rt.IN_SLOTS, tool] = pose
+        self.box.pose_sequence[tool] = sequence
+        return sequence
+
+    def post_force(self, tool: int, force: Floats) -> int:
+        """The newest external force (3,) N at a tool's tip; returns its sequence number."""
+        sequence = int(self.box.force_sequence[tool]) + 1
+        self.box.force[sequence % rt.IN_SLOTS, tool] = force
+        self.box.force_sequence[tool] = sequence
+        return sequence
+
+    def post_contacts(self, found: ContactSet) -> int:
+        """The newest contact set; returns its sequence number."""
+        box = self.box
+        sequence = int(box.contact_sequence[0]) + 1
+        slot, entries = sequence % rt.IN_SLOTS, len(found.tool)
+        box.contact_entries[slot] = entries
+        box.contact_tool[slot, :entries] = found.tool
+        box.contact_node[slot, :entries] = found.node
+        box.contact_weight[slot, :entries] = found.weight
+        box.tip_node[slot] = found.tip_node
+        box.tip_weight[slot] = found.tip_weight
+        box.engaged[slot] = found.engaged
+        box.contact_sequence[0] = sequence
+        return sequence
+
+    def post_settings(self, settings: Floats) -> int:
+        """New settings (N_SETTINGS,); returns their sequence number."""
+        with self._settings_lock:
+            sequence = int(self.box.settings_sequence[0]) + 1
+            self.box.settings[sequence % rt.IN_SLOTS] = settings
+            self.box.settings_sequence[0] = sequence
+            return sequence
+
+    def settings(self) -> Floats:
+        """The newest settings, a copy."""
+        return self.box.settings[int(self.box.settings_sequence[0]) % rt.IN_SLOTS].copy()
+
+    def reset(self) -> None:
+        """Back to the rest shape before the next tick."""
+        self.box.control[rt.RESETS] += 1
+
+    # out ---------------------------------------------------------------------------------------
+    def wrenches(self) -> tuple[int, Floats]:
+        """The newest tick and its wrenches (T, 6) N, N m; a copy."""
+        while True:
+            sequence = int(self.box.out_sequence[0])
+            slot = sequence % rt.OUT_SLOTS
+            wrench, tick = self.box.out_wrench[slot].copy(), int(self.box.out_count[slot, st.TICK])
+            if int(self.box.out_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
+                return tick, wrench
+
+    def counts(self) -> tuple[Longs, Longs]:
+        """Newest counters (N_COUNT,) and tool counters (T, N_TOOL_COUNT); copies."""
+        while True:
+            sequence = int(self.box.out_sequence[0])
+            slot = sequence % rt.OUT_SLOTS
+            count, tools = self.box.out_count[slot].copy(), self.box.out_tool_count[slot].copy()
+            if int(self.box.out_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
+                return count, tools
+
+    @property
+    def surface_sequence(self) -> int:
+        """Raised whenever the positions moved."""
+        return int(self.box.surface_sequence[0])
+
+    def positions(self, out: Floats) -> int:
+        """Copy the newest positions into out (n, 3) m; returns their tick."""
+        while True:
+            sequence = int(self.box.surface_sequence[0])
+            slot = sequence % rt.OUT_SLOTS
+            np.copyto(out, self.box.surface[slot])
+            tick = int(self.box.surface_tick[slot])
+            if int(self.box.surface_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
+                return tick
+
+    def snapshot(self, timeout: float = 1.0) -> tuple[Floats, Longs]:
+        """The whole state after a tick: copies of the two buffers.
+
+        Raises TimeoutError when the loop doesn't answer.
+        """
+        box = self.box
+        box.control[rt.SNAPSHOT_ASKED] += 1
+        end = time.monotonic() + timeout
+        while box.control[rt.SNAPSHOT_DONE] != box.control[rt.SNAPSHOT_ASKED]:
+            if time.monotonic() > end:
+                raise TimeoutError("the physics loop gave no snapshot")
+            time.sleep(0.0005)
+        return box.snapshot_floats.copy(), box.snapshot_integers.copy()
+
+    def journal(self) -> Longs:
+        """Journal rows since the last call, (k, columns); ROW_* of model.realtime name the columns."""
+        written = int(self.box.journal_written[0])
+        first = max(self._journal_read, written - rt.JOURNAL_ROWS + 64)
+        rows = self.box.journal[np.arange(first, written) % rt.JOURNAL_ROWS].copy()
+        self._journal_read = written
+        return rows
+
+    def timing(self) -> Timing:
+        """Timing since the last call."""
+        control = self.box.control
+        done, clock = int(control[rt.LOOP_TICKS]), time.monotonic()
+        first = max(self._timing_read, done - rt.TIMING_ROWS + 64)
+        rows = self.box.timing[np.arange(first, done) % rt.TIMING_ROWS]
+        elapsed, ticks = max(clock - self._timing_clock, 1e-9), done - self._timing_read
+        self._timing_read, self._timing_clock = done, clock
+        late, busy = (rows * 1e-9).T if len(rows) else (np.zeros(1), np.zeros(1))
+        return Timing(
+            rate=ticks / elapsed,
+            p50=float(np.percentile(busy, 50)),
+            p99=float(np.percentile(busy, 99)),
+            late_p99=float(np.percentile(late, 99)),
+            overruns=int(control[rt.OVERRUNS]),
+            dropped=int(control[rt.DROPPED]),
+            real_time_factor=ticks / elapsed / self.simulation.rate,
+        )

@@ -1,0 +1,290 @@
+"""The scripted bridge's path over an organ: strokes it, pokes it, nips it with two jaws, lifts and releases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.motion import Move, Path, Segment, leave
+from tissue_sim.ros.probing import Floats, Ints, Surface
+
+ACTIONS = ("stroke", "poke", "nip")
+FRONT = np.array([0.0, 1.0, 0.0])  # the way the first tool looks: from the front to the back of a patient (LPS)
+UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is held
+
+# Depths and ways in m, for organs at least REFERENCE m thick; smaller ones get proportionally smaller values.
+REFERENCE = 0.03
+STROKE_DEPTH, STROKE_LENGTH = 0.002, 0.040
+POKE_DEPTH = 0.006
+SQUEEZE, LIFT = 0.004, 0.010
+THICKEST_NIP = 0.025
+MOST_SAMPLES = 400  # of the surface, to look for a place to nip
+HOVER = 0.006  # between tool and surface, where a fast approach ends
+MARGIN = 0.012  # of the ball around organ and tool
+
+# Peak speeds in m/s, times in s.
+FAST, PRESS, STROKE, CLOSE, LIFTING = 0.150, 0.040, 0.060, 0.020, 0.030
+POKE_HOLD, LIFT_HOLD, PAUSE = 0.5, 1.0, 1.0
+
+
+@dataclass(frozen=True)
+class Touch:
+    """First contact of a tool that comes straight from outside: its centre (3,) m and the way in (3,)."""
+
+    centre: Floats
+    way: Floats
+
+
+def plan(
+    vertices: Floats,
+    triangles: Ints,
+    radius: float,
+    tools: Sequence[str] = ("left", "right"),
+    script: Sequence[str] = ACTIONS,
+) -> Path:
+    """A path for spheres of a radius in m over a closed rest surface (n, 3) m, (t, 3).
+
+    The first tool strokes and pokes; a nip takes the first two. Raises UserError when the script
+    asks for what isn't there, or the organ has no place for it.
+    """
+    for action in script:
+        if action not in ACTIONS:
+            raise UserError(f"unknown action '{action}' in the script; choose from {', '.join(ACTIONS)}")
+    if not script:
+        raise UserError(f"the script is empty; choose from {', '.join(ACTIONS)}")
+    if not tools or len(set(tools)) != len(tools):
+        raise UserError("name at least one tool, each once")
+    if "nip" in script and len(tools) < 2:
+        raise UserError("a nip needs two tools; name two, or leave it out of the script")
+    return _Planner(Surface(vertices, triangles), radius, tuple(tools)).plan(script)
+
+
+class _Planner:
+    """Builds the segments of a path one after the other, knowing where the tools are."""
+
+    def __init__(self, surface: Surface, radius: float, tools: tuple[str, ...]) -> None:
+        self.surface, self.tool_radius, self.tools = surface, radius, tools
+        low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        self.extent = high - low
+        self.centre = 0.5 * (low + high)
+        self.radius = float(np.linalg.norm(surface.vertices - self.centre, axis=1).max()) + radius + MARGIN
+        self.scale = min(1.0, float(self.extent.min()) / REFERENCE)
+        self.segments: list[Segment] = []
+        self.position: list[Floats] = []
+        self.turn: list[Rotation] = []
+
+    def plan(self, script: Sequence[str]) -> Path:
+        stroke = self._stroke_places() if "stroke" in script else []
+        poke = self._poke_place() if "poke" in script else None
+        jaws = self._nip_places() if "nip" in script else None
+        if jaws and (front := poke or (stroke[0] if stroke else None)):
+            # The first tool takes the jaw that it has the shorter way to.
+            jaws = min(jaws, jaws[::-1], key=lambda pair: float(np.linalg.norm(pair[0].centre - front.centre)))
+        first = {"stroke": stroke[0] if stroke else None, "poke": poke, "nip": jaws[0] if jaws else None}[script[0]]
+        assert first is not None
+        self._park(first, jaws)
+        home, home_turn = self.position[0], self.turn[0]
+        for action in script:
+            if action == "stroke":
+                self._stroke(stroke)
+            elif action == "poke" and poke is not None:
+                self._poke(poke)
+            elif jaws is not None:
+                self._nip(jaws)
+        back = Move.arc(self.centre, self.position[0], home, (self.turn[0], home_turn))
+        self._add("return", {0: back}, {}, FAST)
+        self._wait("pause", PAUSE, {})
+        return Path(self.tools, tuple(self.segments), self.centre, self.radius)
+
+    # places ------------------------------------------------------------------------------------
+    def _touch(self, through: Floats, way: Floats) -> Touch | None:
+        """Where the tool first touches when its centre moves along a line, from outside the ball."""
+        offset = through - self.centre
+        across = offset - (offset @ way) * way
+        if across @ across >= self.radius**2:
+            return None
+        start = self.centre + across - np.sqrt(self.radius**2 - across @ across) * way
+        stop = self.surface.advance(start, way, self.tool_radius, 2.0 * self.radius)
+        return None if stop is None else Touch(stop, way)
+
+    def _along(self) -> Floats:
+        """The organ's longest direction across the front's line of sight, pointing up."""
+        flat = self.surface.vertices - self.centre
+        flat = flat - np.outer(flat @ FRONT, FRONT)
+        longest = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2][0]
+        longest = longest - (longest @ FRONT) * FRONT
+        return longest / np.linalg.norm(longest) * (1.0 if longest @ UP >= 0.0 else -1.0)
+
+    def _stroke_places(self) -> list[Touch]:
+        """Touches along the front, about STROKE_LENGTH m."""
+        along = self._along()
+        sideways = np.cross(along, FRONT)
+        spread = float(np.ptp(self.surface.vertices @ along))
+        length = min(STROKE_LENGTH, 0.4 * spread)
+        for shift in np.array([0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0]) * 0.1 * float(self.extent.min()):
+            points = self.centre + shift * sideways + np.linspace(-0.5, 0.5, 21)[:, None] * length * along
+            places = [self._touch(point, FRONT) for point in points]
+            found = [place for place in places if place is not None]
+            jumps = np.abs(np.diff([place.centre @ FRONT for place in found]))
+            # A line that leaves the organ, or steps over an edge, is no stroke.
+            if len(found) == len(points) and jumps.max() < 2.0 * length / (len(points) - 1):
+                return found
+        raise UserError("found no line on the organ's front to stroke; leave 'stroke' out of the script")
+
+    def _poke_place(self) -> Touch:
+        """A touch square to the front, a little above the middle."""
+        along = self._along()
+        spread = float(np.ptp(self.surface.vertices @ along))
+        for shift in (0.12, 0.0, 0.24, -0.12):
+            seen = self._touch(self.centre + shift * spread * along, FRONT)
+            if seen is None:
+                continue
+            inward = self.surface.closest(seen.centre)[1] - seen.centre
+            square = self._touch(seen.centre, inward / np.linalg.norm(inward))
+            if square is not None and np.linalg.norm(square.centre - seen.centre) < self.tool_radius:
+                return square
+        raise UserError("found no place on the organ's front to poke; leave 'poke' out of the script")
+
+    def _nip_places(self) -> tuple[Touch, Touch]:
+        """Two touches that face each other across little tissue, near the upper pole."""
+        surface = self.surface
+        low, high = float(surface.vertices[:, 2].min()), float(surface.vertices[:, 2].max())
+        points, outward = surface.samples(above=high - 0.4 * (high - low), at_most=MOST_SAMPLES)
+        # Jaws come from the sides: pressed on from above or below, the tissue would slip out of them.
+        sides = np.abs(outward @ UP) < 0.7
+        points, outward = np.tile(points[sides], (2, 1)), np.tile(outward[sides], (2, 1))
+        inward = -outward
+        inward[len(inward) // 2 :, 2] = 0.0  # square to the surface, and level
+        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+        thickness, opposite = surface.cast(points + 1e-6 * inward, inward)
+        # 1: both sides lie square to the jaws
+        facing = np.minimum(
+            np.einsum("ij,ij->i", surface.triangle_normals(opposite), inward), -np.einsum("ij,ij->i", outward, inward)
+        )
+        cost = thickness / THICKEST_NIP + 4.0 * (1.0 - facing) + 0.5 * (high - points[:, 2]) / (high - low)
+        cost += np.where(thickness > THICKEST_NIP, 10.0, 0.0)
+        best: tuple[float, tuple[Touch, Touch] | None] = (np.inf, None)
+        for index in np.argsort(cost)[:60]:
+            near, far = self._touch(points[index], inward[index]), self._touch(points[index], -inward[index])
+            if near is None or far is None:
+                continue
+            # Other parts of the organ in the way stop a jaw early.
+            gap = float((far.centre - near.centre) @ inward[index]) - 2.0 * self.tool_radius
+            total = float(cost[index]) + 2.0 * abs(gap - float(thickness[index])) / self.tool_radius
+            if total < best[0]:
+                best = total, (near, far)
+        if best[1] is None:
+            raise UserError("found no place on the organ for two jaws; leave 'nip' out of the script")
+        return best[1]
+
+    # segments ----------------------------------------------------------------------------------
+    def _entry(self, touch: Touch) -> Floats:
+        return leave(touch.centre, -touch.way, self.centre, self.radius)
+
+    def _park(self, first: Touch, jaws: tuple[Touch, Touch] | None) -> None:
+        """Where the tools are before the first action: on the ball, apart from each other."""
+        self.position, self.turn = [self._entry(first)], [_looking(first.way)]
+        for index in range(1, len(self.tools)):
+            if index == 1 and jaws is not None:
+                self.position.append(self._entry(jaws[1]))
+                self.turn.append(_looking(jaws[1].way))
+                continue
+            # Behind the organ, each a little farther round.
+            outward = Rotation.from_rotvec(0.5 * (index - 1) * UP).apply(FRONT)
+            self.position.append(self.centre + self.radius * outward)
+            self.turn.append(_looking(-outward))
+
+    def _add(self, name: str, moves: dict[int, Move], outward: dict[int, Floats], speed: float) -> None:
+        """Append a segment; tools without a move stay where they are."""
+        stay = [Move.line(p, p, t) for p, t in zip(self.position, self.turn, strict=True)]
+        every = [moves.get(tool, stay[tool]) for tool in range(len(self.tools))]
+        self._append(Segment.timed(name, every, self._ways(outward), speed))
+
+    def _wait(self, name: str, duration: float, outward: dict[int, Floats]) -> None:
+        stay = tuple(Move.line(p, p, t) for p, t in zip(self.position, self.turn, strict=True))
+        self._append(Segment(name, duration, stay, self._ways(outward)))
+
+    def _append(self, segment: Segment) -> None:
+        self.segments.append(segment)
+        self.position = [move.points[-1] for move in segment.moves]
+        self.turn = [move.rotations[1] for move in segment.moves]
+
+    def _ways(self, outward: dict[int, Floats]) -> Floats:
+        return np.array([outward.get(tool, np.zeros(3)) for tool in range(len(self.tools))])
+
+    def _straight(
+        self, name: str, targets: dict[int, Floats], touches: dict[int, Touch], speed: float
+    ) -> None:
+        moves = {tool: Move.line(self.position[tool], point, self.turn[tool]) for tool, point in targets.items()}
+        self._add(name, moves, {tool: -touch.way for tool, touch in touches.items()}, speed)
+
+    def _approach(self, action: str, touches: dict[int, Touch]) -> None:
+        """Around the organ, then straight in to a little above the surface."""
+        around = {
+            tool: Move.arc(
+                self.centre, self.position[tool], self._entry(touch), (self.turn[tool], _looking(touch.way))
+            )
+            for tool, touch in touches.items()
+        }
+        if any(move.length > 1e-6 or move.angle > 1e-6 for move in around.values()):
+            self._add(f"{action}/approach", around, {}, FAST)
+        hover = {tool: touch.centre - HOVER * touch.way for tool, touch in touches.items()}
+        self._straight(f"{action}/approach", hover, touches, FAST)
+
+    def _leave(self, action: str, touches: dict[int, Touch]) -> None:
+        """Straight out to the ball."""
+        out = {
+            tool: leave(self.position[tool], -touch.way, self.centre, self.radius) for tool, touch in touches.items()
+        }
+        self._straight(f"{action}/retreat", out, touches, FAST)
+
+    def _stroke(self, places: list[Touch]) -> None:
+        depth = self.scale * min(STROKE_DEPTH, 0.8 * self.tool_radius)
+        line = []
+        for place in places:
+            inside = self.surface.advance(
+                place.centre, place.way, self.tool_radius - depth, 2.0 * self.tool_radius
+            )
+            line.append(place.centre + depth * place.way if inside is None else inside)
+        first, last = {0: places[0]}, {0: places[-1]}
+        self._approach("stroke", first)
+        self._straight("stroke/press", {0: line[0]}, first, PRESS)
+        turn = self.turn[0]
+        self._add("stroke/draw", {0: Move(np.array(line), Rotation.concatenate([turn, turn]))}, {0: -FRONT}, STROKE)
+        self._straight("stroke/lift", {0: places[-1].centre - HOVER * FRONT}, last, PRESS)
+        self._leave("stroke", last)
+
+    def _poke(self, place: Touch) -> None:
+        touch = {0: place}
+        depth = self.scale * POKE_DEPTH
+        self._approach("poke", touch)
+        self._straight("poke/press", {0: place.centre + depth * place.way}, touch, PRESS)
+        self._wait("poke/hold", POKE_HOLD, {0: -place.way})
+        self._straight("poke/release", {0: place.centre - HOVER * place.way}, touch, PRESS)
+        self._leave("poke", touch)
+
+    def _nip(self, jaws: tuple[Touch, Touch]) -> None:
+        touches = dict(enumerate(jaws))
+        height = self.surface.vertices @ UP
+        held = self.surface.vertices[height <= height.min() + 0.1 * np.ptp(height)].mean(axis=0)
+        away = 0.5 * (jaws[0].centre + jaws[1].centre) - held
+        lift = self.scale * LIFT * away / np.linalg.norm(away)
+        closed = {tool: jaw.centre + self.scale * SQUEEZE * jaw.way for tool, jaw in touches.items()}
+        self._approach("nip", touches)
+        self._straight("nip/close", closed, touches, CLOSE)
+        self._straight("nip/lift", {tool: point + lift for tool, point in closed.items()}, touches, LIFTING)
+        self._wait("nip/hold", LIFT_HOLD, {tool: -jaw.way for tool, jaw in touches.items()})
+        self._straight("nip/lower", closed, touches, LIFTING)
+        self._straight(
+            "nip/open", {tool: jaw.centre - HOVER * jaw.way for tool, jaw in touches.items()}, touches, CLOSE
+        )
+        self._leave("nip", touches)
+
+
+def _looking(way: Floats) -> Rotation:
+    """A tool's rotation when its z axis points a way: the tip looks ahead, the shaft lies behind."""
+    return Rotation.align_vectors([way], [UP])[0]
