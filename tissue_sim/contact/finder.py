@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,8 @@ from tissue_sim.organ.organ import Ints
 
 TIP_REACH = 0.01  # m from the tip within which an external force finds the tissue
 MOST_FCL_CONTACTS = 256
+SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
+MOST_DIVISIONS = 8
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,10 @@ class FinderCounters:
 class ContactFinder:
     """Finds contact sets. A pure function of poses and surface, but for preallocated arrays.
 
-    triangles (t, 3) of the surface; tools the scene's tools.
+    rest (n, 3) m, surface first, at rest; triangles (t, 3) of the surface; tools the scene's tools.
     """
 
-    def __init__(self, triangles: Ints, n_surface: int, tools: ToolSet) -> None:
+    def __init__(self, rest: Floats, triangles: Ints, n_surface: int, tools: ToolSet) -> None:
         self.triangles = np.ascontiguousarray(triangles)
         self.n_surface = n_surface
         self.tools = tools
@@ -57,6 +60,9 @@ class ContactFinder:
         self._found = np.zeros(len(triangles), dtype=np.int64)
         self._low, self._high = np.zeros(3), np.zeros(3)
         self._matrix = np.zeros(9)
+        corner = rest[self.triangles]
+        longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
+        self._lattices = [edge_and_face_points(longest / (SPACING * size)) for size in tools.smallest]
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(n_surface + 1))
@@ -125,9 +131,10 @@ class ContactFinder:
     def _narrow(
         self, tool: int, position: Floats, near: Ints, rotation: Floats, origin: Floats
     ) -> tuple[Longs, Floats]:
-        """One point in each triangle that FCL finds within MARGIN of the tool: the one nearest to it.
+        """Points spread over each triangle that FCL finds within MARGIN of the tool.
 
-        Nodes alone would let a tool through between them.
+        Nodes alone would let a small tool through between them. The points stay where they are on
+        the tissue; the point nearest to the tool wanders, and each step of it would be felt.
         """
         self.counters.narrow_phases += 1
         local, inverse = np.unique(near, return_inverse=True)
@@ -143,24 +150,36 @@ class ContactFinder:
         request = fcl.CollisionRequest(num_max_contacts=MOST_FCL_CONTACTS, enable_contact=True)
         result = fcl.CollisionResult()
         fcl.collide(fcl.CollisionObject(model), body, request, result)
-        touched: dict[int, Floats] = {}
-        for contact in result.contacts:
-            if 0 <= contact.b1 < len(near):
-                touched.setdefault(contact.b1, np.asarray(contact.pos))
-        if not touched:
-            return np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3))
-        order = sorted(touched)
-        corners = near[order].astype(np.int64)
-        return corners, nearest_weights(position[corners], np.array([touched[t] for t in order]))[0]
+        touched = sorted({contact.b1 for contact in result.contacts if 0 <= contact.b1 < len(near)})
+        lattice = self._lattices[tool]
+        corners = near[touched].astype(np.int64)
+        nodes, weights = np.repeat(corners, len(lattice), axis=0), np.tile(lattice, (len(corners), 1))
+        # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
+        on_edge = np.any(weights == 0.0, axis=1)
+        following = np.argmin(weights, axis=1)
+        rows = np.arange(len(nodes))
+        first, second = nodes[rows, (following + 1) % 3], nodes[rows, (following + 2) % 3]
+        kept = ~on_edge | (first < second)
+        return nodes[kept], weights[kept]
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
-        node, squared = nearest_node(position, self.n_surface, tip[0], tip[1], tip[2])
+        node, _ = nearest_node(position, self.n_surface, tip[0], tip[1], tip[2])
         around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
         weight, distance = nearest_weights(position[around], np.repeat(tip[None], len(around), axis=0))
         chosen = int(np.argmin(distance))
         if distance[chosen] > TIP_REACH:
             return np.full(3, -1, dtype=np.int64), np.zeros(3)
         return around[chosen].astype(np.int64), weight[chosen]
+
+
+def edge_and_face_points(divisions: float) -> Floats:
+    """Barycentric weights (k, 3) of a triangle divided along its edges, without the corners.
+
+    Divisions are rounded up, to 8 at the most.
+    """
+    m = min(max(1, math.ceil(divisions)), MOST_DIVISIONS)
+    lattice = [(i / m, j / m, (m - i - j) / m) for i in range(m + 1) for j in range(m + 1 - i)]
+    return np.array([weights for weights in lattice if max(weights) < 1.0]).reshape(-1, 3)
 
 
 def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:

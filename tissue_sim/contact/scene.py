@@ -30,7 +30,7 @@ class Scene:
     ) -> None:
         self.tools = ToolSet(tools)
         self.simulation = Simulation(organ, model, rate, local_region, self.tools.shapes)
-        self.finder = ContactFinder(organ.surface_triangles, organ.n_surface, self.tools)
+        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
         self.contacts: ContactSet | None = None
         self._sequence = 0
 

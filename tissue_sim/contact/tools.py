@@ -50,6 +50,7 @@ class ToolSet:
         self.centre: list[Floats] = []  # centre of the shape in the tool's frame, m
         self.corners: list[Floats] = []  # points whose hull, grown by `padding`, holds the shape
         self.padding: list[float] = []
+        self.smallest: list[float] = []  # m, radius of the finest thing about the shape
         for tool in self.tools:
             kind, size, hull = _shape(tool, self.warnings)
             kinds.append(kind)
@@ -61,6 +62,7 @@ class ToolSet:
             corners = np.array(hull.vertices) if hull is not None else ends
             self.corners.append(corners)
             self.centre.append(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
+            self.smallest.append(size[0] if hull is None else 0.5 * float(hull.extents.min()))
             self.padding.append(0.0 if hull is not None else size[0])
         self.shapes = Shapes(
             kind=np.array(kinds, dtype=np.int64),

@@ -19,7 +19,9 @@ MOST_NEAR = 256  # contact points resolved in a substep
 
 
 @kernel
-def point_in_tool(state: Any, entry: int, origin: Any, rotation: Any) -> tuple[float, float, float, float, float, float]:
+def point_in_tool(
+    state: Any, entry: int, origin: Any, rotation: Any
+) -> tuple[float, float, float, float, float, float]:
     """Contact point of an entry, in the organ's frame and in its tool's frame (m).
 
     origin (T, 3), rotation (T, 9) of the tools.

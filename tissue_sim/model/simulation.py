@@ -132,9 +132,7 @@ class Simulation:
             raise UserError(str(error)) from None
         self.scratch.stale[0] = 1
 
-    def settle(
-        self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0
-    ) -> tuple[Floats, bool]:
+    def settle(self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0) -> tuple[Floats, bool]:
         """Displacements at rest under constant surface forces.
 
         forces (n_surface, 3) N. Steps from the rest shape until the residual force is under

@@ -73,7 +73,7 @@ class State(NamedTuple):
     tip_weight: Floats  # (T, 3) barycentric weights of the surface point under the tip
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     contact_weight: Floats  # (C, 3) barycentric weights of the contact points
-    count: Longs  # (N_COUNT,)
+    count: Longs  # type: ignore[assignment]  # (N_COUNT,) hides the tuple's method, which nobody needs
     tool_count: Longs  # (T, N_TOOL_COUNT)
     tip_node: Longs  # (T, 3) nodes of the triangle under the tip, -1 when none is near
     contact_tool: Longs  # (C,)
@@ -85,7 +85,7 @@ class StateBuffer:
     """The two flat buffers (`floats`, `integers`) and the `state` viewing them."""
 
     def __init__(self, n: int, n_tools: int) -> None:
-        float_shapes = {
+        float_shapes: dict[str, tuple[int, ...]] = {
             "position": (n, 3),
             "velocity": (n, 3),
             "good_position": (n, 3),
@@ -98,7 +98,7 @@ class StateBuffer:
             "wrench": (n_tools, 6),
             "contact_weight": (MAX_ENTRIES, 3),
         }
-        integer_shapes = {
+        integer_shapes: dict[str, tuple[int, ...]] = {
             "count": (N_COUNT,),
             "tool_count": (n_tools, N_TOOL_COUNT),
             "tip_node": (n_tools, 3),
@@ -124,7 +124,7 @@ class StateBuffer:
 
 
 def _carve(shapes: dict[str, tuple[int, ...]], dtype: type) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
-    buffer = np.zeros(sum(int(np.prod(shape)) for shape in shapes.values()), dtype=dtype)
+    buffer: NDArray[Any] = np.zeros(sum(int(np.prod(shape)) for shape in shapes.values()), dtype=dtype)
     views, start = {}, 0
     for name, shape in shapes.items():
         size = int(np.prod(shape))

@@ -87,14 +87,17 @@ class Organ:
     # sizes -------------------------------------------------------------------------------------
     @property
     def n_surface(self) -> int:
+        """Number of surface nodes."""
         return len(self.surface_positions)
 
     @property
     def n_atoms(self) -> int:
+        """Number of medial atoms."""
         return len(self.atom_positions)
 
     @property
     def n_nodes(self) -> int:
+        """Number of all nodes: surface, medial atoms, interior."""
         return self.n_surface + self.n_atoms + len(self.interior_positions)
 
     @property
@@ -240,7 +243,7 @@ def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
 
 
 def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
-    array = np.array(value, dtype=dtype, order="C")
+    array: NDArray[Any] = np.array(value, dtype=dtype, order="C")
     if dtype is np.float64 and not np.all(np.isfinite(array)):
         raise UserError(f"organ: {name} holds values that are not finite")
     array.flags.writeable = False

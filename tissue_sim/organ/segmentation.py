@@ -49,6 +49,7 @@ class SegmentationParameters:
     window: float = 3.0  # half-width of the intensity window in standard deviations
     least_deviation: float = 3.0  # HU; a homogeneous organ's deviation is taken as no less
     seed_radius: float = 7.0  # ball whose intensities start the window
+    growth: float = 1.2  # the organ's deviation may exceed the one around the seed by this factor
     erosion: float | None = None  # depth; None: until the seed's region separates
     grid: float | None = None  # spacing of the isotropic working grid; None: half the coarsest, 1 to 1.5
 
@@ -86,8 +87,10 @@ def segment(ct: Volume, seed: ArrayLike, parameters: SegmentationParameters | No
     check_seed(ct, point)
     around = np.array([point - _SURVEY_REACH, point + _SURVEY_REACH])
     crop, _ = _working_crop(ct, around, max(_SURVEY_GRID, p.grid or 0.0))
+    mean, deviation = _at_seed(ct, point, p)
     for calm in _CALMER:
-        survey = _segment_crop(crop, point, p, calm * p.least_deviation)
+        most = min(p.growth * deviation, calm * p.least_deviation)
+        survey = _segment_crop(crop, point, p, (mean, min(deviation, most)), most)
         if survey.volume < _LARGEST:
             break
     else:
@@ -98,7 +101,7 @@ def segment(ct: Volume, seed: ArrayLike, parameters: SegmentationParameters | No
     index = np.argwhere(survey.mask.array)[:, ::-1]
     inside = survey.mask.to_points(index)
     crop, own = _working_crop(ct, np.array([inside.min(axis=0) - _MARGIN, inside.max(axis=0) + _MARGIN]), working_grid(ct, p))
-    result = _segment_crop(crop, point, p, calm * p.least_deviation, (survey.mean, survey.deviation))
+    result = _segment_crop(crop, point, p, (survey.mean, survey.deviation), most)
     return replace(result, at_edge=bool(np.any(_faces_touched(result.mask.array) & own)))
 
 
@@ -156,24 +159,36 @@ def _faces_touched(mask: Mask) -> NDArray[np.bool_]:
     return np.array([*faces, [mask[:, :, 0].any(), mask[:, :, -1].any()]])
 
 
+def _at_seed(ct: Volume, point: NDArray[np.float64], p: SegmentationParameters) -> tuple[float, float]:
+    """Mean and deviation, HU, of the smoothed intensities around the seed. Refuses what is no soft tissue."""
+    reach = 3.0 * (p.seed_radius + p.smoothing)
+    crop, _ = _working_crop(ct, np.array([point - reach, point + reach]), working_grid(ct, p))
+    smooth = sitk.GetArrayFromImage(sitk.SmoothingRecursiveGaussian(crop.to_sitk(), p.smoothing))
+    ball = _ball_at(smooth.shape, _voxel(crop, point), p.seed_radius / crop.spacing[0])
+    mean, deviation = _spread(smooth[ball], (p.least_deviation, np.inf))
+    _check_tissue(mean, point)
+    return mean, deviation
+
+
+def _voxel(crop: Volume, point: NDArray[np.float64]) -> Index:
+    """Array index (z, y, x) of the voxel nearest to a point, within the crop."""
+    i, j, k = np.clip(np.round(crop.to_index(point)).astype(int), 0, np.array(crop.size) - 1)
+    return int(k), int(j), int(i)
+
+
 def _segment_crop(
-    crop: Volume,
-    point: NDArray[np.float64],
-    p: SegmentationParameters,
-    largest_deviation: float,
-    start: tuple[float, float] | None = None,
+    crop: Volume, point: NDArray[np.float64], p: SegmentationParameters, start: tuple[float, float], most: float
 ) -> Segmentation:
-    """All stages on one isotropic crop; `start`: mean and deviation, HU, if they are known already."""
+    """All stages on one isotropic crop, from a first mean and deviation, HU; the deviation stays below `most`.
+
+    Without that bound a first small leak widens the window and so lets in the next.
+    """
     h = float(crop.spacing[0])
     image = crop.to_sitk()
     smooth = sitk.GetArrayFromImage(sitk.SmoothingRecursiveGaussian(image, p.smoothing))
     sharp = sitk.GetArrayFromImage(sitk.SmoothingRecursiveGaussian(image, p.wall_smoothing))
-    where = np.clip(np.round(crop.to_index(point)).astype(int), 0, np.array(crop.size) - 1)[::-1]
-    seed: Index = (int(where[0]), int(where[1]), int(where[2]))
-
-    limits = (p.least_deviation, largest_deviation)
-    mean, deviation = start or _spread(smooth[_ball_at(smooth.shape, seed, p.seed_radius / h)], limits)
-    _check_tissue(mean, point)
+    seed = _voxel(crop, point)
+    mean, deviation = start
     dark = _dark_side(sharp, seed, mean, deviation, h)
     for _ in range(_REFINEMENTS):
         like = np.abs(smooth - mean) < p.window * deviation
@@ -189,7 +204,7 @@ def _segment_crop(
             )
         labels, _n = ndimage.label(depth > erosion)
         eroded = labels == labels[apex]
-        again = _spread(smooth[eroded], limits)
+        again = _spread(smooth[eroded], (p.least_deviation, most))
         settled = abs(again[0] - mean) < 1.0 and abs(again[1] - deviation) < 0.5
         if settled:
             break

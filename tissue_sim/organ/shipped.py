@@ -15,9 +15,12 @@ def shipped_organ(name: str = "kidney") -> Path:
     Raises UserError when there is none of that name.
     """
     inside = Path("config") / "organs" / f"{name}.npz"
-    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    here = Path(__file__).resolve()
+    # PREFIX/lib/python3.x/site-packages/tissue_sim/organ/shipped.py, as pip and colcon lay it out.
+    prefixes: list[str | Path] = [*here.parents[5:6], sys.prefix]
+    prefixes += os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     shares = [Path(prefix) / "share" / "tissue_sim" for prefix in prefixes if prefix]
-    for folder in (Path(__file__).resolve().parents[2], *shares):
+    for folder in (here.parents[2], *shares):
         if (folder / inside).is_file():
             return folder / inside
     raise UserError(f"no organ '{name}' comes with this installation; make one with 'tissue_sim build'")

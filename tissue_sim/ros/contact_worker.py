@@ -52,9 +52,11 @@ class ContactWorker:
         self._last_empty = False
 
     def start(self) -> None:
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
+        """End the thread."""
         self._stop.set()
         self._woken.set()
         self._thread.join(timeout=2.0)
@@ -110,12 +112,12 @@ class ContactWorker:
                 reach = covered / elapsed * 2.0 / self.rate
                 margins[tool] = math.ceil(1e3 * min(reach, MOST_MARGIN))
         self._last_pose, self._last_time = poses, now
-        found = self._finder.find(self._positions, poses, 1e-3 * margins, self._engaged, pushing)
+        found = self._finder.find(self._positions, poses, np.multiply(margins, 1e-3), self._engaged, pushing)
         empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
         sequence = self._physics.post_contacts(found)
         self._last_empty = empty
         self.dropped += found.dropped
-        pairs = [value for pair in zip(sequences, margins, strict=True) for value in pair]
+        pairs = [int(value) for pair in zip(sequences, margins, strict=True) for value in pair]
         bits = sum(int(flag) << tool for tool, flag in enumerate(pushing))
         self._recorder().contacts(sequence, tick, found, bits, pairs)
         self.durations.append(time.monotonic() - now)

@@ -30,7 +30,7 @@ class WrenchTemplate:
         self._bytes = bytearray(serialize_message(message))
         self._body = len(self._bytes) - 48
 
-    def bytes(self, stamp: int, wrench: Floats) -> bytes:
+    def message(self, stamp: int, wrench: Floats) -> bytes:
         """The message with a stamp in ns and a wrench (6,) N, N m."""
         struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
         struct.pack_into("<6d", self._bytes, self._body, *wrench)
@@ -58,7 +58,7 @@ class CloudTemplate:
         start = self._bytes.find(block.tobytes())
         self.points = np.frombuffer(self._bytes, dtype="<f4", offset=start, count=block.size).reshape(block.shape)
 
-    def bytes(self, stamp: int) -> bytes:
+    def message(self, stamp: int) -> bytes:
         """The message as `points` stand, with a stamp in ns."""
         struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
         return bytes(self._bytes)
@@ -105,7 +105,7 @@ class MarkersTemplate:
             struct.pack_into("<i", raw, self._actions[-1], Marker.ADD)
         self._n_tools = n_tools
 
-    def bytes(self, stamp: int, position: Floats, n_surface: int, centre: Floats, wrench: Floats) -> bytes:
+    def message(self, stamp: int, position: Floats, n_surface: int, centre: Floats, wrench: Floats) -> bytes:
         """The message for positions (n, 3) m.
 
         centre (T, 3) m where each tool touches, wrench (T, 6) what it feels; a tool without force

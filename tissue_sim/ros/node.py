@@ -70,14 +70,12 @@ class TissueNode(Node):
         self._woken, self._stop = threading.Event(), threading.Event()
         self.ports = [self._port(index, name) for index, name in enumerate(values.tools)]
         self.recorder = Recorder(self.get_fully_qualified_name(), values.tools, self._tool_topics(), self._config())
-        finder = ContactFinder(self.organ.surface_triangles, self.organ.n_surface, tools)
+        finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
         self.contacts = ContactWorker(
             finder, self.physics, self.ports, lambda: self.recorder, self._woken, self.get_logger().warning
         )
         self.finder = finder
-        self.presenter = Presenter(
-            self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder
-        )
+        self.presenter = Presenter(self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder)
         self.diagnostics = Diagnostics(self, self.organ.name)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)

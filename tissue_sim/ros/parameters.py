@@ -45,7 +45,7 @@ NODE_SPECS = (
     Spec("region_force", 0.1, "N above which the local region is skipped", 0.0, 100.0, True, setting=st.REGION_FORCE),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting=st.FRICTION),
     Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting=st.FORCE_CLAMP),
-    Spec("stale_time", 0.05, "s without a pose or force after which it is stale", 0.005, 5.0, True, setting=st.STALE_TIME),
+    Spec("stale_time", 0.05, "s without input after which it is stale", 0.005, 5.0, True, setting=st.STALE_TIME),
     Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting=st.RAMP_TIME),
     Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting=st.STIFFNESS_SCALE),
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting=st.DAMPING_SCALE),
@@ -127,7 +127,9 @@ class Parameters:
         except InvalidParameterValueException:
             given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
             value = given.value if given is not None else "its value"
-            raise UserError(f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})") from None
+            raise UserError(
+                f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})"
+            ) from None
         if problem := _problem(name, spec, self[name]):
             raise UserError(problem)
 

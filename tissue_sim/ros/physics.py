@@ -74,6 +74,7 @@ class Physics:
 
     @property
     def alive(self) -> bool:
+        """True while the loop runs."""
         return self._thread.is_alive()
 
     # in ----------------------------------------------------------------------------------------

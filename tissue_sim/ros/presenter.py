@@ -79,7 +79,7 @@ class Presenter:
             n = self._organ.n_surface
             self._surface_bytes.points[:] = self._positions[:n]
             self._skeleton_bytes.points[:, :3] = self._positions[n : n + self._organ.n_atoms]
-            surface, skeleton = self._surface_bytes.bytes(stamp), self._skeleton_bytes.bytes(stamp)
+            surface, skeleton = self._surface_bytes.message(stamp), self._skeleton_bytes.message(stamp)
             if show_surface:
                 self._surface.publish(surface)
                 self._skeleton.publish(skeleton)
@@ -99,4 +99,4 @@ class Presenter:
     def _marker_message(self, stamp: int) -> bytes:
         _, wrenches = self._physics.wrenches()
         tips = np.array([port.newest[1][:3] for port in self._ports]).reshape(-1, 3)
-        return self._marker_bytes.bytes(stamp, self._positions, self._organ.n_surface, tips, wrenches)
+        return self._marker_bytes.message(stamp, self._positions, self._organ.n_surface, tips, wrenches)

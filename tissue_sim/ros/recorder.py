@@ -153,9 +153,7 @@ class Recorder:
         if self.active:
             self._typed("settings", "data", np.concatenate([[float(sequence)], settings]))
 
-    def contacts(
-        self, sequence: int, surface_tick: int, found: ContactSet, pushing: int, pairs: Sequence[int]
-    ) -> None:
+    def contacts(self, sequence: int, surface_tick: int, found: ContactSet, pushing: int, pairs: Sequence[int]) -> None:
         """A contact set: what it was found from, or all of it while its surface may not be in the bag."""
         if not self.active:
             return
@@ -200,4 +198,3 @@ class Recorder:
             self.error = f"recording to {writer.path} failed: {error}"
             self.active = False
             writer.abort()
-

@@ -52,9 +52,7 @@ def run(args: argparse.Namespace) -> int:
     if result.wrenches == 0 and result.surfaces == 0:
         print("FAILED: the bag holds nothing to compare; record for longer than a second, with tools moving")
         return 1
-    within = (
-        max(result.force, result.torque) <= args.force_tolerance and result.position <= args.position_tolerance
-    )
+    within = max(result.force, result.torque) <= args.force_tolerance and result.position <= args.position_tolerance
     print("repeats" if within else f"FAILED: beyond {args.force_tolerance:g} N or {args.position_tolerance:g} m")
     return 0 if within else 1
 
@@ -80,7 +78,7 @@ class Recording:
         if not path.exists():
             raise UserError(f"bag {path} does not exist")
         messages = _read_messages(path)
-        store = get_typestore(Stores.ROS2_JAZZY)
+        store: Any = get_typestore(Stores.ROS2_JAZZY)
         name = next((topic[: -len("/config")] for topic in messages if topic.endswith("/config")), None)
         if name is None:
             raise UserError(f"bag {path} was not recorded by a tissue_sim node: it has no configuration")
@@ -114,7 +112,7 @@ class Recording:
             recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
         for raw in messages[f"{name}/surface"]:
-            cloud = store.deserialize_cdr(raw, "sensor_msgs/msg/PointCloud2")
+            cloud: Any = store.deserialize_cdr(raw, "sensor_msgs/msg/PointCloud2")
             recording.surfaces.append(np.frombuffer(cloud.data, dtype="<f4").reshape(-1, 3))
         return recording
 
@@ -136,6 +134,7 @@ class Result:
     position_tick: int = -1
 
     def compare_wrench(self, tick: int, recorded: Floats, replayed: Floats) -> None:
+        """Note how far a wrench (6,) of a tick is from the recorded one."""
         self.wrenches += 1
         force, torque = (float(np.abs(recorded - replayed)[part].max()) for part in (slice(0, 3), slice(3, 6)))
         if force > self.force:
@@ -144,6 +143,7 @@ class Result:
             self.torque, self.torque_tick = torque, tick
 
     def compare_surface(self, tick: int, recorded: np.ndarray, replayed: Floats) -> None:
+        """Note how far the surface (n_surface, 3) of a tick is from the recorded one."""
         self.surfaces += 1
         position = float(np.abs(recorded - replayed.astype(np.float32)).max())
         if position > self.position:
@@ -167,7 +167,7 @@ class _Player:
         )
         self.simulation.restore(recording.state["floats"], recording.state["integers"])
         self.state = self.simulation.state
-        self.finder = ContactFinder(organ.surface_triangles, organ.n_surface, self.tools)
+        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
         first = self.tick = self.simulation.buffer.tick_of(recording.state["integers"])
         journal = recording.journal
         kind = journal[:, 0]
@@ -259,8 +259,8 @@ class _Player:
     def _contact_set(self, sequence: int) -> ContactSet:
         whole = self.recording.contact_sets.get(sequence)
         if whole is not None:
-            names = ("tool", "node", "weight", "tip_node", "tip_weight", "engaged")
-            return ContactSet(**{name: whole[name] for name in names})
+            points = (whole["tool"], whole["node"], whole["weight"])
+            return ContactSet(*points, whole["tip_node"], whole["tip_weight"], whole["engaged"])
         row = self.contact_rows.get(sequence)
         if row is None or int(row[1]) not in self.kept:
             raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")

@@ -161,7 +161,7 @@ class ToolPort:
         if not np.all(np.isfinite(wrench)):  # never seen, and never to be felt
             wrench = np.zeros(6)
             self.refused["nan_wrench"] += 1
-        raw = self._template.bytes(self._clock.now().nanoseconds, wrench)
+        raw = self._template.message(self._clock.now().nanoseconds, wrench)
         self._servo.publish(raw)
         self.force = math.sqrt(float(wrench[:3] @ wrench[:3]))
         self._published = time.monotonic()

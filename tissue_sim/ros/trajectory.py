@@ -20,9 +20,9 @@ UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is held
 REFERENCE = 0.03
 STROKE_DEPTH, STROKE_LENGTH = 0.002, 0.040
 POKE_DEPTH = 0.006
-SQUEEZE, LIFT = 0.004, 0.010
-THICKEST_NIP = 0.025
-MOST_SAMPLES = 400  # of the surface, to look for a place to nip
+SQUEEZE, LIFT = 0.006, 0.010
+NIP_THICKNESS = 0.025  # between the jaws: twice as thick is as bad as sides that slope by 40 degrees
+MOST_SAMPLES = 500  # of the surface, to look for a place to nip
 HOVER = 0.006  # between tool and surface, where a fast approach ends
 MARGIN = 0.012  # of the ball around organ and tool
 
@@ -155,18 +155,12 @@ class _Planner:
         low, high = float(surface.vertices[:, 2].min()), float(surface.vertices[:, 2].max())
         points, outward = surface.samples(above=high - 0.4 * (high - low), at_most=MOST_SAMPLES)
         # Jaws come from the sides: pressed on from above or below, the tissue would slip out of them.
-        sides = np.abs(outward @ UP) < 0.7
-        points, outward = np.tile(points[sides], (2, 1)), np.tile(outward[sides], (2, 1))
-        inward = -outward
-        inward[len(inward) // 2 :, 2] = 0.0  # square to the surface, and level
-        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+        sides = np.abs(outward @ UP) < 0.5
+        points, inward = points[sides], -outward[sides]
         thickness, opposite = surface.cast(points + 1e-6 * inward, inward)
-        # 1: both sides lie square to the jaws
-        facing = np.minimum(
-            np.einsum("ij,ij->i", surface.triangle_normals(opposite), inward), -np.einsum("ij,ij->i", outward, inward)
-        )
-        cost = thickness / THICKEST_NIP + 4.0 * (1.0 - facing) + 0.5 * (high - points[:, 2]) / (high - low)
-        cost += np.where(thickness > THICKEST_NIP, 10.0, 0.0)
+        facing = np.einsum("ij,ij->i", surface.triangle_normals(opposite), inward)  # 1: the far side faces away
+        # Squareness counts most: a jaw slides off a slope.
+        cost = thickness / NIP_THICKNESS + 4.0 * (1.0 - facing) + 0.5 * (high - points[:, 2]) / (high - low)
         best: tuple[float, tuple[Touch, Touch] | None] = (np.inf, None)
         for index in np.argsort(cost)[:60]:
             near, far = self._touch(points[index], inward[index]), self._touch(points[index], -inward[index])
@@ -267,12 +261,19 @@ class _Planner:
         self._straight("poke/release", {0: place.centre - HOVER * place.way}, touch, PRESS)
         self._leave("poke", touch)
 
+    def _lift_way(self, jaws: tuple[Touch, Touch]) -> Floats:
+        """Unit vector up and to the side, square to the jaws, to where the tissue between them widens."""
+        way = jaws[0].way
+        normals = [jaw.centre - self.surface.closest(jaw.centre)[1] for jaw in jaws]
+        sideways = np.cross(way, UP)
+        sideways *= -1.0 if sideways @ np.sum(normals, axis=0) > 0.0 else 1.0
+        lift = sideways / np.linalg.norm(sideways) + 0.5 * UP
+        lift -= (lift @ way) * way
+        return lift / np.linalg.norm(lift)
+
     def _nip(self, jaws: tuple[Touch, Touch]) -> None:
         touches = dict(enumerate(jaws))
-        height = self.surface.vertices @ UP
-        held = self.surface.vertices[height <= height.min() + 0.1 * np.ptp(height)].mean(axis=0)
-        away = 0.5 * (jaws[0].centre + jaws[1].centre) - held
-        lift = self.scale * LIFT * away / np.linalg.norm(away)
+        lift = self.scale * LIFT * self._lift_way(jaws)
         closed = {tool: jaw.centre + self.scale * SQUEEZE * jaw.way for tool, jaw in touches.items()}
         self._approach("nip", touches)
         self._straight("nip/close", closed, touches, CLOSE)

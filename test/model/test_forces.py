@@ -1,0 +1,246 @@
+"""Force kernels against naive twins, and against the gradient of the energy that they state."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.model.assembly import assemble
+from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
+
+from ..scenes import ball, kidney
+
+MODEL = assemble(ball())
+EDGE = 0.017  # m
+
+
+def deformed(size=0.2, seed=0):
+    """Positions of the ball, every node displaced by about `size` of an edge."""
+    return MODEL.rest + size * EDGE * np.random.default_rng(seed).standard_normal(MODEL.rest.shape)
+
+
+# energies, J; of complex positions too ---------------------------------------------------------
+def length_of(vectors):
+    # Not the norm: that takes magnitudes, which a complex step must pass through.
+    return np.sqrt(np.sum(vectors * vectors, axis=1))
+
+
+def spring_energy(x, model):
+    stretch = length_of(x[model.spring_second] - x[model.spring_first]) - model.spring_rest_length
+    return np.sum(0.5 * model.spring_stiffness * stretch**2)
+
+
+def angular_energy(x, model):
+    i, j, k, m = model.angular_nodes.T
+    normal = np.cross(x[j] - x[i], x[k] - x[m])
+    square = np.sum(normal * normal, axis=1)
+    length = np.where(square.real > model.angular_least_area, np.sqrt(square), np.sqrt(model.angular_least_area))
+    curved = np.einsum("hc,hcx->hx", model.angular_weight, x[model.angular_nodes])
+    bent = np.einsum("hx,hx->h", curved, normal) / length
+    return np.sum(0.5 * model.angular_stiffness * (bent - model.angular_rest) ** 2)
+
+
+def return_energy(x, model):
+    nodes = model.return_nodes
+    return np.sum(0.5 * model.return_stiffness[nodes, None] * (x[nodes] - model.rest[nodes]) ** 2)
+
+
+# kernels and their twins, N --------------------------------------------------------------------
+def springs(x, model=MODEL):
+    force = np.zeros_like(x)
+    spring_forces(
+        x, model.spring_first, model.spring_second, model.spring_rest_length, model.spring_stiffness, force
+    )
+    return force
+
+
+def angular(x, model=MODEL, least_area=None):
+    force = np.zeros_like(x)
+    angular_forces(
+        x,
+        model.angular_nodes,
+        model.angular_weight,
+        model.angular_rest,
+        model.angular_stiffness,
+        model.angular_least_area if least_area is None else least_area,
+        force,
+    )
+    return force
+
+
+def returns(x, model=MODEL):
+    force = np.zeros_like(x)
+    return_forces(x, model.rest, model.return_nodes, model.return_stiffness, force)
+    return force
+
+
+def naive_springs(x, model):
+    force = np.zeros_like(x)
+    for s in range(len(model.spring_first)):
+        i, j = model.spring_first[s], model.spring_second[s]
+        arm = x[j] - x[i]
+        length = np.linalg.norm(arm)
+        pull = model.spring_stiffness[s] * (length - model.spring_rest_length[s]) * arm / length
+        force[i] += pull
+        force[j] -= pull
+    return force
+
+
+def naive_angular(x, model):
+    """Chain rule on k/2 (s - s0)^2, with the derivative of the unit normal as a 3x3 matrix."""
+    force = np.zeros_like(x)
+    for nodes, weight, rest, stiffness in zip(
+        model.angular_nodes, model.angular_weight, model.angular_rest, model.angular_stiffness, strict=True
+    ):
+        i, j, k, m = nodes
+        edge, across = x[j] - x[i], x[k] - x[m]
+        long = np.cross(edge, across)
+        normal = long / np.linalg.norm(long)
+        curved = weight @ x[nodes]
+        push = -stiffness * (curved @ normal - rest)
+        turning = (np.eye(3) - np.outer(normal, normal)) @ curved / np.linalg.norm(long)
+        for corner, node in enumerate(nodes):
+            force[node] += push * weight[corner] * normal
+        for node, sign in ((i, -1.0), (j, 1.0)):
+            force[node] += sign * push * np.cross(across, turning)
+        for node, sign in ((k, 1.0), (m, -1.0)):
+            force[node] += sign * push * np.cross(turning, edge)
+    return force
+
+
+def naive_returns(x, model):
+    force = np.zeros_like(x)
+    for node in model.return_nodes:
+        force[node] = model.return_stiffness[node] * (model.rest[node] - x[node])
+    return force
+
+
+CASES = {
+    "springs": (springs, naive_springs, spring_energy),
+    "angular": (angular, naive_angular, angular_energy),
+    "return": (returns, naive_returns, return_energy),
+}
+each_kernel = pytest.mark.parametrize("case", CASES)
+
+
+@each_kernel
+@pytest.mark.parametrize("size", [1e-3, 0.2, 2.0])
+def test_kernel_equals_its_naive_twin(case, size):
+    kernel, twin, _ = CASES[case]
+    x = deformed(size)
+    expected = twin(x, MODEL)
+    assert np.abs(expected).max() > 1e-6
+    assert np.abs(kernel(x) - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+@each_kernel
+def test_force_is_minus_the_gradient_of_the_energy(case):
+    """The complex step gives the gradient to the last digits, without a difference."""
+    kernel, _, energy = CASES[case]
+    x = deformed()
+    gradient = np.zeros_like(x)
+    for index in np.ndindex(x.shape):
+        moved = x.astype(complex)
+        moved[index] += 1e-30j
+        gradient[index] = energy(moved, MODEL).imag / 1e-30
+    assert np.abs(kernel(x) + gradient).max() <= 1e-12 * np.abs(gradient).max()
+
+
+@each_kernel
+def test_force_is_the_difference_of_the_energy(case):
+    kernel, _, energy = CASES[case]
+    x = deformed()
+    direction = np.random.default_rng(1).standard_normal(x.shape)
+    direction[[*range(len(x))]] *= 1e-6
+    slope = (energy(x + direction, MODEL) - energy(x - direction, MODEL)) / 2.0
+    assert -np.vdot(kernel(x), direction) == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.parametrize("case", ["springs", "angular"])
+def test_internal_forces_have_no_resultant_and_no_moment(case):
+    x = deformed()
+    force = CASES[case][0](x)
+    assert np.abs(force.sum(axis=0)).max() <= 1e-13 * np.abs(force).sum()
+    assert np.abs(np.cross(x, force).sum(axis=0)).max() <= 1e-13 * np.linalg.norm(np.cross(x, force), axis=1).sum()
+
+
+@each_kernel
+@pytest.mark.parametrize("organ", [ball, kidney])
+def test_rest_shape_has_no_force(case, organ):
+    model = assemble(organ())
+    rest = CASES[case][0](model.rest, model)
+    bent = CASES[case][0](model.rest + 1e-3 * np.random.default_rng(0).standard_normal(model.rest.shape), model)
+    assert np.abs(rest).max() <= 1e-12 * np.abs(bent).max()
+
+
+@pytest.mark.parametrize("case", ["springs", "angular"])
+def test_rigid_motion_gives_no_force(case):
+    turned = Rotation.from_rotvec([0.7, -1.9, 0.4]).apply(MODEL.rest) + [0.2, -0.1, 0.05]
+    scale = np.abs(CASES[case][0](deformed())).max()
+    assert np.abs(CASES[case][0](turned)).max() <= 1e-11 * scale
+
+
+@pytest.mark.parametrize("case", ["springs", "angular"])
+def test_force_turns_with_the_shape(case):
+    turn = Rotation.from_rotvec([0.7, -1.9, 0.4])
+    x = deformed()
+    force = CASES[case][0](x)
+    assert np.abs(CASES[case][0](turn.apply(x)) - turn.apply(force)).max() <= 1e-12 * np.abs(force).max()
+
+
+def test_angular_spring_bends_back_and_knows_inside_from_outside():
+    """A ridge pressed flat pushes its edge outward again; one pressed inward does so harder."""
+    i, j, k, m = MODEL.angular_nodes[0]
+    outward = MODEL.rest[[i, j]].sum(axis=0)
+    outward /= np.linalg.norm(outward)
+    pushes = []
+    for depth in (0.0, 0.1 * EDGE, 0.3 * EDGE, 0.6 * EDGE):
+        x = MODEL.rest.copy()
+        x[[i, j]] -= depth * outward
+        pushes.append(angular(x)[[i, j]].sum(axis=0) @ outward)
+    assert pushes[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.all(np.diff(pushes) > 0.0)
+
+
+def test_collapsed_pair_of_triangles_keeps_the_gradient_of_a_bounded_energy():
+    least_area = 1e6 * MODEL.angular_least_area  # every pair counts as collapsed
+    model = MODEL._replace(angular_least_area=least_area)
+    x = deformed()
+    gradient = np.zeros_like(x)
+    for index in np.ndindex(x.shape):
+        moved = x.astype(complex)
+        moved[index] += 1e-30j
+        gradient[index] = angular_energy(moved, model).imag / 1e-30
+    force = angular(x, model)
+    assert np.abs(gradient).max() > 0.0
+    assert np.abs(force + gradient).max() <= 1e-12 * np.abs(gradient).max()
+
+
+def test_triangles_without_area_give_finite_forces():
+    i, j, k, m = MODEL.angular_nodes[0]
+    x = MODEL.rest.copy()
+    x[k] = x[m] = x[j] = x[i]
+    assert np.all(np.isfinite(angular(x)))
+
+
+def test_spring_of_no_length_gives_no_nan():
+    x = MODEL.rest.copy()
+    x[MODEL.spring_second[0]] = x[MODEL.spring_first[0]]
+    assert np.all(np.isfinite(springs(x)))
+
+
+def test_forces_are_added_to_what_is_there():
+    x = deformed()
+    force = np.ones_like(x)
+    spring_forces(
+        x, MODEL.spring_first, MODEL.spring_second, MODEL.spring_rest_length, MODEL.spring_stiffness, force
+    )
+    return_forces(x, MODEL.rest, MODEL.return_nodes, MODEL.return_stiffness, force)
+    np.testing.assert_allclose(force, 1.0 + springs(x) + returns(x), rtol=1e-12)
+
+
+@each_kernel
+def test_kernel_without_the_compiler_agrees(case, monkeypatch):
+    compiled = CASES[case][0](deformed())
+    for name in ("spring_forces", "angular_forces", "return_forces"):
+        monkeypatch.setitem(globals(), name, globals()[name].py_func)
+    assert np.abs(CASES[case][0](deformed()) - compiled).max() <= 1e-12 * np.abs(compiled).max()

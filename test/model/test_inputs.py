@@ -1,0 +1,116 @@
+"""Poses, forces and contact sets as they are taken up."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from tissue_sim.model import state as st
+from tissue_sim.model.inputs import LONGEST_PERIOD, take_contacts, take_force, take_pose
+from tissue_sim.model.simulation import Simulation, sphere_tools
+
+from ..scenes import ball, free_ball
+
+FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
+
+
+def engaged_at(pose):
+    """A simulation whose only tool is engaged and stands at a pose."""
+    simulation = Simulation(ball(), shapes=sphere_tools(0.005))
+    take_pose(simulation.state, 0, pose, 1)
+    engage(simulation, 2)
+    return simulation
+
+
+def engage(simulation, sequence):
+    no_entry, no_tip = np.zeros((0, 3)), np.full((1, 3), -1)
+    take_contacts(
+        simulation.state, 0, no_tip[0, :0], no_tip[:0], no_entry, no_tip, np.zeros((1, 3)), np.array([1]), sequence
+    )
+
+
+def test_first_pose_is_taken_at_once():
+    simulation = Simulation(ball(), shapes=sphere_tools(0.005))
+    take_pose(simulation.state, 0, FAR, 7)
+    simulation.step()
+    np.testing.assert_array_equal(simulation.state.tool_pose[0], FAR)
+    assert simulation.state.tool_count[0, st.POSE_SEQUENCE] == 7
+    assert simulation.state.tool_count[0, st.AGE] == 1
+
+
+@pytest.mark.parametrize("period", [1, 4, 16])
+def test_tool_is_led_evenly_to_a_pose_that_took_several_ticks(period):
+    simulation = engaged_at(FAR)
+    for _ in range(period):
+        simulation.step()
+    turn = Rotation.from_rotvec([0.0, 0.02, 0.01])
+    # The same turn with the other sign of the quaternion: no long way round.
+    goal = np.array([0.01, -0.02, 0.18, *-turn.as_quat()])
+    take_pose(simulation.state, 0, goal, 2)
+    path = [simulation.state.tool_pose[0].copy()]
+    for _ in range(period):
+        simulation.step()
+        path.append(simulation.state.tool_pose[0].copy())
+    share = np.linspace(0.0, 1.0, period + 1)
+    np.testing.assert_allclose([p[:3] for p in path], FAR[:3] + share[:, None] * (goal - FAR)[:3], atol=1e-15)
+    even = Slerp([0.0, 1.0], Rotation.concatenate([Rotation.identity(), turn]))(share)
+    assert max((even.inv() * Rotation.from_quat([p[3:] for p in path])).magnitude()) < 1e-6
+    np.testing.assert_allclose([np.linalg.norm(p[3:]) for p in path], 1.0, atol=1e-12)
+    simulation.step()
+    np.testing.assert_array_equal(simulation.state.tool_pose[0], goal)
+
+
+def test_slow_input_leads_the_tool_no_longer_than_the_limit():
+    simulation = engaged_at(FAR)
+    for _ in range(LONGEST_PERIOD + 15):
+        simulation.step()
+    take_pose(simulation.state, 0, FAR + 0.001, 2)
+    assert simulation.state.tool_count[0, st.REMAINING] == LONGEST_PERIOD
+
+
+def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():
+    simulation = engaged_at(FAR)
+    assert simulation.state.tool_count[0, st.ENGAGED] == 1
+    for _ in range(71):
+        simulation.step()
+    assert simulation.state.tool_count[0, st.ENGAGED] == 0
+    unknown = Simulation(ball(), shapes=sphere_tools(0.005))
+    engage(unknown, 1)
+    assert unknown.state.tool_count[0, st.ENGAGED] == 0
+
+
+def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
+    organ = free_ball()
+    simulation = Simulation(organ, shapes=sphere_tools(0.005))
+    simulation.settings[st.STALE_TIME], simulation.settings[st.RAMP_TIME] = 0.010, 0.005
+    triangle, weight = organ.surface_triangles[3].astype(np.int64), np.array([0.2, 0.3, 0.5])
+    take_contacts(
+        simulation.state, 0, triangle[:0], triangle[None, :0], weight[None, :0], triangle[None], weight[None],
+        np.array([0]), 1,
+    )  # fmt: skip
+    take_force(simulation.state, 0, np.array([0.0, 0.0, 0.3]), 5)
+    momentum = [np.zeros(3)]
+    for _ in range(20):
+        simulation.step()
+        momentum.append(organ.mass @ simulation.velocities)
+    pull = np.diff(momentum, axis=0) / 1e-3
+    # Ten fresh ticks, then down to nothing in five.
+    expected = 0.3 * np.clip((15 - np.arange(1, 21)) / 5, 0.0, 1.0)
+    np.testing.assert_allclose(pull, expected[:, None] * [0.0, 0.0, 1.0], atol=1e-10)
+    assert simulation.state.tool_count[0, st.FORCE_SEQUENCE] == 5
+    # Spread over the triangle's corners by the weights.
+    first = Simulation(organ, shapes=sphere_tools(0.005))
+    first.apply_force(triangle, weight[:, None] * [0.0, 0.0, 0.3])
+    first.step()
+    again = Simulation(organ, shapes=sphere_tools(0.005))
+    again.state.tip_node[0], again.state.tip_weight[0] = triangle, weight
+    take_force(again.state, 0, np.array([0.0, 0.0, 0.3]), 1)
+    again.step()
+    np.testing.assert_allclose(again.positions, first.positions, rtol=0.0, atol=1e-15)
+
+
+def test_force_without_tissue_near_the_tip_does_nothing():
+    simulation = engaged_at(FAR)
+    take_force(simulation.state, 0, np.array([0.0, 0.0, 5.0]), 3)
+    simulation.step()
+    assert simulation.asleep
+    np.testing.assert_array_equal(simulation.positions, simulation.model.rest)

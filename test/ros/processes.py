@@ -1,0 +1,80 @@
+"""Real processes for the tests: the node, and a second one that publishes tool poses."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+PUBLISHER = Path(__file__).with_name("publish_poses.py")
+READY = "surface nodes"  # in the line that the node logs when its first tick is done
+
+
+class Process:
+    """A child process with its output in a file."""
+
+    def __init__(self, words: list[str], log: Path) -> None:
+        self.log = log
+        self._stream = log.open("w")
+        self.child = subprocess.Popen(
+            [sys.executable, *words],
+            stdout=self._stream,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=os.environ,
+        )
+
+    def text(self) -> str:
+        return self.log.read_text()
+
+    def wait_for(self, words: str, timeout: float = 90.0) -> None:
+        end = time.monotonic() + timeout
+        while words not in self.text():
+            assert self.child.poll() is None, f"ended with {self.child.returncode}:\n{self.text()}"
+            assert time.monotonic() < end, f"no '{words}' within {timeout} s:\n{self.text()}"
+            time.sleep(0.05)
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 20.0) -> int:
+        if self.child.poll() is None:
+            self.child.send_signal(number)
+        try:
+            return self.child.wait(timeout)
+        finally:
+            self.child.kill()
+            self._stream.close()
+
+
+def start_node(folder: Path, *parameters: str, wait: bool = True) -> Process:
+    """A node with parameters like `rate:=500.0`; waits until it ticks."""
+    words = ["-m", "tissue_sim.ros.node", "--ros-args"]
+    for parameter in parameters:
+        words += ["-p", parameter]
+    process = Process(words, folder / "node.log")
+    if wait:
+        process.wait_for(READY)
+    return process
+
+
+def start_publisher(folder: Path, *, depth: float, seconds: float, hold: bool = False) -> Process:
+    """A second process that pokes the shipped kidney by depth m with tool `left`, and releases unless held."""
+    words = [str(PUBLISHER), f"--depth={depth}", f"--seconds={seconds}"]
+    return Process([*words, "--hold"] if hold else words, folder / "publisher.log")
+
+
+def poke_path(organ: Organ, radius: float = 0.005) -> tuple[np.ndarray, np.ndarray]:
+    """Where a sphere just touches the organ's side, (3,) m, and the direction into it."""
+    points = organ.surface_positions
+    centre = points.mean(axis=0)
+    node = int(np.argmax(points[:, 0] - 0.5 * np.abs(points[:, 2] - centre[2])))
+    inward = np.array([-1.0, 0.0, 0.0])
+    return points[node] - radius * inward, inward
+
+
+def shipped() -> Organ:
+    return Organ.load(shipped_organ())

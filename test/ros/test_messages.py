@@ -1,0 +1,97 @@
+"""Patched templates against ROS's own serialisation."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from processes import shipped
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tissue_sim.ros.cdr import parse_stamped, unit_pose
+from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, WrenchTemplate, rest_mesh
+
+FRAMES = ["", "o", "organ", "frames", "a_rather_long_frame/of_an_arm"]
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_pose_is_read_from_its_bytes(frame):
+    message = PoseStamped()
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = 1700000000, 123456789
+    values = np.arange(7) + 0.25
+    message.pose.position.x, message.pose.position.y, message.pose.position.z = values[:3]
+    rotation = message.pose.orientation
+    rotation.x, rotation.y, rotation.z, rotation.w = values[3:]
+    read = parse_stamped(serialize_message(message), 7)
+    assert read.frame_id == frame
+    assert read.stamp == 1700000000123456789
+    assert read.values == tuple(values)
+
+
+@pytest.mark.parametrize("length", [0, 3, 15, 40, 83])
+def test_short_message_is_refused(length):
+    message = PoseStamped()
+    message.header.frame_id = "organ"
+    with pytest.raises(ValueError, match=r"cut short|no little-endian"):
+        parse_stamped(serialize_message(message)[:length], 7)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_wrench_template_is_what_ros_would_write(frame):
+    wrench = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
+    read = deserialize_message(WrenchTemplate(frame).message(5_000_000_007, wrench), WrenchStamped)
+    expected = WrenchStamped()
+    expected.header.frame_id = frame
+    expected.header.stamp.sec, expected.header.stamp.nanosec = 5, 7
+    force, torque = expected.wrench.force, expected.wrench.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench
+    assert read == expected
+
+
+def test_unit_pose():
+    pose = unit_pose(np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 2.0]))
+    assert pose.tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
+    with pytest.raises(ValueError, match="quaternion is zero"):
+        unit_pose(np.zeros(7))
+
+
+def test_cloud_template():
+    template = CloudTemplate("organ", 5, ("x", "y", "z", "radius"))
+    template.points[:] = np.arange(20.0).reshape(5, 4)
+    read = deserialize_message(template.message(1_000_000_002), PointCloud2)
+    assert (read.width, read.height, read.point_step, read.row_step) == (5, 1, 16, 80)
+    assert [field.name for field in read.fields] == ["x", "y", "z", "radius"]
+    assert np.frombuffer(read.data, dtype="<f4").tolist() == list(range(20))
+    assert read.header.stamp.sec == 1
+    assert read.header.stamp.nanosec == 2
+
+
+def test_markers_template_shows_the_positions_and_the_forces():
+    organ = shipped()
+    template = MarkersTemplate("organ", organ, 2)
+    position = organ.rest_positions + 0.001
+    centre = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0]])
+    wrench = np.zeros((2, 6))
+    wrench[0, :3] = (0.0, 0.0, 2.0)
+    read = deserialize_message(template.message(3_000_000_000, position, organ.n_surface, centre, wrench), MarkerArray)
+    surface, skeleton, left, right = read.markers
+    shown = np.array([(p.x, p.y, p.z) for p in surface.points])
+    assert np.array_equal(shown, position[organ.surface_triangles.ravel()])
+    bones = np.array([(p.x, p.y, p.z) for p in skeleton.points]).reshape(-1, 2, 3)
+    assert np.array_equal(bones[:, 0], position[organ.n_surface + 1 :])
+    assert np.array_equal(bones[:, 1], position[organ.n_surface : -1])
+    assert (left.action, right.action) == (Marker.ADD, Marker.DELETE)
+    tip = left.points[1]
+    assert (tip.x, tip.y, tip.z) == pytest.approx((0.1, 0.2, 0.3 + 2.0 * MarkersTemplate.ARROW_LENGTH))
+    assert all(marker.header.stamp.sec == 3 for marker in read.markers)
+    gone = deserialize_message(template.deletion(), MarkerArray)
+    assert all(marker.action == Marker.DELETE for marker in gone.markers)
+
+
+def test_rest_mesh_is_the_organ():
+    organ = shipped()
+    read = deserialize_message(rest_mesh(organ), Mesh)
+    assert np.array_equal([t.vertex_indices for t in read.triangles], organ.surface_triangles)
+    assert np.array_equal([(v.x, v.y, v.z) for v in read.vertices], organ.surface_positions)

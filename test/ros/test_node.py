@@ -1,0 +1,244 @@
+"""The node as others meet it: real processes that talk over DDS."""
+
+import math
+import signal
+import time
+
+import numpy as np
+import pytest
+from client import Client
+from processes import Process, poke_path, shipped, start_node, start_publisher
+from rosbags.rosbag2 import Reader
+from visualization_msgs.msg import Marker
+
+from tissue_sim.cli import main
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("node")
+    process = start_node(folder, "marker_rate:=30.0", f"record_folder:={folder / 'bags'}")
+    yield process
+    assert process.stop() == 0, process.text()
+    assert "Traceback" not in process.text()
+
+
+@pytest.fixture
+def client(node):
+    client = Client()
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0, 10.0)
+    client.reset()
+    client.spin(0.1)
+    yield client
+    client.close()
+
+
+def test_poses_from_a_second_process_deform_the_organ_and_let_it_return(client, tmp_path):
+    """Wrench and markers rise on contact and come back to within 1 % of their peak."""
+    assert client.spin_until(lambda: len(client.surfaces) > 0, 10.0), "late joiners get no markers"
+    rest = client.surfaces[0]
+    publisher = start_publisher(tmp_path, depth=0.004, seconds=4.0)
+    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
+    client.spin(0.7)
+    assert publisher.stop() == 0, publisher.text()
+
+    force = np.array([np.linalg.norm(wrench[:3]) for _, wrench in client.wrenches])
+    moved = np.array([np.linalg.norm(surface - rest, axis=1).max() for surface in client.surfaces])
+    assert 0.05 < force.max() < 2.0
+    assert 0.0035 < moved.max() < 0.006
+    assert force[-1] <= 0.01 * force.max()
+    assert moved[-1] <= 0.01 * moved.max()
+    pushed = client.wrenches[int(np.argmax(force))][1]
+    assert pushed[0] > 0.9 * force.max(), "the tissue pushes the tool back out"
+
+
+def test_markers_are_what_rviz_can_bear(client):
+    assert client.spin_until(lambda: len(client.markers) > 0, 10.0)
+    markers = {(marker.ns, marker.id): marker for marker in client.markers[-1].markers}
+    organ = shipped()
+    surface = markers["surface", 0]
+    assert surface.type == Marker.TRIANGLE_LIST
+    assert len(surface.points) == 3 * len(organ.surface_triangles)
+    assert surface.header.frame_id == "organ"
+    assert surface.pose.orientation.w == 1.0
+    corners = np.array([(p.x, p.y, p.z) for p in surface.points]).reshape(-1, 3, 3)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    assert area.min() > 0.0
+    assert len(markers["skeleton", 0].points) == 2 * (organ.n_atoms - 1)
+    arrows = [marker for (namespace, _), marker in markers.items() if namespace == "contacts"]
+    assert len(arrows) == 2
+    assert all(arrow.action == Marker.DELETE for arrow in arrows), "no force, no arrow"
+    assert all(marker.points for marker in markers.values()), "an empty list crashes RViz"
+
+
+def test_force_fades_when_poses_stop(client, tmp_path):
+    """A stale pose ramps the wrench to zero and leaves no force standing."""
+    publisher = start_publisher(tmp_path, depth=0.003, seconds=1.5, hold=True)
+    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
+    assert publisher.stop() == 0
+    client.spin(0.5)
+    force = np.array([np.linalg.norm(wrench[:3]) for _, wrench in client.wrenches])
+    times = np.array([clock for clock, _ in client.wrenches])
+    assert force.max() > 0.03
+    assert force[-1] == 0.0
+    last = int(np.flatnonzero(force > 0.0)[-1])
+    held = int(np.flatnonzero(force > 0.9 * force.max())[-1])
+    assert times[last] - times[held] < 0.25, "50 ms stale, 20 ms ramp, and the machine's own delays"
+    client.spin(0.2)
+    assert client.wrenches[-1][1].max() == 0.0
+
+
+def test_external_force_moves_the_tissue(client):
+    touch, inward = poke_path(shipped(), radius=0.0)
+    assert client.spin_until(lambda: len(client.surfaces) > 0, 10.0)
+    rest = client.surfaces[-1]
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        client.send_pose(touch - 0.0055 * inward)  # the tip stays clear of the surface
+        client.send_force(0.1 * inward)
+        client.spin(0.005)
+    moved = client.surfaces[-1] - rest
+    deepest = moved[np.argmax(np.linalg.norm(moved, axis=1))]
+    assert deepest @ inward > 0.0005
+    client.spin(1.0)
+    assert np.linalg.norm(client.surfaces[-1] - rest, axis=1).max() < 0.01 * np.linalg.norm(deepest)
+
+
+BAD_POSES = {
+    "unknown_frame": {"frame": "moon"},
+    "nan_pose": {"position": (math.nan, 0.0, 0.0)},
+    "zero_quaternion": {"quaternion": (0.0, 0.0, 0.0, 0.0)},
+    "no_stamp": {"stamp": 0.0},
+    "far_pose": {"position": (150.0, 0.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("reason", BAD_POSES)
+def test_bad_pose_is_refused_by_name(client, node, reason):
+    """A clear line, a counter in diagnostics, and a node that goes on."""
+    message = {"position": (1.0, 0.0, 0.0)} | BAD_POSES[reason]
+    key = f"left.refused.{reason}"
+    assert client.spin_until(
+        lambda: client.send_pose(**message) or int(client.diagnostics.get(key, 0)) > 0, 5.0
+    ), client.diagnostics
+    assert client.level != b"\x00"
+    assert reason in client.message
+    assert "tool 'left': pose refused: " in node.text()
+    before = int(client.diagnostics["tick"])
+    assert client.spin_until(lambda: int(client.diagnostics["tick"]) > before + 500, 5.0), "the node went on"
+
+
+def test_stamp_that_runs_backwards_is_refused(client):
+    now = time.time()
+    for k in range(40):
+        client.send_pose((1.0, 0.0, 0.0), stamp=now - 0.01 * (k % 2))
+        client.spin(0.01)
+    assert client.spin_until(lambda: int(client.diagnostics.get("left.refused.backward_stamp", 0)) > 0, 3.0)
+    # A bridge that starts again with an older clock is heard after a pause.
+    client.spin(0.2)
+    poses = int(client.diagnostics["left.poses"])
+    client.send_pose((1.0, 0.0, 0.0), stamp=now - 1000.0)
+    assert client.spin_until(lambda: int(client.diagnostics["left.poses"]) > poses, 3.0)
+
+
+def test_tool_that_appears_inside_is_held_off(client, node):
+    inside = shipped().atom_positions[20]
+    client.spin(0.2)
+    for _ in range(60):
+        client.send_pose(inside)
+        client.spin(0.005)
+    assert all(np.all(wrench == 0.0) for _, wrench in client.wrenches)
+    assert "appeared inside the organ" in node.text()
+
+
+def test_parameters_change_live_or_say_why_not(client):
+    assert client.set_parameter("friction", 0.3).successful
+    assert client.set_parameter("marker_rate", 20.0).successful
+    refused = client.set_parameter("rate", 500.0)
+    assert not refused.successful
+    assert "start it again" in refused.reason
+    assert not client.set_parameter("friction", -1.0).successful
+    assert client.set_parameter("friction", 0.6).successful
+    assert client.set_parameter("marker_rate", 30.0).successful
+
+
+def test_recording_on_demand_replays_bit_for_bit(client, tmp_path, capsys):
+    started = client.record(True)
+    assert started.success, started.message
+    assert not client.record(True).success, "one bag at a time"
+    client.set_parameter("stiffness_scale", 2.0)
+    publisher = start_publisher(tmp_path, depth=0.004, seconds=2.5)
+    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
+    client.reset()
+    client.spin(0.2)
+    client.set_parameter("stiffness_scale", 1.0)
+    stopped = client.record(False)
+    assert stopped.success
+    assert stopped.message == started.message
+    with Reader(stopped.message) as reader:
+        topics = {connection.topic: connection.msgcount for connection in reader.connections}
+    assert topics["/left/measured_cp"] > 300
+    assert topics["/left/servo_cf"] >= topics["/left/measured_cp"] - 1, "a wrench for each pose that arrives"
+    assert topics["/tissue_sim/surface"] > 10
+    assert main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
+    assert "repeats" in capsys.readouterr().out
+    assert not client.record(False).success
+
+
+def test_diagnostics_tell_the_state_of_the_loop(client):
+    client.diagnostics = {}
+    assert client.spin_until(lambda: bool(client.diagnostics), 5.0)
+    values = client.diagnostics
+    assert 900.0 < float(values["tick_rate_hz"]) < 1100.0
+    assert float(values["tick_p50_us"]) > 0.0
+    assert values["region"] in ("asleep", "whole")
+    for key in ("overruns", "active_nodes", "contact_count", "force_n", "recording", "real_time_factor", "left.state"):
+        assert key in values
+    for key in ("asleep_ticks", "skipped.mesh_unchanged", "skipped.contacts_unchanged"):
+        assert int(values[key]) > 0, key
+
+
+REFUSED_STARTS = {
+    "organ_file:=nowhere.npz": "does not exist",
+    "rate:=1.0": "outside",
+    "rate:=fast": "wrong type",
+    "model:=solid": "choose one of surface, volume, hybrid",
+    "tools:=[a, a]": "no name of its own",
+    "left.shape:=cube": "sphere, capsule, mesh",
+}
+
+
+@pytest.mark.parametrize("parameter", REFUSED_STARTS)
+def test_bad_parameter_ends_with_one_line_and_2(tmp_path, parameter):
+    process = start_node(tmp_path, parameter, wait=False)
+    assert process.child.wait(30.0) == 2, process.text()
+    lines = [line for line in process.text().splitlines() if line.strip()]
+    assert len(lines) == 1, process.text()
+    assert lines[0].startswith("tissue_node: error: ")
+    assert REFUSED_STARTS[parameter] in lines[0]
+
+
+def test_damaged_organ_file_is_refused_by_name(tmp_path):
+    organ = tmp_path / "organ.npz"
+    organ.write_bytes(b"PK\x03\x04 nothing else")
+    process = start_node(tmp_path, f"organ_file:={organ}", wait=False)
+    assert process.child.wait(30.0) == 2
+    assert "organ.npz is damaged" in process.text()
+
+
+def test_sigterm_ends_in_a_second_with_the_bag_closed(tmp_path):
+    process = start_node(tmp_path, "record:=true", f"record_folder:={tmp_path}", "tools:=[probe]")
+    time.sleep(0.5)
+    start = time.monotonic()
+    assert process.stop(signal.SIGTERM) == 0, process.text()
+    assert time.monotonic() - start < 3.0
+    (bag,) = tmp_path.glob("tissue_sim-*")
+    with Reader(bag) as reader:
+        assert reader.message_count > 0
+
+
+def test_help_lists_every_parameter(tmp_path):
+    process = Process(["-m", "tissue_sim.ros.node", "--help"], tmp_path / "help.log")
+    assert process.child.wait(30.0) == 0
+    for name in ("organ_file", "local_region", "<tool>.radius", "force_clamp"):
+        assert name in process.text()

@@ -1,0 +1,190 @@
+"""`tissue_sim bridge`: a scripted haptic bridge, for demonstrations and for tests."""
+
+from __future__ import annotations
+
+import argparse
+import struct
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros import client
+from tissue_sim.ros.cdr import CDR_HEADER, parse_stamped
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from tissue_sim.ros.motion import Path
+    from tissue_sim.ros.probing import Floats
+
+SCRIPT = ("stroke", "poke", "nip")
+LOOK_AGAIN = 1.0  # s between two looks for another organ
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--rate", type=client.number(1.0, 2000.0, "Hz"), default=500.0, help="poses a second, Hz")
+    parser.add_argument(
+        "--seconds", type=client.number(0.01, 1e9, "s"), help="end after this time; without it, go on until Ctrl-C"
+    )
+    parser.add_argument(
+        "--tools", type=client.names, default="left,right", help="names of the tools; a nip takes the first two"
+    )
+    parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
+    parser.add_argument("--radius", type=client.number(1e-4, 0.1, "m"), default=0.005, help="of the spherical tools, m")
+    parser.add_argument(
+        "--script", type=_script, help=f"what to do, in this order; all of it unless given: {','.join(SCRIPT)}"
+    )
+    parser.add_argument("--frame", default="organ", help="frame id of the poses")
+    parser.add_argument(
+        "--wait", type=client.number(0.0, 3600.0, "s"), default=30.0, help="how long to wait for the node, s"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play the script; returns 0, or 1 when the node's mesh does not come."""
+    script = args.script or SCRIPT[: len(SCRIPT) if len(args.tools) > 1 else -1]
+    if "nip" in script and len(args.tools) < 2:
+        raise UserError("a nip needs two tools: name two with --tools, or leave it out of --script")
+
+    from shape_msgs.msg import Mesh
+
+    from tissue_sim.ros.trajectory import plan
+
+    stop = client.Stop()
+    with client.client_node("haptic_bridge", args.node) as node:
+        tools = [ScriptedTool(node, name, args.frame) for name in args.tools]
+        meshes = client.Inbox(node, Mesh, f"/{args.node}/mesh", client.latched_qos())
+        mesh = _wait_for(meshes, args.wait, stop)
+        if mesh is None:
+            if not stop:
+                sys.stderr.write(
+                    f"tissue_sim bridge: no mesh on /{args.node}/mesh in {args.wait:g} s;"
+                    " start tissue_node, or name yours with --node\n"
+                )
+            return 0 if stop else 1
+        vertices, triangles = client.mesh_arrays(mesh)
+        player = Player(tools, args.rate, args.seconds)
+        while True:
+            path = plan(vertices, triangles, args.radius, args.tools, script)
+            print(
+                f"organ of {len(vertices)} nodes: {', '.join(script)} in {path.duration:.1f} s, again and again,"
+                f" at {args.rate:g} Hz",
+                flush=True,
+            )
+            found = player.play(path, stop, meshes, vertices)
+            if found is None:
+                break
+            vertices, triangles = found
+            print("the node has another organ", flush=True)
+        peaks = ", ".join(f"{tool.name} {tool.peak:.2f} N" for tool in tools)
+        sent, received = sum(tool.sent for tool in tools), sum(tool.received for tool in tools)
+        late = f", {player.skipped} skipped" if player.skipped else ""
+        print(f"{sent} poses sent{late}, {received} wrenches received, peak force: {peaks}", flush=True)
+    return 0
+
+
+def _script(text: str) -> tuple[str, ...]:
+    words = tuple(word.strip() for word in text.split(","))
+    for word in words:
+        if word not in SCRIPT:
+            raise argparse.ArgumentTypeError(f"'{word}' is unknown; choose from {', '.join(SCRIPT)}")
+    return words
+
+
+class ScriptedTool:
+    """One tool's topics, as a haptic device has them: poses out, the wrench for the hand in.
+
+    Poses are the bytes of one message, patched in place.
+    """
+
+    def __init__(self, node: Node, name: str, frame_id: str) -> None:
+        from geometry_msgs.msg import PoseStamped, WrenchStamped
+        from rclpy.serialization import serialize_message
+
+        self.name = name
+        message = PoseStamped()
+        message.header.frame_id = frame_id
+        self._bytes = bytearray(serialize_message(message))
+        self._body = len(self._bytes) - 56
+        self._publisher = node.create_publisher(PoseStamped, f"{name}/measured_cp", client.stream_qos())
+        self._wrenches = client.Inbox(node, WrenchStamped, f"{name}/servo_cf", client.stream_qos(), raw=True)
+        self.sent = self.received = 0
+        self.peak = 0.0  # N, largest force so far
+
+    def publish(self, stamp: int, pose: Floats) -> None:
+        """Send a pose (7,), position m and quaternion x y z w, with a stamp in ns."""
+        struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        struct.pack_into("<7d", self._bytes, self._body, *pose)
+        self._publisher.publish(bytes(self._bytes))
+        self.sent += 1
+
+    def feel(self) -> None:
+        """Take the newest wrench, if one has come."""
+        raw = self._wrenches.take()
+        if raw is not None:
+            x, y, z = parse_stamped(raw, 6).values[:3]
+            self.peak = max(self.peak, (x * x + y * y + z * z) ** 0.5)
+            self.received += 1
+
+
+class Player:
+    """Sends a path's poses at absolute deadlines; late ones are left out, so that speeds stay true."""
+
+    def __init__(self, tools: list[ScriptedTool], rate: float, seconds: float | None) -> None:
+        self._tools, self._rate = tools, rate
+        self._end = None if seconds is None else time.monotonic() + seconds
+        self.skipped = 0
+
+    def play(self, path: Path, stop: client.Stop, meshes: client.Inbox, organ: Floats) -> Any:
+        """Play a path again and again, until the time is over, a signal asks for it, or the node has another organ.
+
+        Then the tools leave the tissue. Returns the other organ's vertices and triangles, or None.
+        """
+        cycle = path.sample(self._rate)
+        start, next_look, tick, found = time.monotonic(), time.monotonic() + LOOK_AGAIN, 0, None
+        while not stop and found is None:
+            now = time.monotonic()
+            if self._end is not None and now >= self._end:
+                break
+            due = int((now - start) * self._rate)
+            self.skipped += max(0, due - tick)
+            tick = max(tick, due)
+            self._send(cycle[tick % len(cycle)], start + tick / self._rate)
+            tick += 1
+            if now > next_look:
+                next_look = now + LOOK_AGAIN
+                found = _other_organ(meshes.take(), organ)
+        start = time.monotonic()
+        for step, poses in enumerate(path.retreat(max(tick - 1, 0) / self._rate, self._rate)):
+            self._send(poses, start + step / self._rate)
+        return found
+
+    def _send(self, poses: Floats, deadline: float) -> None:
+        if (ahead := deadline - time.monotonic()) > 0.0:
+            time.sleep(ahead)
+        stamp = time.time_ns()
+        for tool, pose in zip(self._tools, poses, strict=True):
+            tool.publish(stamp, pose)
+        for tool in self._tools:
+            tool.feel()
+
+
+def _wait_for(meshes: client.Inbox, longest: float, stop: client.Stop) -> Any:
+    end = time.monotonic() + longest
+    while not stop:
+        mesh = meshes.take()
+        if mesh is not None or time.monotonic() > end:
+            return mesh
+        time.sleep(0.05)
+    return None
+
+
+def _other_organ(mesh: Any, organ: Floats) -> Any:
+    if mesh is None:
+        return None
+    vertices, triangles = client.mesh_arrays(mesh)
+    return None if np.array_equal(vertices, organ) else (vertices, triangles)

@@ -1,0 +1,97 @@
+"""The viewer's panel: what the node says of itself, the legend, and buttons."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Mapping
+from enum import Enum
+
+import viser
+
+from tissue_sim.ros.view_scene import BANDS, TISSUE, Colour
+
+NO_VALUE = "-"
+
+
+class Wish(Enum):
+    """What a button asks the node for."""
+
+    RESET = "reset"
+    RECORD = "start recording"
+    STOP_RECORDING = "stop recording"
+
+
+def status_text(values: Mapping[str, str]) -> str:
+    """The node's physics status as a Markdown table."""
+
+    def value(key: str, unit: str = "", digits: int | None = None) -> str:
+        text = values.get(key, "")
+        if digits is not None:
+            try:
+                text = f"{float(text):.{digits}f}"
+            except ValueError:
+                text = ""
+        return f"{text} {unit}".strip() if text else NO_VALUE
+
+    rows = {
+        "Tick rate": value("tick_rate_hz", "Hz", 0),
+        "Tick time p50": value("tick_p50_us", "µs", 0),
+        "Tick time p99": value("tick_p99_us", "µs", 0),
+        "Overruns": value("overruns"),
+        "Region": value("region"),
+        "Active nodes": value("active_nodes"),
+        "Contacts": value("contact_count"),
+        "Force": value("force_n", "N", 2),
+    }
+    for key in values:
+        tool, _, field = key.rpartition(".")
+        if field == "state":
+            rows[f"Tool {tool}"] = f"{values[key]}, {value(f'{tool}.force_n', 'N', 2)}"
+    lines = ["| | |", "|:--|--:|", *(f"| {name} | {text} |" for name, text in rows.items())]
+    if values.get("recording"):
+        lines += ["", f"Recording to `{values['recording']}`"]
+    return "\n".join(lines)
+
+
+def legend_html() -> str:
+    """The colours of the organ and the displacements that they stand for."""
+
+    def swatch(colour: Colour, text: str) -> str:
+        return (
+            f'<div style="flex:1;text-align:center"><div style="height:14px;background:rgb{colour}"></div>'
+            f'<span style="font-size:11px">{text}</span></div>'
+        )
+
+    cells = swatch(TISSUE, "0") + "".join(swatch(colour, f"{level:g}") for level, colour in BANDS)
+    return (
+        '<div style="padding:0 0.9em 0.6em"><div style="font-size:12px;padding-bottom:3px">'
+        f'Displacement from rest, mm (from)</div><div style="display:flex">{cells}</div></div>'
+    )
+
+
+class Panel:
+    """Builds the panel. What the buttons ask for waits in `wishes`."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.wishes: queue.SimpleQueue[Wish] = queue.SimpleQueue()
+        gui = server.gui
+        self._headline = gui.add_markdown("")
+        self._status = gui.add_markdown("", visible=False)
+        gui.add_html(legend_html())
+        self.opacity = gui.add_slider("Tissue", min=0.2, max=1.0, step=0.05, initial_value=1.0, hint="Opacity")
+        self._reset = gui.add_button("Reset", hint="Back to the rest shape")
+        self._record = gui.add_button("Record", hint="Start or stop a bag")
+        self._recording = False
+        self._reset.on_click(lambda _: self.wishes.put(Wish.RESET))
+        self._record.on_click(lambda _: self.wishes.put(Wish.STOP_RECORDING if self._recording else Wish.RECORD))
+        self.say("", {})
+
+    def say(self, headline: str, values: Mapping[str, str]) -> None:
+        """Show a headline (Markdown) and the node's values, if there are any."""
+        self._headline.content = headline
+        self._status.visible = bool(values)
+        if values:
+            self._status.content = status_text(values)
+        self._recording = bool(values.get("recording"))
+        self._record.label = "Stop recording" if self._recording else "Record"
+        self._reset.disabled = self._record.disabled = not values

@@ -1,0 +1,199 @@
+"""The viewer's picture: organ, skeleton, tools and contact forces as viser draws them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from tissue_sim.ros.motion import Floats
+
+Colour = tuple[int, int, int]
+TISSUE: Colour = (146, 52, 46)
+# Where the surface has moved by more than so many mm, it has this colour.
+BANDS: tuple[tuple[float, Colour], ...] = (
+    (0.5, (176, 66, 48)),
+    (1.0, (201, 86, 48)),
+    (2.0, (222, 110, 49)),
+    (3.0, (237, 138, 54)),
+    (4.0, (246, 168, 66)),
+    (6.0, (250, 198, 88)),
+    (8.0, (252, 224, 122)),
+    (10.0, (255, 244, 178)),
+)
+SKELETON: Colour = (250, 240, 200)
+TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
+FORCE: Colour = (40, 120, 255)
+ARROW_LENGTH = 0.03  # m for 1 N
+LEAST_FORCE = 0.01  # N that gets an arrow
+LIFT = 0.02  # of a band's sheet above the tissue, per displacement beyond the band's level
+MOST_LIFT = 0.004  # m of displacement that still lifts it
+FIELD_OF_VIEW = np.radians(35.0)
+VIEW = np.array([-0.55, -1.0, 0.35])  # from the organ to the camera: from the front, the side and above
+
+
+def sheet_offsets(displacement: Floats) -> Floats:
+    """How far each band's sheet lies above the tissue (n_bands, n) m, for displacements (n,) m.
+
+    viser's meshes have one colour each. So every band is a sheet of its own over the whole organ, above
+    the sheets before it just where the displacement exceeds the band's level, and hidden below them
+    elsewhere: the depth test draws the contour lines, and no triangle is ever re-sorted.
+    """
+    levels = np.array([level for level, _ in BANDS]) * 1e-3
+    return np.cumsum(LIFT * np.clip(displacement - levels[:, None], -MOST_LIFT, MOST_LIFT), axis=0)
+
+
+def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
+    """Start and end (1, 2, 3) m of a force's arrow: from the tool's surface, ARROW_LENGTH m for 1 N."""
+    start = position + radius * force / np.linalg.norm(force)
+    return np.array([[start, start + ARROW_LENGTH * force]], dtype=np.float32)
+
+
+def camera_for(vertices: Floats) -> tuple[Floats, Floats]:
+    """Where the camera stands and what it looks at, (3,) m each, so that a surface fills the view."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centre = 0.5 * (low + high)
+    radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    distance = 1.15 * radius / np.sin(0.5 * FIELD_OF_VIEW)
+    return centre + distance * VIEW / np.linalg.norm(VIEW), centre
+
+
+class OrganView:
+    """A deforming surface: vertices at rest (n, 3) m, triangles (t, 3)."""
+
+    def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: NDArray[np.int64]) -> None:
+        self.rest = np.asarray(vertices, dtype=np.float64)
+        self._triangles = triangles
+        rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
+        shape = (len(vertices), len(triangles))
+        self._gather = csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)
+        self._levels = np.array([level for level, _ in BANDS]) * 1e-3
+        self.tissue = self._add(server, "tissue", TISSUE, visible=True)
+        self._sheets = [self._add(server, f"over_{level:g}_mm", colour, visible=False) for level, colour in BANDS]
+
+    def _add(self, server: viser.ViserServer, name: str, colour: Colour, visible: bool) -> Any:
+        return server.scene.add_mesh_simple(
+            f"/organ/{name}",
+            self.rest,
+            self._triangles,
+            color=colour,
+            visible=visible,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def normals(self, positions: Floats) -> Floats:
+        """Outward unit normals at the nodes (n, 3), area-weighted."""
+        corners = positions[self._triangles]
+        total = self._gather @ np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+
+    def show(self, positions: Floats) -> None:
+        """Draw the surface at positions (n, 3) m."""
+        self.tissue.vertices = positions
+        displacement = np.linalg.norm(positions - self.rest, axis=1)
+        n_shown = int((self._levels < displacement.max()).sum())
+        if n_shown:
+            normals = self.normals(positions)
+            for sheet, offset in zip(self._sheets[:n_shown], sheet_offsets(displacement), strict=False):
+                sheet.vertices = positions + offset[:, None] * normals
+        for index, sheet in enumerate(self._sheets):
+            sheet.visible = index < n_shown
+
+    def set_opacity(self, opacity: float | None) -> None:
+        """Let the skeleton shine through (0..1), or not at all (None)."""
+        for handle in (self.tissue, *self._sheets):
+            handle.opacity = opacity
+
+    def remove(self) -> None:
+        """Take it out of the picture."""
+        for handle in (self.tissue, *self._sheets):
+            handle.remove()
+
+
+class SkeletonView:
+    """Medial atoms as small spheres, joined in their order."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._handles: list[Any] = []
+
+    def show(self, atoms: Floats) -> None:
+        """Draw atoms (n, 3) m; the first call, and one with another number of atoms, makes them."""
+        bones = np.stack([atoms[:-1], atoms[1:]], axis=1)
+        if not self._handles or len(self._handles[1].batched_positions) != len(atoms):
+            self.remove()
+            ball = _icosphere(0.0008)
+            self._handles = [
+                self._server.scene.add_line_segments("/skeleton/bones", bones, SKELETON, line_width=3.0),
+                self._server.scene.add_batched_meshes_simple(
+                    "/skeleton/atoms",
+                    *ball,
+                    batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(atoms), 1)),
+                    batched_positions=atoms,
+                    batched_colors=SKELETON,
+                    lod="off",
+                    cast_shadow=False,
+                    receive_shadow=False,
+                ),
+            ]
+            return
+        self._handles[0].points = bones
+        self._handles[1].batched_positions = atoms
+
+    def remove(self) -> None:
+        """Take it out of the picture."""
+        for handle in self._handles:
+            handle.remove()
+        self._handles = []
+
+
+class ToolView:
+    """A spherical tool and the force that its hand feels."""
+
+    def __init__(self, server: viser.ViserServer, name: str, index: int, radius: float) -> None:
+        self._radius = radius
+        scene = server.scene
+        self._ball = scene.add_icosphere(
+            f"/tools/{name}",
+            radius=radius,
+            color=TOOL_COLOURS[index % len(TOOL_COLOURS)],
+            opacity=0.6,
+            subdivisions=4,
+            visible=False,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._arrow = scene.add_arrows(
+            f"/forces/{name}",
+            np.zeros((1, 2, 3)),
+            FORCE,
+            shaft_radius=0.0009,
+            head_radius=0.0022,
+            head_length=0.005,
+            visible=False,
+        )
+        self._label = scene.add_label(f"/forces/{name}/label", "", visible=False)
+
+    def show(self, position: Floats | None, force: Floats | None) -> None:
+        """Draw the tool at a position (3,) m with a force (3,) N; None for what is not known."""
+        self._ball.visible = position is not None
+        felt = position is not None and force is not None and float(np.linalg.norm(force)) > LEAST_FORCE
+        self._arrow.visible = self._label.visible = felt
+        if position is None:
+            return
+        self._ball.position = position
+        if felt and force is not None:
+            self._arrow.points = arrow(position, force, self._radius)
+            self._label.position = self._arrow.points[0, 1]
+            self._label.text = f"{float(np.linalg.norm(force)):.2f} N"
+
+
+def _icosphere(radius: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=radius)
+    return np.asarray(ball.vertices), np.asarray(ball.faces)
