@@ -140,7 +140,6 @@ def test_organ_sleeps_again_and_the_next_load_has_a_region_of_its_own():
             if simulation.asleep:
                 break
         assert simulation.asleep
-        simulation.reset()
 
 
 def test_without_local_region_everything_moves():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.model.jit import kernel
+from tissue_sim.model.shapes import signed_distance
 
 
 @kernel
@@ -44,3 +45,35 @@ def nearest_node(position: Any, n_surface: int, x: float, y: float, z: float) ->
         if distance < best:
             best, chosen = distance, node
     return chosen, best
+
+
+@kernel
+def add_normals(position: Any, triangles: Any, normal: Any) -> None:
+    """Add each triangle's area-weighted outward normal to its nodes' rows of normal (n, 3)."""
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+        bx, by, bz = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1], position[k, 2] - position[i, 2]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        for c in range(3):
+            node = triangles[t, c]
+            normal[node, 0] += nx
+            normal[node, 1] += ny
+            normal[node, 2] += nz
+
+
+@kernel
+def holds_node(
+    position: Any, n_surface: int, shapes: Any, tool: int, origin: Any, rotation: Any, low: Any, high: Any
+) -> bool:
+    """True when a surface node lies inside a tool at origin (3,), rotation (9,), in the box low, high (3,)."""
+    r = rotation
+    for node in range(n_surface):
+        x, y, z = position[node, 0], position[node, 1], position[node, 2]
+        if x < low[0] or y < low[1] or z < low[2] or x > high[0] or y > high[1] or z > high[2]:
+            continue
+        x, y, z = x - origin[0], y - origin[1], z - origin[2]
+        lx, ly, lz = r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
+        if signed_distance(shapes, tool, lx, ly, lz)[0] < 0.0:
+            return True
+    return False

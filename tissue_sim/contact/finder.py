@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from tissue_sim.contact.broad_phase import nearest_node, surface_box, triangles_in_box
+from tissue_sim.contact.broad_phase import add_normals, holds_node, nearest_node, surface_box, triangles_in_box
 from tissue_sim.contact.tools import MARGIN, ToolSet
 from tissue_sim.model.assembly import winding_number
 from tissue_sim.model.shapes import CAPSULE, rotation_matrix
@@ -31,6 +31,7 @@ class ContactSet:
     tool: Longs  # (C,)
     node: Longs  # (C, 3)
     weight: Floats  # (C, 3)
+    normal: Floats  # (C, 3) outward unit normals of the tissue
     tip_node: Longs  # (T, 3), -1 where no surface is within reach
     tip_weight: Floats  # (T, 3)
     engaged: Longs  # (T,)
@@ -77,6 +78,7 @@ class ContactFinder:
         n_tools = len(self.tools.tools)
         nodes: list[NDArray[Any]] = []
         weights: list[NDArray[Any]] = []
+        normals: list[NDArray[Any]] = []
         owners: list[NDArray[Any]] = []
         tip_node, tip_weight = np.full((n_tools, 3), -1, dtype=np.int64), np.zeros((n_tools, 3))
         self.counters.sets += 1
@@ -104,21 +106,30 @@ class ContactFinder:
             face_nodes, face_weights = self._narrow(tool, position, near, rotation, origin)
             nodes.append(face_nodes)
             weights.append(face_weights)
+            normal = np.zeros((self.n_surface, 3))
+            add_normals(position, near, normal)
+            normals += [normal[corners], np.einsum("kc,kcx->kx", face_weights, normal[face_nodes])]
             owners.append(np.full(len(corners) + len(face_nodes), tool, dtype=np.int64))
         node = np.concatenate([*nodes, np.zeros((0, 3), dtype=np.int64)]).astype(np.int64)
         weight = np.concatenate([*weights, np.zeros((0, 3))])
+        normal = np.concatenate([*normals, np.zeros((0, 3))])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         owner = np.concatenate([*owners, np.zeros(0, dtype=np.int64)])
         dropped = max(0, len(node) - MAX_ENTRIES)
         if dropped:
             points = np.einsum("ij,ijk->ik", weight, position[node])
             distance = np.linalg.norm(points - poses[owner, :3], axis=1)
             kept = np.sort(np.argsort(distance, kind="stable")[:MAX_ENTRIES])
-            node, weight, owner = node[kept], weight[kept], owner[kept]
-        return ContactSet(owner, node, weight, tip_node, tip_weight, np.array(engaged, dtype=np.int64), dropped)
+            node, weight, normal, owner = node[kept], weight[kept], normal[kept], owner[kept]
+        return ContactSet(owner, node, weight, normal, tip_node, tip_weight, np.array(engaged, dtype=np.int64), dropped)
 
     def is_inside(self, tool: int, position: Floats, pose: Floats) -> bool:
-        """True when the centre of a tool's shape lies inside the organ."""
-        centre = self._rotation(pose) @ self.tools.centre[tool] + pose[:3]
+        """True when the centre of a tool's shape lies inside the organ, or a surface node inside the tool."""
+        rotation = self._rotation(pose)
+        low, high = self.tools.box(tool, rotation, pose[:3], 0.0)
+        if holds_node(position, self.n_surface, self.tools.shapes, tool, pose[:3], rotation.ravel(), low, high):
+            return True
+        centre = rotation @ self.tools.centre[tool] + pose[:3]
         surface_box(position, self.n_surface, self._low, self._high)
         if np.any(centre < self._low) or np.any(centre > self._high):
             return False

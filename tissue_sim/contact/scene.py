@@ -63,6 +63,7 @@ class Scene:
             found.tool,
             found.node,
             found.weight,
+            found.normal,
             found.tip_node,
             found.tip_weight,
             found.engaged,

@@ -14,6 +14,7 @@ from tissue_sim.model.jit import kernel
 from tissue_sim.model.shapes import signed_distance
 from tissue_sim.model.state import ENGAGED, ENTRIES
 
+INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 2e-4  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 
@@ -46,13 +47,28 @@ def point_in_tool(
 
 
 @kernel
+def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> float:
+    """Signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
+
+    Tissue is pushed from outside only: a tool that came to lie inside leaves without hooking it.
+    """
+    tool = state.contact_tool[entry]
+    _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
+    gap, mx, my, mz = signed_distance(shapes, tool, lx, ly, lz)
+    r, normal = rotation[tool], state.contact_normal[entry]
+    facing = normal[0] * (r[0] * mx + r[1] * my + r[2] * mz)
+    facing += normal[1] * (r[3] * mx + r[4] * my + r[5] * mz)
+    facing += normal[2] * (r[6] * mx + r[7] * my + r[8] * mz)
+    return gap if facing < INNER_SIDE else math.inf
+
+
+@kernel
 def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
     """True when any contact point lies inside its tool."""
     for entry in range(state.count[ENTRIES]):
         tool = state.contact_tool[entry]
         if state.tool_count[tool, ENGAGED] == 1:
-            _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
-            if signed_distance(shapes, tool, lx, ly, lz)[0] < 0.0:
+            if gap_from_outside(state, shapes, entry, origin, rotation) < 0.0:
                 return True
     return False
 
@@ -68,8 +84,7 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
         tool = state.contact_tool[entry]
         if state.tool_count[tool, ENGAGED] == 0:
             continue
-        _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
-        if signed_distance(shapes, tool, lx, ly, lz)[0] < NEAR and found < len(scratch.near_entry):
+        if gap_from_outside(state, shapes, entry, origin, rotation) < NEAR and found < len(scratch.near_entry):
             scratch.near_entry[found] = entry
             scratch.near_normal[found] = 0.0
             for c in range(3):

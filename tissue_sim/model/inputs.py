@@ -59,6 +59,7 @@ def take_contacts(
     contact_tool: Any,
     contact_node: Any,
     contact_weight: Any,
+    contact_normal: Any,
     tip_node: Any,
     tip_weight: Any,
     engaged: Any,
@@ -66,8 +67,8 @@ def take_contacts(
 ) -> None:
     """Take up a contact set: points (C,) on the surface that tools may touch.
 
-    contact_tool (C,), contact_node (C, 3), contact_weight (C, 3), of which the first `entries`
-    count; tip_node (T, 3) and tip_weight (T, 3) the surface point under each tool's tip, node -1
+    contact_tool (C,), contact_node (C, 3), contact_weight (C, 3), contact_normal (C, 3), of which
+    the first `entries` count; tip_node (T, 3) and tip_weight (T, 3) the surface point under each tool's tip, node -1
     for none; engaged (T,) 1 for tools that may touch.
     """
     count = state.count
@@ -78,6 +79,7 @@ def take_contacts(
         for c in range(3):
             state.contact_node[entry, c] = contact_node[entry, c]
             state.contact_weight[entry, c] = contact_weight[entry, c]
+            state.contact_normal[entry, c] = contact_normal[entry, c]
     for tool in range(len(tip_node)):
         for c in range(3):
             state.tip_node[tool, c] = tip_node[tool, c]

@@ -53,6 +53,7 @@ class Mailboxes(NamedTuple):
     contact_tool: Longs  # (3, C)
     contact_node: Longs  # (3, C, 3)
     contact_weight: Floats  # (3, C, 3)
+    contact_normal: Floats  # (3, C, 3)
     tip_node: Longs  # (3, T, 3)
     tip_weight: Floats  # (3, T, 3)
     engaged: Longs  # (3, T)
@@ -96,6 +97,7 @@ def make_mailboxes(buffer: StateBuffer) -> Mailboxes:
         contact_tool=longs(IN_SLOTS, MAX_ENTRIES),
         contact_node=longs(IN_SLOTS, MAX_ENTRIES, 3),
         contact_weight=floats(IN_SLOTS, MAX_ENTRIES, 3),
+        contact_normal=floats(IN_SLOTS, MAX_ENTRIES, 3),
         tip_node=longs(IN_SLOTS, n_tools, 3),
         tip_weight=floats(IN_SLOTS, n_tools, 3),
         engaged=longs(IN_SLOTS, n_tools),
@@ -200,6 +202,7 @@ def take_inputs(model: Any, state: Any, settings: Any, scratch: Any, box: Any, r
             box.contact_tool[slot],
             box.contact_node[slot],
             box.contact_weight[slot],
+            box.contact_normal[slot],
             box.tip_node[slot],
             box.tip_weight[slot],
             box.engaged[slot],

@@ -73,6 +73,7 @@ class State(NamedTuple):
     tip_weight: Floats  # (T, 3) barycentric weights of the surface point under the tip
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     contact_weight: Floats  # (C, 3) barycentric weights of the contact points
+    contact_normal: Floats  # (C, 3) outward unit normals of the tissue there
     count: Longs  # type: ignore[assignment]  # (N_COUNT,) hides the tuple's method, which nobody needs
     tool_count: Longs  # (T, N_TOOL_COUNT)
     tip_node: Longs  # (T, 3) nodes of the triangle under the tip, -1 when none is near
@@ -97,6 +98,7 @@ class StateBuffer:
             "tip_weight": (n_tools, 3),
             "wrench": (n_tools, 6),
             "contact_weight": (MAX_ENTRIES, 3),
+            "contact_normal": (MAX_ENTRIES, 3),
         }
         integer_shapes: dict[str, tuple[int, ...]] = {
             "count": (N_COUNT,),

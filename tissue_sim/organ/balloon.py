@@ -29,6 +29,7 @@ FEWEST_POINTS = 50
 _RATIO = 2.0  # a long edge is split when it is this many times a short one
 _SETTLED = 5e-4  # share of the volume gained in a round of steps at which the expansion ends
 _ROUND = 15  # steps between two looks at the volume
+_DETAILS = (0.5, 0.75, 1.0, 1.5)  # radii tried, in edge lengths: folds too narrow for the triangles are closed
 _CLOSINGS = (0.0, 0.5, 1.0, 2.0)  # radii tried, in depths of the organ, until nothing folds
 
 
@@ -51,24 +52,32 @@ def inflate(wall: Wall, points: int, parameters: BalloonParameters | None = None
     if points < FEWEST_POINTS:
         raise UserError(f"--points {points} is too few for an organ; use {FEWEST_POINTS} or more")
     p = parameters or BalloonParameters()
-    depth = distance_transform_edt(wall.level < 0.0)
-    centre = np.array(np.unravel_index(int(depth.argmax()), depth.shape))[::-1] * wall.spacing
-    deepest = float(depth.max()) * wall.spacing
-    sphere, sphere_triangles = fibonacci_sphere(points)
-    for closing in _CLOSINGS:
-        positions, triangles = centre + 0.6 * deepest * sphere, sphere_triangles.copy()
-        outer = closed_wall(wall, closing * deepest) if closing > 0.0 else wall
-        _move_to_wall(positions, triangles, outer, p, +1.0)
-        if closing > 0.0:
-            _fit(positions, triangles, outer, p.fitting // 3)
-            _move_to_wall(positions, triangles, wall, p, -1.0)
-        _fit(positions, triangles, wall, p.fitting)
-        if len(intersecting_pairs(positions, triangles)) == 0:
-            _match_volume(positions, triangles, wall)
-            return positions, triangles
+    edge = np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / (2 * points - 4))
+    for detail in _DETAILS:
+        shown = closed_wall(wall, detail * edge)
+        for closing in _CLOSINGS:
+            positions, triangles = _inflate(shown, points, closing, p)
+            if len(intersecting_pairs(positions, triangles)) == 0:
+                _match_volume(positions, triangles, shown)
+                return positions, triangles
     raise UserError(
         f"the balloon of {points} points folds over itself on this organ; try more --points, or a smoother mask"
     )
+
+
+def _inflate(wall: Wall, points: int, closing: float, p: BalloonParameters) -> tuple[Floats, Ints]:
+    depth = distance_transform_edt(wall.level < 0.0)
+    centre = np.array(np.unravel_index(int(depth.argmax()), depth.shape))[::-1] * wall.spacing
+    deepest = float(depth.max()) * wall.spacing
+    positions, triangles = fibonacci_sphere(points)
+    positions = centre + 0.6 * deepest * positions
+    outer = closed_wall(wall, closing * deepest) if closing > 0.0 else wall
+    _move_to_wall(positions, triangles, outer, p, +1.0)
+    if closing > 0.0:
+        _fit(positions, triangles, outer, p.fitting // 3)
+        _move_to_wall(positions, triangles, wall, p, -1.0)
+    _fit(positions, triangles, wall, p.fitting)
+    return positions, triangles
 
 
 def _move_to_wall(positions: Floats, triangles: Ints, wall: Wall, p: BalloonParameters, sign: float) -> None:

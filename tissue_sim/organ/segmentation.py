@@ -9,7 +9,7 @@ neighbours: where two meet, the border stays.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -72,8 +72,8 @@ class Segmentation:
 
     def figures(self) -> dict[str, Any]:
         """What goes into the provenance."""
-        figures = {key: round(value, 3) for key, value in asdict(replace(self, mask=None)).items() if key != "mask"}  # type: ignore[arg-type]
-        return figures | {"grid_mm": float(self.mask.spacing[0])}
+        figures = {key: round(getattr(self, key), 3) for key in ("mean", "deviation", "wall", "erosion", "volume")}
+        return figures | {"at_edge": self.at_edge, "grid_mm": float(self.mask.spacing[0])}
 
 
 def segment(ct: Volume, seed: ArrayLike, parameters: SegmentationParameters | None = None) -> Segmentation:

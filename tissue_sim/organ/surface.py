@@ -26,6 +26,7 @@ Mask = NDArray[np.bool_]
 _SMOOTHING = 0.8  # voxels of the mask: takes its steps away, shifts a wall of radius 20 mm by under 0.1 mm
 _MARGIN = 4  # voxels around the organ
 _LARGEST_CLOSING = 8.0  # mm
+_FILLINGS_TRIED = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,12 @@ class Wall:
             p -= move * np.minimum(1.0, self.spacing / np.maximum(length, 1e-12))
         return p
 
+    def area(self) -> float:
+        """Area of the wall, mm^2, from the gradient of its smoothed indicator."""
+        inside = np.clip(0.5 - self.level / (2.0 * self.spacing), 0.0, 1.0)
+        steep = np.sqrt(sum(np.gradient(inside, axis=axis) ** 2 for axis in range(3)))
+        return float(steep.sum(dtype=np.float64)) * self.spacing**2
+
     def to_patient(self, points: ArrayLike) -> Floats:
         """Points (n, 3) mm of the grid as metres in the patient frame."""
         return (self.origin + np.asarray(points, dtype=np.float64) @ self.direction.T) * MM
@@ -95,8 +102,8 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     level = _signed_distance(solid, mask.spacing[::-1])
     level = ndimage.gaussian_filter(level, _SMOOTHING * mask.spacing.min() / mask.spacing[::-1])
     level = _resample(level, mask.spacing[::-1], h)
-    level, filled = _make_ball(level, h, mask.name)
-    return Wall(level, h, mask.to_points(first), mask.direction, count - 1, filled)
+    ball, filled = _as_ball(level < 0.0, h, mask.name)
+    return Wall(_patched(level, ball, h), h, mask.to_points(first), mask.direction, count - 1, filled)
 
 
 def _signed_distance(solid: Mask, sampling: Floats) -> NDArray[np.float32]:
@@ -116,10 +123,10 @@ def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray
     return ndimage.map_coordinates(level, grid, output=np.float32, order=3, mode="nearest")
 
 
-def _make_ball(level: NDArray[np.float32], h: float, name: str) -> tuple[NDArray[np.float32], float]:
-    """Fill cavities and close handles until the inside is a topological ball (Euler number 1)."""
-    solid = _largest_part(ndimage.binary_fill_holes(level < 0.0))
-    radius, ball = 0.0, solid
+def _as_ball(solid: Mask, h: float, name: str) -> tuple[Mask, float]:
+    """Fill cavities and close handles until the solid is a topological ball (Euler number 1); and the mL added."""
+    ball = _largest_part(ndimage.binary_fill_holes(solid))
+    start, radius = ball, 0.0
     while euler_number(ball, connectivity=1) != 1:
         radius += h
         if radius > _LARGEST_CLOSING:
@@ -127,13 +134,30 @@ def _make_ball(level: NDArray[np.float32], h: float, name: str) -> tuple[NDArray
                 f"{name or 'the mask'} has handles (like a ring) that an 8 mm closing doesn't close;"
                 " the balloon needs a solid without them"
             )
-        ball = _largest_part(ndimage.binary_fill_holes(_close(solid, radius / h)))
-    if np.array_equal(ball, level < 0.0):
-        return level, 0.0
+        ball = _largest_part(ndimage.binary_fill_holes(_close(start, radius / h)))
+    ball = _without_needless(ball, start) if radius > 0.0 else ball
+    return ball, float(np.count_nonzero(ball & ~solid)) * h**3 * 1e-3
+
+
+def _without_needless(ball: Mask, start: Mask) -> Mask:
+    """Take back, largest first, the fillings of the closing that weren't needed to close a handle."""
+    labels, count = ndimage.label(ball & ~start)
+    order = np.argsort(np.bincount(labels.ravel())[1:])[::-1][:_FILLINGS_TRIED]
+    for part in order + 1:
+        less = ball & (labels != part)
+        if euler_number(less, connectivity=1) == 1 and ndimage.label(less)[1] == 1:
+            ball = less
+    return ball
+
+
+def _patched(level: NDArray[np.float32], ball: Mask, h: float) -> NDArray[np.float32]:
+    """The level with the changed solid `ball` for its inside; untouched away from the changes."""
+    changed = ball != (level < 0.0)
+    if not changed.any():
+        return level
     smooth = ndimage.gaussian_filter(_signed_distance(ball, np.full(3, h)), _SMOOTHING)
-    added = ball & (level >= 0.0)
-    near = ndimage.binary_dilation(ball != (level < 0.0), iterations=2)
-    return np.where(near, np.minimum(smooth, level), level).astype(np.float32), float(added.sum()) * h**3 * 1e-3
+    near = ndimage.binary_dilation(changed, iterations=2)
+    return np.where(near, np.minimum(smooth, np.where(changed, smooth, level)), level).astype(np.float32)
 
 
 def _largest_part(solid: Mask) -> Mask:
@@ -150,10 +174,10 @@ def _close(solid: Mask, radius: float) -> Mask:
 
 
 def closed_wall(wall: Wall, radius: float) -> Wall:
-    """The wall after a closing by a ball of `radius` mm and filling of cavities: narrow folds are gone."""
-    ball = ndimage.binary_fill_holes(_close(wall.level < 0.0, radius / wall.spacing))
-    level = ndimage.gaussian_filter(_signed_distance(ball, np.full(3, wall.spacing)), _SMOOTHING)
-    return replace(wall, level=level)
+    """The wall after a closing by a ball of `radius` mm: narrower folds, and what they make ring-like, are filled."""
+    solid = wall.level < 0.0
+    ball = _as_ball(_close(solid, radius / wall.spacing), wall.spacing, "the closed organ")[0]
+    return replace(wall, level=_patched(wall.level, ball, wall.spacing))
 
 
 def marching_cubes_surface(wall: Wall) -> tuple[Floats, Ints]:

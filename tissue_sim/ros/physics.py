@@ -101,6 +101,7 @@ class Physics:
         box.contact_tool[slot, :entries] = found.tool
         box.contact_node[slot, :entries] = found.node
         box.contact_weight[slot, :entries] = found.weight
+        box.contact_normal[slot, :entries] = found.normal
         box.tip_node[slot] = found.tip_node
         box.tip_weight[slot] = found.tip_weight
         box.engaged[slot] = found.engaged

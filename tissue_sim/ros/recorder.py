@@ -23,6 +23,7 @@ from tissue_sim.ros import bag
 from tissue_sim.ros.physics import Physics
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
+WHOLE_SET = ("tool", "node", "weight", "normal", "tip_node", "tip_weight")
 LONGEST_QUEUE = 200_000  # messages; a disk that can't keep up loses the rest, and that is said
 
 
@@ -160,7 +161,7 @@ class Recorder:
         engaged = sum(int(flag) << tool for tool, flag in enumerate(found.engaged))
         self._note([bag.Row.CONTACT, sequence, surface_tick, engaged, pushing, *pairs])
         if self._state_tick < 0 or surface_tick <= self._state_tick:
-            whole = {name: getattr(found, name) for name in ("tool", "node", "weight", "tip_node", "tip_weight")}
+            whole = {name: getattr(found, name) for name in WHOLE_SET}
             data = bag.pack(sequence=np.array([sequence]), engaged=found.engaged, **whole)
             self._typed("contact_set", "data", data)
 

@@ -244,6 +244,7 @@ class _Player:
                 found.tool,
                 found.node,
                 found.weight,
+                found.normal,
                 found.tip_node,
                 found.tip_weight,
                 found.engaged,
@@ -259,7 +260,7 @@ class _Player:
     def _contact_set(self, sequence: int) -> ContactSet:
         whole = self.recording.contact_sets.get(sequence)
         if whole is not None:
-            points = (whole["tool"], whole["node"], whole["weight"])
+            points = (whole["tool"], whole["node"], whole["weight"], whole["normal"])
             return ContactSet(*points, whole["tip_node"], whole["tip_weight"], whole["engaged"])
         row = self.contact_rows.get(sequence)
         if row is None or int(row[1]) not in self.kept:

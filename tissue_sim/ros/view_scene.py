@@ -29,8 +29,8 @@ TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150,
 FORCE: Colour = (40, 120, 255)
 ARROW_LENGTH = 0.03  # m for 1 N
 LEAST_FORCE = 0.01  # N that gets an arrow
-LIFT = 0.02  # of a band's sheet above the tissue, per displacement beyond the band's level
-MOST_LIFT = 0.004  # m of displacement that still lifts it
+LIFT = 0.04  # of a band's sheet above the tissue, per displacement beyond the band's level
+MOST_LIFT = 0.003  # m of displacement that still lifts it
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([-0.55, -1.0, 0.35])  # from the organ to the camera: from the front, the side and above
 
@@ -61,6 +61,16 @@ def camera_for(vertices: Floats) -> tuple[Floats, Floats]:
     return centre + distance * VIEW / np.linalg.norm(VIEW), centre
 
 
+def light(server: viser.ViserServer) -> None:
+    """Light from the camera's side, so that the colours look like the legend's."""
+    scene = server.scene
+    scene.configure_default_lights(False)
+    scene.configure_environment_map("studio", environment_intensity=0.25)
+    scene.add_light_hemisphere("/lights/sky", sky_color=(255, 250, 245), ground_color=(190, 170, 165), intensity=1.2)
+    for name, way, strength in (("key", (-0.9, -1.0, 1.2), 2.2), ("fill", (1.0, -0.6, -0.2), 0.7)):
+        scene.add_light_directional(f"/lights/{name}", position=way, intensity=strength, cast_shadow=False)
+
+
 class OrganView:
     """A deforming surface: vertices at rest (n, 3) m, triangles (t, 3)."""
 
@@ -71,12 +81,12 @@ class OrganView:
         shape = (len(vertices), len(triangles))
         self._gather = csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)
         self._levels = np.array([level for level, _ in BANDS]) * 1e-3
+        self._sheets = [self._add(server, f"over_{level:g}_mm", colour, visible=False) for level, colour in BANDS[::-1]][::-1]
         self.tissue = self._add(server, "tissue", TISSUE, visible=True)
-        self._sheets = [self._add(server, f"over_{level:g}_mm", colour, visible=False) for level, colour in BANDS]
 
     def _add(self, server: viser.ViserServer, name: str, colour: Colour, visible: bool) -> Any:
         return server.scene.add_mesh_simple(
-            f"/organ/{name}",
+            f"/organ/{dict(tissue=0).get(name, 1)}{name}",
             self.rest,
             self._triangles,
             color=colour,

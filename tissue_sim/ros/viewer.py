@@ -87,7 +87,7 @@ class Viewer:
 
         from tissue_sim.ros.services import Services
         from tissue_sim.ros.view_panel import Panel
-        from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, ToolView
+        from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, ToolView, light
 
         self._server, self._target = server, target
         self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
@@ -104,8 +104,9 @@ class Viewer:
         self._values: dict[str, str] = {}
         self._heard = -np.inf
         server.scene.set_up_direction("+z")
+        light(server)
         server.initial_camera.fov = FIELD_OF_VIEW
-        server.initial_camera.near = 0.01
+        server.initial_camera.near = 0.02
         self._panel.opacity.on_update(lambda _: self._set_opacity())
 
     def update(self, watched: bool) -> None:
