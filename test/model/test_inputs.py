@@ -17,15 +17,15 @@ def engaged_at(pose):
     """A simulation whose only tool is engaged and stands at a pose."""
     simulation = Simulation(ball(), shapes=sphere_tools(0.005))
     take_pose(simulation.state, 0, pose, 1)
-    engage(simulation, 2)
+    take_set(simulation, 2)
     return simulation
 
 
-def engage(simulation, sequence):
-    no_entry, no_tip = np.zeros((0, 3)), np.full((1, 3), -1)
-    take_contacts(
-        simulation.state, 0, no_tip[0, :0], no_tip[:0], no_entry, no_tip, np.zeros((1, 3)), np.array([1]), sequence
-    )
+def take_set(simulation, sequence, tip_node=(-1, -1, -1), tip_weight=(0.0, 0.0, 0.0), engaged=1):
+    """A contact set without entries."""
+    none, nodes, floats = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3))
+    tip = np.array([tip_node], dtype=np.int64), np.array([tip_weight])
+    take_contacts(simulation.state, 0, none, nodes, floats, floats, *tip, np.array([engaged]), sequence)
 
 
 def test_first_pose_is_taken_at_once():
@@ -74,7 +74,7 @@ def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():
         simulation.step()
     assert simulation.state.tool_count[0, st.ENGAGED] == 0
     unknown = Simulation(ball(), shapes=sphere_tools(0.005))
-    engage(unknown, 1)
+    take_set(unknown, 1)
     assert unknown.state.tool_count[0, st.ENGAGED] == 0
 
 
@@ -83,10 +83,7 @@ def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     simulation = Simulation(organ, shapes=sphere_tools(0.005))
     simulation.settings[st.STALE_TIME], simulation.settings[st.RAMP_TIME] = 0.010, 0.005
     triangle, weight = organ.surface_triangles[3].astype(np.int64), np.array([0.2, 0.3, 0.5])
-    take_contacts(
-        simulation.state, 0, triangle[:0], triangle[None, :0], weight[None, :0], triangle[None], weight[None],
-        np.array([0]), 1,
-    )  # fmt: skip
+    take_set(simulation, 1, triangle, weight, engaged=0)
     take_force(simulation.state, 0, np.array([0.0, 0.0, 0.3]), 5)
     momentum = [np.zeros(3)]
     for _ in range(20):
@@ -102,7 +99,7 @@ def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     first.apply_force(triangle, weight[:, None] * [0.0, 0.0, 0.3])
     first.step()
     again = Simulation(organ, shapes=sphere_tools(0.005))
-    again.state.tip_node[0], again.state.tip_weight[0] = triangle, weight
+    take_set(again, 1, triangle, weight)
     take_force(again.state, 0, np.array([0.0, 0.0, 0.3]), 1)
     again.step()
     np.testing.assert_allclose(again.positions, first.positions, rtol=0.0, atol=1e-15)

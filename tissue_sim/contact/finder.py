@@ -123,6 +123,16 @@ class ContactFinder:
             node, weight, normal, owner = node[kept], weight[kept], normal[kept], owner[kept]
         return ContactSet(owner, node, weight, normal, tip_node, tip_weight, np.array(engaged, dtype=np.int64), dropped)
 
+    def warm_up(self, position: Floats) -> None:
+        """Compile what a contact needs, so that the first one doesn't wait for it."""
+        n_tools = len(self.tools.tools)
+        poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_tools, 1))
+        everything = np.ones(n_tools, dtype=np.int64)
+        self.find(position, poses, np.zeros(n_tools), everything, everything)
+        for tool in range(n_tools):
+            self.is_inside(tool, position, poses[tool])
+        self.counters = FinderCounters()
+
     def is_inside(self, tool: int, position: Floats, pose: Floats) -> bool:
         """True when the centre of a tool's shape lies inside the organ, or a surface node inside the tool."""
         rotation = self._rotation(pose)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import ConvexHull
+from scipy.ndimage import binary_erosion, distance_transform_edt
+from scipy.spatial import ConvexHull, cKDTree
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import signed_volume
@@ -37,32 +37,67 @@ _CLOSINGS = (0.0, 0.5, 1.0, 2.0)  # radii tried, in depths of the organ, until n
 class BalloonParameters:
     """Forces per step in voxels of the wall's grid, and numbers of steps."""
 
-    tension: float = 0.1  # k_t, per step
+    tension: float = 0.05  # k_t, per step
     pressure: float = 0.7  # k_p, voxels per step
     steps: int = 2000  # at most
     fitting: int = 60  # tangential relaxation steps on the wall
 
 
-def inflate(wall: Wall, points: int, parameters: BalloonParameters | None = None) -> tuple[Floats, Ints]:
-    """Surface of exactly `points` points and 2 points - 4 triangles on the wall.
+@dataclass(frozen=True, eq=False)
+class Balloon:
+    """positions (n, 3) mm on the wall's grid, outward triangles (2 n - 4, 3).
 
-    Returns positions (points, 3) mm on the wall's grid and outward triangles (2 points - 4, 3).
-    Raises UserError for fewer than 50 points.
+    missed mm: largest distance from the wall to the nearest corner or middle of a triangle or edge; more
+    than an edge's length means a fold of the wall that the balloon didn't enter.
+    """
+
+    positions: Floats
+    triangles: Ints
+    missed: float
+
+    @property
+    def edge(self) -> float:
+        """Mean edge length, mm."""
+        t = self.triangles
+        return float(np.mean([np.linalg.norm(self.positions[t[:, k]] - self.positions[t[:, k - 1]], axis=1) for k in range(3)]))
+
+
+def inflate(wall: Wall, points: int, parameters: BalloonParameters | None = None) -> Balloon:
+    """Surface of exactly `points` points and 2 points - 4 triangles on the wall, closed and free of folds.
+
+    Raises UserError for fewer than 50 points, or when no surface without self-intersection is found.
     """
     if points < FEWEST_POINTS:
         raise UserError(f"--points {points} is too few for an organ; use {FEWEST_POINTS} or more")
     p = parameters or BalloonParameters()
     edge = np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / (2 * points - 4))
+    best: Balloon | None = None
     for detail in _DETAILS:
         shown = closed_wall(wall, detail * edge)
         for closing in _CLOSINGS:
             positions, triangles = _inflate(shown, points, closing, p)
-            if len(intersecting_pairs(positions, triangles)) == 0:
+            if len(intersecting_pairs(positions, triangles)):
+                continue
+            missed = _farthest_from(positions, triangles, wall)
+            if best is None or missed < 0.9 * best.missed:
                 _match_volume(positions, triangles, shown)
-                return positions, triangles
+                best = Balloon(positions, triangles, missed)
+            if missed < edge:
+                return best
+    if best is not None:
+        return best
     raise UserError(
         f"the balloon of {points} points folds over itself on this organ; try more --points, or a smoother mask"
     )
+
+
+def _farthest_from(positions: Floats, triangles: Ints, wall: Wall) -> float:
+    """Largest distance, mm, from the wall to a point of the surface: has the balloon been everywhere?"""
+    inside = wall.level < 0.0
+    rim = np.argwhere(inside & ~binary_erosion(inside))[:, ::-1] * wall.spacing
+    corner = positions[triangles]
+    probes = np.concatenate([positions, corner.mean(axis=1), *(0.5 * (corner[:, k] + corner[:, k - 1]) for k in range(3))])
+    return float(cKDTree(probes).query(rim)[0].max())
 
 
 def _inflate(wall: Wall, points: int, closing: float, p: BalloonParameters) -> tuple[Floats, Ints]:

@@ -71,13 +71,16 @@ def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet) -> Orga
 
     started = time.perf_counter()
     wall = _wall(mask, tell)
-    positions, triangles = inflate(wall, request.points)
+    balloon = inflate(wall, request.points)
+    positions, triangles = balloon.positions, balloon.triangles
     off = wall_distance(wall, positions, triangles)
     tell(
         f"balloon of {len(positions)} points, {len(triangles)} triangles, {off:.2f} mm from the wall in the mean"
         f" ({time.perf_counter() - started:.1f} s)"
     )
-    figures = {"wall_distance_mm": round(off, 4), "grid_mm": wall.spacing}
+    if balloon.missed > 2.0 * balloon.edge:
+        tell(f"warning: the balloon left folds of the wall up to {balloon.missed:.0f} mm deep; more --points reach further")
+    figures = {"wall_distance_mm": round(off, 4), "wall_missed_mm": round(balloon.missed, 3), "grid_mm": wall.spacing}
     return _assemble(wall, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), tell)
 
 

@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _REACH = 0.75  # the centreline starts where the local radius is this share of the way to the tip
+_THINNEST = 0.35  # and where the radius is this share of the side's median
 _LONGEST_TRIM = 0.75  # share of either side that may be trimmed: a ball keeps a short centreline
 _CENTRING_STEPS = 30
 
@@ -173,12 +174,14 @@ def _trim(path: Floats, radius: Floats) -> Floats:
 def _reaching(side: Floats, radius: Floats) -> int:
     arc = _arc(side)
     away = np.linalg.norm(side - side[0], axis=1)
-    near = np.flatnonzero((radius >= _REACH * away) & (arc <= _LONGEST_TRIM * arc[-1]))
-    return int(near[-1]) if len(near) else 0
+    may = arc <= _LONGEST_TRIM * arc[-1]
+    near = np.flatnonzero((radius >= _REACH * away) & may)
+    thick = np.flatnonzero((radius >= _THINNEST * np.median(radius)) | ~may)
+    return max(int(near[-1]) if len(near) else 0, int(thick[0]) if len(thick) else 0)
 
 
 def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
-    """Smoothing spline along the path; stiffer where the organ is thick. Falls back to the path if it leaves."""
+    """Smoothing spline along the path; stiffer for a thick organ, softer where that would leave it."""
     if len(path) < 8:
         return path
     arc = _arc(path)
@@ -187,9 +190,13 @@ def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
     scale = max(float(np.median(_sample(field, path, h))), 2.0 * h)
     t = np.linspace(0.0, arc[-1], max(int(2.0 * arc[-1] / h), 16))
     even = np.stack([np.interp(t, arc, path[:, k]) for k in range(3)], axis=1)
-    stiffness = (0.35 * scale) ** 4 / (t[1] - t[0])
-    line = np.stack([make_smoothing_spline(t, even[:, k], lam=stiffness)(t) for k in range(3)], axis=1)
-    return line if np.all(_sample(field, line, h) > 0.5 * h) else even
+    least = 0.9 * min(float(_sample(field, even, h).min()), h)
+    for share in (0.35, 0.2, 0.1, 0.05):
+        stiffness = (share * scale) ** 4 / (t[1] - t[0])
+        line = np.stack([make_smoothing_spline(t, even[:, k], lam=stiffness)(t) for k in range(3)], axis=1)
+        if np.all(_sample(field, line, h) > least):
+            return line
+    return even
 
 
 def _centre(line: Floats, field: NDArray[np.float32], h: float) -> Floats:

@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 
 _SMOOTHING = 0.8  # voxels of the mask: takes its steps away, shifts a wall of radius 20 mm by under 0.1 mm
 _MARGIN = 4  # voxels around the organ
-_LARGEST_CLOSING = 8.0  # mm
+_LARGEST_CLOSING = 0.75  # depths of the organ
 _FILLINGS_TRIED = 20
 
 
@@ -84,7 +84,7 @@ class Wall:
 def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     """The smooth wall of a mask's largest part, without cavities or handles (a topological ball).
 
-    Cavities are filled; handles are closed by a closing of growing radius, up to 8 mm.
+    Cavities are filled; handles are closed by a closing of growing radius, up to three quarters of the organ's depth.
     spacing: of the isotropic grid, mm; None: the mask's finest.
     Raises UserError when the mask is empty, a few voxels only, or keeps its handles.
     """
@@ -127,14 +127,15 @@ def _as_ball(solid: Mask, h: float, name: str) -> tuple[Mask, float]:
     """Fill cavities and close handles until the solid is a topological ball (Euler number 1); and the mL added."""
     ball = _largest_part(ndimage.binary_fill_holes(solid))
     start, radius = ball, 0.0
+    limit = _LARGEST_CLOSING * float(ndimage.distance_transform_edt(ball).max())
     while euler_number(ball, connectivity=1) != 1:
-        radius += h
-        if radius > _LARGEST_CLOSING:
+        radius = max(1.3 * radius, radius + 1.0)
+        if radius > limit:
             raise UserError(
-                f"{name or 'the mask'} has handles (like a ring) that an 8 mm closing doesn't close;"
-                " the balloon needs a solid without them"
+                f"{name or 'the mask'} has a hole through it (like a ring) that can't be closed;"
+                " the balloon needs a solid without one"
             )
-        ball = _largest_part(ndimage.binary_fill_holes(_close(start, radius / h)))
+        ball = _largest_part(ndimage.binary_fill_holes(_close(start, radius)))
     ball = _without_needless(ball, start) if radius > 0.0 else ball
     return ball, float(np.count_nonzero(ball & ~solid)) * h**3 * 1e-3
 

@@ -85,6 +85,7 @@ class TissueNode(Node):
     # life --------------------------------------------------------------------------------------
     def start(self) -> None:
         """Start the threads; returns when the first tick is done."""
+        self.finder.warm_up(self.organ.rest_positions)
         self.physics.start()
         self.contacts.start()
         if self.parameters["record"]:

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import viser
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
-from tissue_sim.ros.motion import Floats
+from tissue_sim.ros.bands import Floats, cut_into_bands
 
 Colour = tuple[int, int, int]
 TISSUE: Colour = (146, 52, 46)
@@ -24,26 +23,13 @@ BANDS: tuple[tuple[float, Colour], ...] = (
     (8.0, (252, 224, 122)),
     (10.0, (255, 244, 178)),
 )
-SKELETON: Colour = (250, 240, 200)
+SKELETON: Colour = (20, 30, 60)
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (40, 120, 255)
 ARROW_LENGTH = 0.03  # m for 1 N
 LEAST_FORCE = 0.01  # N that gets an arrow
-LIFT = 0.04  # of a band's sheet above the tissue, per displacement beyond the band's level
-MOST_LIFT = 0.003  # m of displacement that still lifts it
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([-0.55, -1.0, 0.35])  # from the organ to the camera: from the front, the side and above
-
-
-def sheet_offsets(displacement: Floats) -> Floats:
-    """How far each band's sheet lies above the tissue (n_bands, n) m, for displacements (n,) m.
-
-    viser's meshes have one colour each. So every band is a sheet of its own over the whole organ, above
-    the sheets before it just where the displacement exceeds the band's level, and hidden below them
-    elsewhere: the depth test draws the contour lines, and no triangle is ever re-sorted.
-    """
-    levels = np.array([level for level, _ in BANDS]) * 1e-3
-    return np.cumsum(LIFT * np.clip(displacement - levels[:, None], -MOST_LIFT, MOST_LIFT), axis=0)
 
 
 def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
@@ -53,12 +39,16 @@ def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]
 
 
 def camera_for(vertices: Floats) -> tuple[Floats, Floats]:
-    """Where the camera stands and what it looks at, (3,) m each, so that a surface fills the view."""
+    """Where the camera stands and what it looks at, (3,) m each, so that a surface fills the view beside the panel."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre = 0.5 * (low + high)
     radius = float(np.linalg.norm(vertices - centre, axis=1).max())
     distance = 1.15 * radius / np.sin(0.5 * FIELD_OF_VIEW)
-    return centre + distance * VIEW / np.linalg.norm(VIEW), centre
+    away = VIEW / np.linalg.norm(VIEW)
+    right = np.cross([0.0, 0.0, 1.0], away)
+    # A little to the left: the panel is on the right.
+    looked_at = centre + 0.25 * radius * right / np.linalg.norm(right)
+    return looked_at + distance * away, looked_at
 
 
 def light(server: viser.ViserServer) -> None:
@@ -72,55 +62,51 @@ def light(server: viser.ViserServer) -> None:
 
 
 class OrganView:
-    """A deforming surface: vertices at rest (n, 3) m, triangles (t, 3)."""
+    """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3).
+
+    A mesh of viser has one colour, so each band of displacement is a mesh of its own; updating a mesh
+    that is there keeps its buffers and doesn't flicker.
+    """
 
     def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: NDArray[np.int64]) -> None:
         self.rest = np.asarray(vertices, dtype=np.float64)
         self._triangles = triangles
-        rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
-        shape = (len(vertices), len(triangles))
-        self._gather = csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)
-        self._levels = np.array([level for level, _ in BANDS]) * 1e-3
-        self._sheets = [self._add(server, f"over_{level:g}_mm", colour, visible=False) for level, colour in BANDS[::-1]][::-1]
-        self.tissue = self._add(server, "tissue", TISSUE, visible=True)
-
-    def _add(self, server: viser.ViserServer, name: str, colour: Colour, visible: bool) -> Any:
-        return server.scene.add_mesh_simple(
-            f"/organ/{dict(tissue=0).get(name, 1)}{name}",
-            self.rest,
-            self._triangles,
-            color=colour,
-            visible=visible,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-
-    def normals(self, positions: Floats) -> Floats:
-        """Outward unit normals at the nodes (n, 3), area-weighted."""
-        corners = positions[self._triangles]
-        total = self._gather @ np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+        self._levels = [level * 1e-3 for level, _ in BANDS]
+        self._bands = [
+            server.scene.add_mesh_simple(
+                f"/organ/{name}",
+                self.rest,
+                self._triangles,
+                color=colour,
+                visible=False,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for name, colour in [("at_rest", TISSUE), *((f"over_{level:g}_mm", colour) for level, colour in BANDS)]
+        ]
+        self.show(self.rest)
 
     def show(self, positions: Floats) -> None:
         """Draw the surface at positions (n, 3) m."""
-        self.tissue.vertices = positions
         displacement = np.linalg.norm(positions - self.rest, axis=1)
-        n_shown = int((self._levels < displacement.max()).sum())
-        if n_shown:
-            normals = self.normals(positions)
-            for sheet, offset in zip(self._sheets[:n_shown], sheet_offsets(displacement), strict=False):
-                sheet.vertices = positions + offset[:, None] * normals
-        for index, sheet in enumerate(self._sheets):
-            sheet.visible = index < n_shown
+        for band, (vertices, faces) in zip(
+            self._bands, cut_into_bands(positions, self._triangles, displacement, self._levels), strict=True
+        ):
+            if len(faces):
+                # At no moment may a face name a vertex that isn't there.
+                grows = len(vertices) > len(band.vertices)
+                for name in ("vertices", "faces") if grows else ("faces", "vertices"):
+                    setattr(band, name, vertices.astype(np.float32) if name == "vertices" else faces.astype(np.uint32))
+            band.visible = len(faces) > 0
 
     def set_opacity(self, opacity: float | None) -> None:
         """Let the skeleton shine through (0..1), or not at all (None)."""
-        for handle in (self.tissue, *self._sheets):
+        for handle in self._bands:
             handle.opacity = opacity
 
     def remove(self) -> None:
         """Take it out of the picture."""
-        for handle in (self.tissue, *self._sheets):
+        for handle in self._bands:
             handle.remove()
 
 
@@ -165,7 +151,7 @@ class ToolView:
     """A spherical tool and the force that its hand feels."""
 
     def __init__(self, server: viser.ViserServer, name: str, index: int, radius: float) -> None:
-        self._radius = radius
+        self._name, self._radius = name, radius
         scene = server.scene
         self._ball = scene.add_icosphere(
             f"/tools/{name}",
@@ -199,7 +185,7 @@ class ToolView:
         if felt and force is not None:
             self._arrow.points = arrow(position, force, self._radius)
             self._label.position = self._arrow.points[0, 1]
-            self._label.text = f"{float(np.linalg.norm(force)):.2f} N"
+            self._label.text = f"{self._name} {float(np.linalg.norm(force)):.2f} N"
 
 
 def _icosphere(radius: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
