@@ -35,6 +35,9 @@ class Model(NamedTuple):
     angular_least_area: Floats  # (h,) m^4
     return_nodes: Ints  # (r,) nodes with a return spring
     return_stiffness: Floats  # (n,) N/m
+    damping_rate: float  # 1/s, nodal damping over mass, the mean
+    mode_frequency: Floats  # (m,) rad/s; empty without a modal region
+    mode_shape: Floats  # (n, 3, m) 1/sqrt(kg)
     neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
     neighbours: Ints
 
@@ -95,6 +98,9 @@ def assemble(organ: Organ, model: str = "hybrid") -> Model:
         angular_least_area=(LEAST_AREA * normal) ** 2,
         return_nodes=_ints(returning),
         return_stiffness=organ.return_stiffness.copy(),
+        damping_rate=float(damping[used].sum() / mass[used].sum()),
+        mode_frequency=np.zeros(0),
+        mode_shape=np.zeros((n, 3, 0)),
         neighbour_start=_ints(graph.indptr),
         neighbours=_ints(graph.indices),
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 from tissue_sim.model.jit import kernel
 from tissue_sim.model.shapes import signed_distance
-from tissue_sim.model.state import ENGAGED, ENTRIES
+from tissue_sim.model.state import ENGAGED, ENTRIES, MODAL, REGION
 
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 2e-4  # m: points that close may come to touch while others are resolved
@@ -165,6 +165,10 @@ def resolve_contact(
     for c in range(3):
         node = state.contact_node[entry, c]
         move = state.contact_weight[entry, c] * inverse_mass[node]
+        if state.count[REGION] == MODAL:
+            state.contact_impulse[node, 0] += state.contact_weight[entry, c] * px
+            state.contact_impulse[node, 1] += state.contact_weight[entry, c] * py
+            state.contact_impulse[node, 2] += state.contact_weight[entry, c] * pz
         state.velocity[node, 0] += move * px
         state.velocity[node, 1] += move * py
         state.velocity[node, 2] += move * pz

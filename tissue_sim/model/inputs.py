@@ -18,6 +18,7 @@ from tissue_sim.model.state import (
     FORCE_AGE,
     FORCE_SEQUENCE,
     FROZEN_TICKS,
+    MODAL_TICKS,
     POSE_SEQUENCE,
     REMAINING,
     TICK,
@@ -91,10 +92,10 @@ def take_contacts(
 def reset_state(model: Any, state: Any, scratch: Any) -> None:
     """Back to the rest shape, asleep, without tools; the counters go on."""
     tick, faults, asleep = state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS]
-    frozen, clamped = state.count[FROZEN_TICKS], state.count[CLAMPED]
+    frozen, modal, clamped = state.count[FROZEN_TICKS], state.count[MODAL_TICKS], state.count[CLAMPED]
     state.count[:] = 0
     state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS] = tick, faults, asleep
-    state.count[FROZEN_TICKS], state.count[CLAMPED] = frozen, clamped
+    state.count[FROZEN_TICKS], state.count[MODAL_TICKS], state.count[CLAMPED] = frozen, modal, clamped
     state.count[ASLEEP] = 1
     state.count[BACKOFF] = 1
     state.position[:] = model.rest
@@ -102,6 +103,9 @@ def reset_state(model: Any, state: Any, scratch: Any) -> None:
     state.velocity[:] = 0.0
     state.good_velocity[:] = 0.0
     state.nodal_force[:] = 0.0
+    state.contact_impulse[:] = 0.0
+    state.mode_position[:] = 0.0
+    state.mode_velocity[:] = 0.0
     state.tool_pose[:] = 0.0
     state.tool_goal[:] = 0.0
     state.tool_pose[:, 6] = 1.0

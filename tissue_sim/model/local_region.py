@@ -1,4 +1,7 @@
-"""The paper's local region (section 4): nodes within two layers of the load move, the rest stays."""
+"""The local region (section 4 of the paper): nodes within two layers of the load move by their springs.
+
+In the paper's own kind the rest stays as it is; in modal_region it follows the organ's modes.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,15 @@ from typing import Any
 
 from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
 from tissue_sim.model.jit import kernel
-from tissue_sim.model.state import ENGAGED, ENTRIES, LOADED, REGION_HINGES, REGION_NODES, REGION_SPRINGS
+from tissue_sim.model.state import (
+    ENGAGED,
+    ENTRIES,
+    LOADED,
+    REGION_BOUNDARY,
+    REGION_HINGES,
+    REGION_NODES,
+    REGION_SPRINGS,
+)
 
 HOPS = 2  # the "second layer"; every spring counts as one hop
 
@@ -81,6 +92,21 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
             scratch.region_angular_stiffness[hinges] = model.angular_stiffness[h]
             scratch.region_angular_least_area[hinges] = model.angular_least_area[h]
             hinges += 1
+    # The edge: nodes outside that the region's springs and hinges look at.
+    scratch.mark[:] = 0
+    for s in range(springs):
+        scratch.mark[scratch.region_first[s]] = 1
+        scratch.mark[scratch.region_second[s]] = 1
+    for h in range(hinges):
+        for c in range(4):
+            scratch.mark[scratch.region_angular_nodes[h, c]] = 1
+    boundary = 0
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        if scratch.mark[node] == 1 and hop[node] < 0:
+            scratch.boundary_node[boundary] = node
+            boundary += 1
+    state.count[REGION_BOUNDARY] = boundary
     state.count[REGION_NODES] = nodes
     state.count[REGION_SPRINGS] = springs
     state.count[REGION_HINGES] = hinges

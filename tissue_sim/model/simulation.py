@@ -13,13 +13,15 @@ from tissue_sim.model import state as st
 from tissue_sim.model.assembly import Model, assemble
 from tissue_sim.model.contact_constraint import MOST_NEAR
 from tissue_sim.model.inputs import reset_state
+from tissue_sim.model.modal_region import place_outside
+from tissue_sim.model.modes import lowest_modes
 from tissue_sim.model.shapes import SPHERE, Shapes
 from tissue_sim.model.stability import largest_frequency, substeps_for
 from tissue_sim.model.state import Floats, State, StateBuffer
 from tissue_sim.model.tick import Scratch, elastic_forces, tick
 from tissue_sim.organ.organ import Organ
 
-LocalRegion = Literal["off", "frozen"]
+LocalRegion = Literal["off", "frozen", "modal", "auto"]
 LOCAL_REGIONS: tuple[str, ...] = get_args(LocalRegion)
 
 NO_TOOLS = Shapes(
@@ -34,7 +36,8 @@ class Simulation:
     """A deformable organ stepped at a fixed rate. `step()` allocates nothing and takes no lock.
 
     organ: the organ; model: surface, volume or hybrid; rate: ticks a second, Hz;
-    local_region: off, or frozen (the paper's: two layers around a small load move alone);
+    local_region: off; frozen (the paper's: two layers around a small load move alone); modal (they move,
+    the rest follows the organ's modes); auto (modal while the load is small, else the whole model);
     shapes: the rigid tools that may touch it.
     Raises UserError for a name or rate out of range.
     """
@@ -53,9 +56,12 @@ class Simulation:
             raise UserError(f"unknown local region '{local_region}'; choose one of {', '.join(LOCAL_REGIONS)}")
         self.organ = organ
         self.model: Model = assemble(organ, model)
+        if local_region in ("modal", "auto"):
+            modes = lowest_modes(self.model)
+            self.model = self.model._replace(mode_frequency=modes.frequency, mode_shape=modes.shape)
         self.shapes = shapes
         self.rate = float(rate)
-        self.buffer = StateBuffer(organ.n_nodes, len(shapes.kind))
+        self.buffer = StateBuffer(organ.n_nodes, len(shapes.kind), len(self.model.mode_frequency))
         self.state: State = self.buffer.state
         self.scratch = _scratch(self.model, len(shapes.kind))
         self.settings = np.zeros(st.N_SETTINGS)
@@ -67,7 +73,7 @@ class Simulation:
         self.settings[st.STIFFNESS_SCALE] = 1.0
         self.settings[st.DAMPING_SCALE] = 1.0
         self.settings[st.LOCAL_REGION] = float(LOCAL_REGIONS.index(local_region))
-        self.settings[st.REGION_FORCE] = 0.1
+        self.settings[st.REGION_FORCE] = 0.3
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings[st.LAST_GOOD_SPAN] = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         self.frequency = largest_frequency(self.model)
@@ -158,9 +164,19 @@ class Simulation:
             speed = float(np.abs(state.velocity).max())
             reach = float(np.abs(state.position - self.model.rest).max())
             if residual <= tolerance * size and speed * 0.1 <= tolerance * max(reach, 1e-9):
-                settled = True
-                break
+                settled = not self._modes_move(tolerance)
+                if settled:
+                    break
+        if state.count[st.REGION] == st.MODAL:
+            place_outside(self.model, state)
         return state.position[:n_surface] - self.model.rest[:n_surface], settled
+
+    def _modes_move(self, tolerance: float) -> bool:
+        """True while the modes of a modal region are on their way."""
+        if self.state.count[st.REGION] != st.MODAL:
+            return False
+        speed, reach = (np.linalg.norm(a) for a in (self.state.mode_velocity, self.state.mode_position))
+        return bool(speed * 0.1 > tolerance * reach)
 
     def _residual(self, forces: Floats) -> float:
         """Norm of the force left on the nodes that may move, N."""
@@ -169,7 +185,7 @@ class Simulation:
         force *= self.settings[st.STIFFNESS_SCALE]
         force[: self.model.n_surface] += forces
         nodes = self.model.moving
-        if self.state.count[st.REGION] == st.FROZEN:
+        if self.state.count[st.REGION] != st.WHOLE:
             nodes = self.scratch.region_node[: self.state.count[st.REGION_NODES]]
         return float(np.linalg.norm(force[nodes]))
 
@@ -199,6 +215,10 @@ def _scratch(model: Model, n_tools: int) -> Scratch:
         last_origin=empty(n_tools, 3),
         last_rotation=empty(n_tools, 9),
         start_pose=empty(n_tools, 7),
+        load=empty(n, 3),
+        mode_load=empty(len(model.mode_frequency)),
+        mark=empty(n, dtype=np.int64),
+        boundary_node=empty(n, dtype=np.int32),
         near_entry=empty(MOST_NEAR, dtype=np.int64),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),

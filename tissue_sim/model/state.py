@@ -14,7 +14,7 @@ Longs = NDArray[np.int64]
 TICK = 0  # ticks done
 ASLEEP = 1  # 1 while the organ is at rest and untouched
 QUIET = 2  # ticks in a row that were as good as at rest
-REGION = 3  # WHOLE or FROZEN, how the last tick was solved
+REGION = 3  # WHOLE, FROZEN or MODAL, how the last tick was solved
 SUBSTEPS = 4  # substeps of the last tick
 BACKOFF = 5  # factor on the substeps after a fault
 ENTRIES = 6  # entries in the contact set
@@ -29,9 +29,11 @@ REGION_HINGES = 14
 LOADED = 15  # 1 when nodal_force holds anything for this tick
 CLAMPED = 16  # ticks in which a wrench was cut to the clamp
 CONTACT_SEQUENCE = 17  # which contact set is in use
-N_COUNT = 18
+REGION_BOUNDARY = 18  # nodes at the region's edge that follow the modes
+MODAL_TICKS = 19  # ticks that moved a modal region
+N_COUNT = 20
 
-WHOLE, FROZEN = 0, 1
+WHOLE, FROZEN, MODAL = 0, 1, 2
 
 # Columns of State.tool_count.
 AGE = 0  # ticks since the newest pose; -1 before the first one
@@ -50,7 +52,7 @@ STALE_TIME = 3  # s
 RAMP_TIME = 4  # s
 STIFFNESS_SCALE = 5
 DAMPING_SCALE = 6
-LOCAL_REGION = 7  # 0 off, 1 frozen
+LOCAL_REGION = 7  # index in LOCAL_REGIONS: off, frozen, modal, auto
 REGION_FORCE = 8  # N above which the region is skipped
 LAST_GOOD_SPAN = 9  # m, displacement that the guard takes for runaway
 WANTED_SUBSTEPS = 10  # substeps in a tick, from the critical step
@@ -67,6 +69,9 @@ class State(NamedTuple):
     good_position: Floats  # (n, 3) the last state that passed the guard
     good_velocity: Floats  # (n, 3)
     nodal_force: Floats  # (n, 3) N, for the coming tick
+    contact_impulse: Floats  # (n, 3) N s on the tissue in the last tick, kept for the modal region
+    mode_position: Floats  # (m,) sqrt(kg) m
+    mode_velocity: Floats  # (m,) sqrt(kg) m/s
     tool_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
     tool_goal: Floats  # (T, 7) the newest pose: where it is going
     tool_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
@@ -85,13 +90,16 @@ class State(NamedTuple):
 class StateBuffer:
     """The two flat buffers (`floats`, `integers`) and the `state` viewing them."""
 
-    def __init__(self, n: int, n_tools: int) -> None:
+    def __init__(self, n: int, n_tools: int, n_modes: int = 0) -> None:
         float_shapes: dict[str, tuple[int, ...]] = {
             "position": (n, 3),
             "velocity": (n, 3),
             "good_position": (n, 3),
             "good_velocity": (n, 3),
             "nodal_force": (n, 3),
+            "contact_impulse": (n, 3),
+            "mode_position": (n_modes,),
+            "mode_velocity": (n_modes,),
             "tool_pose": (n_tools, 7),
             "tool_goal": (n_tools, 7),
             "tool_force": (n_tools, 3),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from tissue_sim.model import local_region
+from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import is_touched, resolve_contacts
 from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
 from tissue_sim.model.integrators import symplectic_euler
@@ -33,6 +33,8 @@ from tissue_sim.model.state import (
     LAST_GOOD_SPAN,
     LOADED,
     LOCAL_REGION,
+    MODAL,
+    MODAL_TICKS,
     QUIET,
     RAMP_TIME,
     REGION,
@@ -55,6 +57,9 @@ QUIET_TICKS = 20
 MAX_BACKOFF = 8
 CONTACT_ITERATIONS = 8
 
+# Values of settings[LOCAL_REGION]; 0 is off.
+FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
+
 
 class Scratch(NamedTuple):
     """Working arrays of a tick; nothing in them outlives it except the region's lists."""
@@ -69,6 +74,10 @@ class Scratch(NamedTuple):
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
+    load: Any  # (n, 3) N that drives the modes
+    mode_load: Any  # (m,)
+    mark: Any  # (n,)
+    boundary_node: Any
     region_node: Any
     region_first: Any
     region_second: Any
@@ -99,30 +108,24 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         count[ASLEEP] = 0
         count[QUIET] = 0
         choose_region(state, settings)
-    if count[REGION] == FROZEN:
-        grown = local_region.mark_loaded(model, state)
-        if grown:
-            local_region.spread(model, state)
-        if grown or scratch.stale[0] == 1:
-            local_region.collect(model, state, scratch)
-            scratch.stale[0] = 0
-        count[ACTIVE] = count[REGION_NODES]
-        count[FROZEN_TICKS] += 1
-    else:
+    if count[REGION] == WHOLE:
         count[ACTIVE] = len(model.moving)
+    else:
+        prepare_region(model, state, settings, scratch)
 
     scratch.impulse[:] = 0.0
     substeps = int(settings[WANTED_SUBSTEPS]) * count[BACKOFF]
     count[SUBSTEPS] = substeps
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps)
+    guard(model, state, settings, scratch)
+    report_wrenches(state, settings, scratch)
+    if count[REGION] != WHOLE and settings[LOCAL_REGION] != MODAL_ALWAYS:
+        if total_load(state, settings) > settings[REGION_FORCE]:
+            leave_region(model, state)
     if count[LOADED] == 1:
         state.nodal_force[:] = 0.0
         count[LOADED] = 0
-    guard(model, state, settings, scratch)
-    report_wrenches(state, settings, scratch)
-    if count[REGION] == FROZEN and total_load(state, settings) > settings[REGION_FORCE]:
-        count[REGION] = WHOLE
     rest_if_quiet(model, state, forced)
 
 
@@ -197,7 +200,46 @@ def has_tip_force(state: Any, settings: Any) -> bool:
 def choose_region(state: Any, settings: Any) -> None:
     """On waking: a local region if asked for, else the whole model."""
     state.region_hop[:] = -1
-    state.count[REGION] = FROZEN if settings[LOCAL_REGION] == 1.0 else WHOLE
+    state.contact_impulse[:] = 0.0
+    state.mode_position[:] = 0.0
+    state.mode_velocity[:] = 0.0
+    if settings[LOCAL_REGION] == FROZEN_SMALL:
+        state.count[REGION] = FROZEN
+    elif settings[LOCAL_REGION] in (MODAL_ALWAYS, MODAL_SMALL):
+        state.count[REGION] = MODAL
+    else:
+        state.count[REGION] = WHOLE
+
+
+@kernel
+def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Grow the local region to what is loaded, and move its edge."""
+    count = state.count
+    grown = local_region.mark_loaded(model, state)
+    if grown:
+        if count[REGION] == MODAL:
+            modal_region.place_outside(model, state)
+        local_region.spread(model, state)
+    if grown or scratch.stale[0] == 1:
+        local_region.collect(model, state, scratch)
+        scratch.stale[0] = 0
+    count[ACTIVE] = count[REGION_NODES]
+    if count[REGION] == FROZEN:
+        count[FROZEN_TICKS] += 1
+        return
+    count[MODAL_TICKS] += 1
+    modal_region.gather_load(state, settings[TICK_TIME], scratch.load)
+    add_tip_forces(state, settings, scratch.load)
+    modal_region.advance_modes(model, state, settings, scratch, scratch.load)
+    modal_region.place_boundary(model, state, scratch)
+
+
+@kernel
+def leave_region(model: Any, state: Any) -> None:
+    """From here on the whole model moves, from where the region and the modes have it."""
+    if state.count[REGION] == MODAL:
+        modal_region.place_outside(model, state)
+    state.count[REGION] = WHOLE
 
 
 @kernel
@@ -213,7 +255,7 @@ def advance_substep(
         step_pose(pose, state.tool_pose[tool], 1.0 / (substeps - substep))
         set_frame(pose, scratch.origin[tool], scratch.rotation[tool])
     scratch.force[:] = 0.0
-    if state.count[REGION] == FROZEN:
+    if state.count[REGION] != WHOLE:
         nodes = scratch.region_node[: state.count[REGION_NODES]]
         local_region.elastic_forces(model, state, scratch)
     else:
@@ -270,6 +312,12 @@ def add_loads(state: Any, settings: Any, force: Any) -> None:
         for node in range(len(force)):
             for c in range(3):
                 force[node, c] += state.nodal_force[node, c]
+    add_tip_forces(state, settings, force)
+
+
+@kernel
+def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
+    """Add the external forces at the tools' tips to force (n, 3) N."""
     for tool in range(len(state.tool_force)):
         fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
         if fresh > 0.0 and state.tip_node[tool, 0] >= 0:
@@ -330,8 +378,12 @@ def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def total_load(state: Any, settings: Any) -> float:
-    """Sum of the magnitudes of contact and external tool forces, N."""
+    """Sum of the magnitudes of contact, nodal and external tool forces, N."""
     load = 0.0
+    if state.count[LOADED] == 1:
+        for node in range(len(state.nodal_force)):
+            force = state.nodal_force[node]
+            load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for tool in range(len(state.wrench)):
         load += math.sqrt(state.wrench[tool, 0] ** 2 + state.wrench[tool, 1] ** 2 + state.wrench[tool, 2] ** 2)
         if state.tip_node[tool, 0] >= 0:

@@ -29,8 +29,9 @@ FEWEST_POINTS = 50
 _RATIO = 2.0  # a long edge is split when it is this many times a short one
 _SETTLED = 5e-4  # share of the volume gained in a round of steps at which the expansion ends
 _ROUND = 15  # steps between two looks at the volume
-_DETAILS = (0.5, 0.75, 1.0, 1.5)  # radii tried, in edge lengths: folds too narrow for the triangles are closed
-_CLOSINGS = (0.0, 0.5, 1.0, 2.0)  # radii tried, in depths of the organ, until nothing folds
+# Tried until nothing folds and the wall is reached: folds narrower than the first number of edge lengths are closed
+# for good, those narrower than the second number of organ depths at first only.
+_TRIES = ((0.5, 0.0), (0.5, 0.5), (0.5, 1.0), (0.75, 0.5), (1.0, 0.5), (1.5, 0.5), (1.5, 1.0), (2.0, 2.0))
 
 
 @dataclass(frozen=True)
@@ -72,18 +73,18 @@ def inflate(wall: Wall, points: int, parameters: BalloonParameters | None = None
     p = parameters or BalloonParameters()
     edge = np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / (2 * points - 4))
     best: Balloon | None = None
-    for detail in _DETAILS:
-        shown = closed_wall(wall, detail * edge)
-        for closing in _CLOSINGS:
-            positions, triangles = _inflate(shown, points, closing, p)
-            if len(intersecting_pairs(positions, triangles)):
-                continue
-            missed = _farthest_from(positions, triangles, wall)
-            if best is None or missed < 0.9 * best.missed:
-                _match_volume(positions, triangles, shown)
-                best = Balloon(positions, triangles, missed)
-            if missed < edge:
-                return best
+    for detail, closing in _TRIES:
+        shown = closed_wall(wall, detail * edge) or wall
+        found = _inflate(shown, points, closing, p)
+        if found is None or len(intersecting_pairs(*found)):
+            continue
+        positions, triangles = found
+        _match_volume(positions, triangles, shown)
+        missed = _farthest_from(positions, triangles, wall)
+        if best is None or missed < 0.9 * best.missed:
+            best = Balloon(positions, triangles, missed)
+        if _farthest_from(positions, triangles, shown) < edge:
+            return best
     if best is not None:
         return best
     raise UserError(
@@ -100,13 +101,16 @@ def _farthest_from(positions: Floats, triangles: Ints, wall: Wall) -> float:
     return float(cKDTree(probes).query(rim)[0].max())
 
 
-def _inflate(wall: Wall, points: int, closing: float, p: BalloonParameters) -> tuple[Floats, Ints]:
+def _inflate(wall: Wall, points: int, closing: float, p: BalloonParameters) -> tuple[Floats, Ints] | None:
+    """Balloon on the wall; first in the organ closed by `closing` times its depth. None where that makes a ring."""
     depth = distance_transform_edt(wall.level < 0.0)
     centre = np.array(np.unravel_index(int(depth.argmax()), depth.shape))[::-1] * wall.spacing
     deepest = float(depth.max()) * wall.spacing
     positions, triangles = fibonacci_sphere(points)
     positions = centre + 0.6 * deepest * positions
     outer = closed_wall(wall, closing * deepest) if closing > 0.0 else wall
+    if outer is None:
+        return None
     _move_to_wall(positions, triangles, outer, p, +1.0)
     if closing > 0.0:
         _fit(positions, triangles, outer, p.fitting // 3)

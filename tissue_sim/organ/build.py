@@ -68,6 +68,7 @@ def organ_from_image(
 def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet) -> Organ:
     """Build an organ from a bool mask: wall, balloon, skeleton, springs. Raises UserError as the stages do."""
     from tissue_sim.organ.balloon import inflate
+    from tissue_sim.organ.surface import wall_of_surface
 
     started = time.perf_counter()
     wall = _wall(mask, tell)
@@ -81,7 +82,8 @@ def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet) -> Orga
     if balloon.missed > 2.0 * balloon.edge:
         tell(f"warning: the balloon left folds of the wall up to {balloon.missed:.0f} mm deep; more --points reach further")
     figures = {"wall_distance_mm": round(off, 4), "wall_missed_mm": round(balloon.missed, 3), "grid_mm": wall.spacing}
-    return _assemble(wall, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), tell)
+    solid = wall_of_surface(positions, triangles, wall)
+    return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), tell)
 
 
 def organ_from_mesh(surface: SurfaceMesh, request: Request, keep_points: bool = False, tell: Tell = _quiet) -> Organ:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numba import njit
 from numpy.typing import NDArray
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.image import MM, Volume
+from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.voxels import enclosed, off_grid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -114,9 +115,9 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
     low, high = points.min(axis=0), points.max(axis=0)
     pitch = float((high - low).max()) / longest_axis
     size = np.ceil((high - low) / pitch).astype(int) + 3
-    origin = low - pitch * (1.0 + np.array([0.00137, 0.00731, 0.00353]))  # off the grid planes meshes like to use
-    solid = _fill((points - origin) / pitch, surface.triangles, size.astype(np.int64))
-    exact = float(np.einsum("ij,ij->", points[surface.triangles[:, 0]], _cross(points, surface.triangles))) / 6.0
+    origin = low - pitch
+    solid = enclosed(off_grid((points - origin) / pitch), surface.triangles, size.astype(np.int64))
+    exact = signed_volume(points, surface.triangles)
     found = float(solid.sum()) * pitch**3
     if abs(found - exact) > _THIN * exact:
         raise UserError(
@@ -124,40 +125,3 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
             f" {exact * 1e-3:.1f} mL of solid"
         )
     return Volume(solid, np.full(3, pitch), origin, np.eye(3), name)
-
-
-def _cross(points: Floats, triangles: Ints) -> Floats:
-    return np.cross(points[triangles[:, 1]], points[triangles[:, 2]])
-
-
-@njit(cache=True)
-def _fill(points: Floats, triangles: Ints, size: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Winding number along z-columns through voxel centres; points in voxels. Returns (nz, ny, nx)."""
-    nx, ny, nz = size[0], size[1], size[2]
-    winding = np.zeros((nz + 1, ny, nx), dtype=np.int16)
-    for t in range(triangles.shape[0]):
-        a, b, c = points[triangles[t, 0]], points[triangles[t, 1]], points[triangles[t, 2]]
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if area == 0.0:
-            continue
-        i0 = max(int(np.ceil(min(a[0], b[0], c[0]))), 0)
-        i1 = min(int(np.floor(max(a[0], b[0], c[0]))), nx - 1)
-        j0 = max(int(np.ceil(min(a[1], b[1], c[1]))), 0)
-        j1 = min(int(np.floor(max(a[1], b[1], c[1]))), ny - 1)
-        for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                u = ((b[0] - i) * (c[1] - j) - (b[1] - j) * (c[0] - i)) / area
-                v = ((c[0] - i) * (a[1] - j) - (c[1] - j) * (a[0] - i)) / area
-                if u < 0.0 or v < 0.0 or u + v > 1.0:
-                    continue
-                z = u * a[2] + v * b[2] + (1.0 - u - v) * c[2]
-                k = min(max(int(np.ceil(z)), 0), nz)
-                winding[k, j, i] += -1 if area > 0.0 else 1
-    solid = np.zeros((nz, ny, nx), dtype=np.bool_)
-    for j in range(ny):
-        for i in range(nx):
-            total = 0
-            for k in range(nz):
-                total += winding[k, j, i]
-                solid[k, j, i] = total > 0
-    return solid

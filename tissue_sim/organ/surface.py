@@ -18,6 +18,7 @@ from skimage.measure import euler_number, marching_cubes
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.image import MM, Volume
+from tissue_sim.organ.voxels import enclosed, off_grid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -174,11 +175,24 @@ def _close(solid: Mask, radius: float) -> Mask:
     return closed[inner] | solid
 
 
-def closed_wall(wall: Wall, radius: float) -> Wall:
-    """The wall after a closing by a ball of `radius` mm: narrower folds, and what they make ring-like, are filled."""
+def closed_wall(wall: Wall, radius: float) -> Wall | None:
+    """The wall after a closing by a ball of `radius` mm: narrower folds are filled. None where that makes a ring."""
     solid = wall.level < 0.0
-    ball = _as_ball(_close(solid, radius / wall.spacing), wall.spacing, "the closed organ")[0]
+    try:
+        ball = _as_ball(_close(solid, radius / wall.spacing), wall.spacing, "")[0]
+    except UserError:
+        return None
     return replace(wall, level=_patched(wall.level, ball, wall.spacing))
+
+
+def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
+    """The wall that a closed surface, positions (n, 3) mm and triangles outward on `wall`'s grid, makes there."""
+    size = np.array(wall.level.shape[::-1], dtype=np.int64)
+    solid = _largest_part(enclosed(off_grid(positions / wall.spacing), triangles, size))
+    if not solid.any():
+        raise UserError("the surface encloses no voxel; use a finer image")
+    level = ndimage.gaussian_filter(_signed_distance(solid, np.full(3, wall.spacing)), _SMOOTHING)
+    return replace(wall, level=level)
 
 
 def marching_cubes_surface(wall: Wall) -> tuple[Floats, Ints]:

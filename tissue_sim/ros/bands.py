@@ -11,7 +11,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def cut_into_bands(vertices: Floats, triangles: Ints, values: Floats, levels: Sequence[float]) -> list[tuple[Floats, Ints]]:
+def cut_into_bands(
+    vertices: Floats, triangles: Ints, values: Floats, levels: Sequence[float]
+) -> list[tuple[Floats, Ints]]:
     """Cut a mesh where linearly interpolated values (n,) at its vertices cross ascending levels.
 
     vertices (n, 3), triangles (t, 3). Returns len(levels) + 1 meshes (vertices, triangles) from low values

@@ -120,6 +120,7 @@ class Inbox:
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, raw: bool = False) -> None:
+        self._node = node
         self._subscription: Subscription = node.create_subscription(kind, topic, _unused, qos, raw=raw)
 
     def take(self) -> Any:
@@ -129,6 +130,10 @@ class Inbox:
             while (found := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
                 newest = found[0]
         return newest
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._node.destroy_subscription(self._subscription)
 
 
 def _unused(_: Any) -> None:

@@ -41,7 +41,7 @@ class Diagnostics:
 
 def physics_values(timing: Timing, count: st.Longs) -> dict[str, Any]:
     """Values of the loop and its counters."""
-    region = "asleep" if count[st.ASLEEP] else "frozen" if count[st.REGION] == st.FROZEN else "whole"
+    region = "asleep" if count[st.ASLEEP] else ("whole", "frozen", "modal")[count[st.REGION]]
     return {
         "tick": int(count[st.TICK]),
         "tick_rate_hz": timing.rate,
@@ -56,7 +56,8 @@ def physics_values(timing: Timing, count: st.Longs) -> dict[str, Any]:
         "contact_count": int(count[st.TOUCHING]),
         "substeps": int(count[st.SUBSTEPS]),
         "asleep_ticks": int(count[st.ASLEEP_TICKS]),
-        "local_region_ticks": int(count[st.FROZEN_TICKS]),
+        "frozen_ticks": int(count[st.FROZEN_TICKS]),
+        "modal_ticks": int(count[st.MODAL_TICKS]),
     }
 
 

@@ -210,18 +210,14 @@ class _Planner:
     def _ways(self, outward: dict[int, Floats]) -> Floats:
         return np.array([outward.get(tool, np.zeros(3)) for tool in range(len(self.tools))])
 
-    def _straight(
-        self, name: str, targets: dict[int, Floats], touches: dict[int, Touch], speed: float
-    ) -> None:
+    def _straight(self, name: str, targets: dict[int, Floats], touches: dict[int, Touch], speed: float) -> None:
         moves = {tool: Move.line(self.position[tool], point, self.turn[tool]) for tool, point in targets.items()}
         self._add(name, moves, {tool: -touch.way for tool, touch in touches.items()}, speed)
 
     def _approach(self, action: str, touches: dict[int, Touch]) -> None:
         """Around the organ, then straight in to a little above the surface."""
         around = {
-            tool: Move.arc(
-                self.centre, self.position[tool], self._entry(touch), (self.turn[tool], _looking(touch.way))
-            )
+            tool: Move.arc(self.centre, self.position[tool], self._entry(touch), (self.turn[tool], _looking(touch.way)))
             for tool, touch in touches.items()
         }
         if any(move.length > 1e-6 or move.angle > 1e-6 for move in around.values()):
@@ -240,9 +236,7 @@ class _Planner:
         depth = self.scale * min(STROKE_DEPTH, 0.8 * self.tool_radius)
         line = []
         for place in places:
-            inside = self.surface.advance(
-                place.centre, place.way, self.tool_radius - depth, 2.0 * self.tool_radius
-            )
+            inside = self.surface.advance(place.centre, place.way, self.tool_radius - depth, 2.0 * self.tool_radius)
             line.append(place.centre + depth * place.way if inside is None else inside)
         first, last = {0: places[0]}, {0: places[-1]}
         self._approach("stroke", first)

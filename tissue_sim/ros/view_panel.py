@@ -78,7 +78,9 @@ class Panel:
         self._headline = gui.add_markdown("")
         self._status = gui.add_markdown("", visible=False)
         gui.add_html(legend_html())
-        self.opacity = gui.add_slider("Tissue", min=0.2, max=1.0, step=0.05, initial_value=0.8, hint="Opacity")
+        self.opacity = gui.add_slider(
+            "Opacity", min=0.2, max=1.0, step=0.05, initial_value=0.8, hint="Of the tissue over the skeleton"
+        )
         self._reset = gui.add_button("Reset", hint="Back to the rest shape")
         self._record = gui.add_button("Record", hint="Start or stop a bag")
         self._recording = False

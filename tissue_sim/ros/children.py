@@ -1,0 +1,95 @@
+"""Child processes that end with their parent, in order, and whose last error line is known."""
+
+from __future__ import annotations
+
+import ctypes
+import signal
+import subprocess
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+SECONDS_TO_END = 5.0
+SECONDS_TO_TERMINATE = 2.0
+PR_SET_PDEATHSIG = 1  # of prctl(2)
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+def _die_with_parent() -> None:
+    """In the child: end when the parent was killed, which can't stop it any more."""
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT, 0, 0, 0)
+
+
+class Child:
+    """A program that runs beside this one, in a session of its own: Ctrl-C in the terminal reaches only the parent.
+
+    name for messages; command its arguments; environment of the process.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self.name = name
+        self._process = subprocess.Popen(
+            command,
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+            preexec_fn=_die_with_parent,  # noqa: PLW1509 - only calls prctl
+        )
+        self.output: deque[str] = deque(maxlen=100)
+        self.errors: deque[str] = deque(maxlen=100)
+        self._readers = [
+            threading.Thread(target=self._read, args=pair, daemon=True)
+            for pair in ((self._process.stdout, self.output), (self._process.stderr, self.errors))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @staticmethod
+    def _read(stream: object, lines: deque[str]) -> None:
+        for line in stream:  # type: ignore[attr-defined]
+            if line.strip():
+                lines.append(line.rstrip())
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs."""
+        return self._process.poll()
+
+    def last_words(self) -> str:
+        """How it ended, and the last line that it wrote about that."""
+        for reader in self._readers:
+            reader.join(timeout=1.0)
+        code = self._process.poll()
+        how = f"exit code {code}" if code is None or code >= 0 else f"signal {signal.Signals(-code).name}"
+        line = (self.errors or self.output or [""])[-1]
+        return f"{how}: {line}" if line else how
+
+    def stop(self) -> bool:
+        """SIGINT, later SIGTERM, and SIGKILL as the last resort; returns whether it ended by itself."""
+        for number, patience in ((signal.SIGINT, SECONDS_TO_END), (signal.SIGTERM, SECONDS_TO_TERMINATE)):
+            if self._process.poll() is None:
+                self._process.send_signal(number)
+                try:
+                    self._process.wait(patience)
+                except subprocess.TimeoutExpired:
+                    continue
+            return True
+        self._process.kill()
+        self._process.wait()
+        return False
+
+
+def stop_all(children: Sequence[Child]) -> list[str]:
+    """Stop children one after the other; returns the names of those that had to be killed."""
+    return [child.name for child in children if not child.stop()]
+
+
+def wait_a_little(deadline: float, longest: float = 0.05) -> None:
+    """Sleep until a monotonic deadline in s, but not longer than `longest` s, so that signals are noticed."""
+    time.sleep(max(0.0, min(longest, deadline - time.monotonic())))

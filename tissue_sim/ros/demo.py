@@ -1,0 +1,194 @@
+"""`tissue_sim demo`: node, scripted haptic bridge and viewer, with one line a second about them."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import shlex
+import socket
+import sys
+import time
+from collections.abc import Mapping, MutableMapping
+from datetime import datetime
+from pathlib import Path
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros import client
+from tissue_sim.ros.children import Child, stop_all, wait_a_little
+
+NODE = "tissue_sim"
+WAIT = 600.0  # s that the bridge waits for the node, which may compile its kernels first
+DOMAINS = range(1, 102)  # those whose ports lie below Linux's range of ephemeral ports
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--seconds", type=client.number(0.1, 1e9, "s"), help="end after this time; without it, go on until Ctrl-C"
+    )
+    parser.add_argument("--host", default="127.0.0.1", help="address that the viewer serves at")
+    parser.add_argument("--port", type=client.port_number, default=8080, help="port that the viewer serves at")
+    parser.add_argument("--no-viewer", action="store_true", help="node and bridge only")
+    parser.add_argument("--organ", metavar="FILE", help="organ file (.npz); the kidney that ships unless given")
+    parser.add_argument("--bag-folder", metavar="DIR", help="folder for the bag; recordings/<date-time> unless given")
+    parser.add_argument(
+        "--rate", type=client.number(50.0, 2000.0, "Hz"), default=500.0, help="poses a second from the bridge, Hz"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demonstration; returns 0, or 1 when something ended before its time."""
+    if args.organ is not None and not Path(args.organ).is_file():
+        raise UserError(f"organ file {args.organ} does not exist; make one with 'tissue_sim build'")
+    if not args.no_viewer:
+        from tissue_sim.ros.viewer import check_port
+
+        check_port(args.host, args.port)
+    folder = Path(args.bag_folder or Path("recordings") / datetime.now().strftime("%Y%m%d-%H%M%S"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"cannot make the folder {folder}: {error.strerror}; choose another with --bag-folder"
+        ) from None
+    choose_graph(os.environ)
+
+    stop = client.Stop()
+    # The node first: the others wait for it. Stopped the other way round.
+    children = [Child("node", node_command(args.organ, folder), os.environ)]
+    print(f"node: {args.organ or 'the kidney that ships'}, records to {folder}")
+    if not args.no_viewer:
+        children.append(Child("viewer", _command("view", "--host", args.host, "--port", str(args.port)), os.environ))
+        print(f"viewer: open http://{args.host}:{args.port}")
+    children.append(Child("bridge", _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}"), os.environ))
+    print("bridge: strokes, pokes, nips, lifts and releases; Ctrl-C ends", flush=True)
+    watch = Watch(args.seconds)
+    try:
+        dead = watch.run(children, stop)
+        last_words = dead.last_words() if dead else ""
+    finally:
+        killed = stop_all(children[::-1])
+        with contextlib.suppress(OSError):  # only an empty folder goes
+            folder.rmdir()
+    if dead is None and watch.ran and children[-1].output:
+        print(f"bridge: {children[-1].output[-1]}")
+    return _conclude(watch, dead, last_words, killed)
+
+
+def choose_graph(environment: MutableMapping[str, str]) -> None:
+    """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise."""
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if "ROS_DOMAIN_ID" not in environment:
+        environment["ROS_DOMAIN_ID"] = str(free_domain())
+
+
+def free_domain() -> int:
+    """A ROS domain whose discovery ports are free. Raises UserError when there is none."""
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        try:
+            # The first participants of a domain receive discovery at these ports (DDSI-RTPS 9.6.1).
+            for participant in range(4):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                    probe.bind(("", 7410 + 250 * domain + 2 * participant))
+        except OSError:
+            continue
+        return domain
+    raise UserError("every ROS domain from 1 to 101 is in use on this machine; name one with ROS_DOMAIN_ID")
+
+
+def node_command(organ: str | None, folder: Path) -> list[str]:
+    """How the node is started."""
+    words = ["-p", "record:=true", "-p", f"record_folder:={json.dumps(str(folder.absolute()))}"]
+    if organ is not None:
+        words += ["-p", f"organ_file:={json.dumps(str(Path(organ).absolute()))}"]
+    return [sys.executable, "-m", "tissue_sim.ros.node", "--ros-args", *words]
+
+
+def status_line(values: Mapping[str, str]) -> str:
+    """The node's physics status in one line."""
+
+    def number(key: str, form: str) -> str:
+        try:
+            return format(float(values[key]), form)
+        except (KeyError, ValueError):
+            return "?"
+
+    return (
+        f"{number('tick_rate_hz', '6.0f')} Hz | tick p50 {number('tick_p50_us', '4.0f')} us,"
+        f" p99 {number('tick_p99_us', '5.0f')} us | overruns {values.get('overruns', '?'):>4} |"
+        f" active nodes {values.get('active_nodes', '?'):>4} | contacts {values.get('contact_count', '?'):>3} |"
+        f" {number('force_n', '5.2f')} N"
+    )
+
+
+class Watch:
+    """Follows the node's diagnostics until the time is over, which counts from when node and bridge both run."""
+
+    def __init__(self, seconds: float | None) -> None:
+        self._seconds = seconds
+        self.bag = ""
+        self.ran = False
+
+    def run(self, children: list[Child], stop: client.Stop) -> Child | None:
+        """Print a line a second; returns the child that ended by itself, or None when it is time to stop."""
+        from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import PoseStamped
+        from rclpy.qos import QoSProfile
+
+        with client.client_node("demo", NODE) as node:
+            reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+            poses: client.Inbox | None = client.Inbox(
+                node, PoseStamped, "left/measured_cp", client.stream_qos(), raw=True
+            )
+            started = next_line = time.monotonic()
+            end, values = float("inf"), None
+            while not stop and time.monotonic() < end:
+                for child in children:
+                    if child.exit_code is not None:
+                        return child
+                if poses is not None and poses.take() is not None:
+                    poses.close()
+                    poses = None
+                report = reports.take()
+                values = (client.physics_status(report, NODE) if report is not None else None) or values
+                self.bag = (values or {}).get("recording") or self.bag
+                # The node speaks after its first tick, and the bridge may be ready before or after that.
+                if not self.ran and poses is None and values is not None:
+                    self.ran = True
+                    end = time.monotonic() + (self._seconds or float("inf"))
+                now = time.monotonic()
+                if now >= next_line:
+                    next_line += 1.0
+                    if values is not None:
+                        print(status_line(values), flush=True)
+                    elif now - started > 1.0:
+                        print(
+                            f"waiting for the node, {now - started:.0f} s"
+                            " (its kernels compile when it runs here for the first time)",
+                            flush=True,
+                        )
+                wait_a_little(min(next_line, end))
+        return None
+
+
+def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[str]) -> int:
+    if dead is not None:
+        sys.stderr.write(f"tissue_sim demo: the {dead.name} ended by itself, {last_words}\n")
+    if dead is None and not watch.ran:
+        sys.stderr.write("tissue_sim demo: stopped before the node was up\n")
+        return 1
+    for name in killed:
+        sys.stderr.write(f"tissue_sim demo: the {name} did not end and was killed\n")
+    if watch.bag and Path(watch.bag).is_dir():
+        print(f"bag: {watch.bag}\nreplay it with: tissue_sim replay {shlex.quote(watch.bag)}", flush=True)
+    elif dead is None:
+        sys.stderr.write("tissue_sim demo: the node made no bag\n")
+        return 1
+    return 1 if dead is not None or killed else 0
+
+
+def _command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "tissue_sim.cli", *words]
