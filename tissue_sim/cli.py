@@ -21,6 +21,18 @@ COMMANDS = {
 }
 
 
+def _with_signs(words: Sequence[str]) -> list[str]:
+    """Words in which `--seed -5,2,3` reads `--seed=-5,2,3`: argparse takes a leading minus for an option."""
+    joined: list[str] = []
+    for word in words:
+        signed = len(word) > 1 and word[0] == "-" and (word[1].isdigit() or word[1] == ".")
+        if signed and joined and joined[-1].startswith("--") and "=" not in joined[-1]:
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose mistakes take one line."""
 
@@ -29,9 +41,18 @@ class _Parser(argparse.ArgumentParser):
         raise SystemExit(2)
 
 
+class _Help(argparse.ArgumentDefaultsHelpFormatter):
+    """Help that names a default only where there is one to name."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default is None or action.default is False or "default:" in (action.help or ""):
+            return action.help
+        return super()._get_help_string(action)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code: 0, 1 for a failed check, 2 for wrong use."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     parser = _Parser(prog="tissue_sim", description=tissue_sim.__doc__)
     parser.add_argument("--version", action="version", version=f"tissue_sim {tissue_sim.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
@@ -41,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             name,
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
-            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+            formatter_class=_Help,
         )
         if name == chosen:
             importlib.import_module(module).add_arguments(command)

@@ -108,7 +108,10 @@ class Simulation:
         Raises UserError for nodes out of range or forces that are not finite.
         """
         index = np.atleast_1d(np.asarray(nodes, dtype=np.int64))
-        values = np.asarray(forces, dtype=np.float64).reshape(len(index), 3)
+        values = np.asarray(forces, dtype=np.float64)
+        if values.size != 3 * len(index):
+            raise UserError(f"forces has shape {values.shape}, expected ({len(index)}, 3) for {len(index)} nodes")
+        values = values.reshape(len(index), 3)
         if not np.all(np.isfinite(values)):
             raise UserError("forces must be finite")
         if len(index) and (index.min() < 0 or index.max() >= len(self.state.position)):

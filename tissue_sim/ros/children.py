@@ -39,7 +39,7 @@ class Child:
             text=True,
             errors="replace",
             start_new_session=True,
-            preexec_fn=_die_with_parent,  # noqa: PLW1509 - only calls prctl
+            preexec_fn=_die_with_parent,
         )
         self.output: deque[str] = deque(maxlen=100)
         self.errors: deque[str] = deque(maxlen=100)

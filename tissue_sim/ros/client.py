@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -125,11 +125,15 @@ class Inbox:
 
     def take(self) -> Any:
         """The newest message since the last call (bytes when raw), or None."""
-        newest, subscription = None, self._subscription
+        return next(reversed(self.take_all()), None)
+
+    def take_all(self) -> list[Any]:
+        """The messages since the last call that the topic's depth has kept, oldest first."""
+        messages, subscription = [], self._subscription
         with subscription.handle:
             while (found := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-                newest = found[0]
-        return newest
+                messages.append(found[0])
+        return messages
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -153,10 +157,11 @@ def cloud_array(message: Any) -> NDArray[np.float32]:
     return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
 
 
-def physics_status(message: Any, target: str) -> dict[str, str] | None:
-    """Values of a node's physics status in a DiagnosticArray, or None when it isn't in there."""
+def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
+    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
     name = f"{target.rpartition('/')[2]}: physics"
-    for status in message.status:
-        if status.name == name:
-            return {item.key: item.value for item in status.values}
+    for report in reversed(reports):
+        for status in report.status:
+            if status.name == name:
+                return {item.key: item.value for item in status.values}
     return None

@@ -152,8 +152,7 @@ class Watch:
                 if poses is not None and poses.take() is not None:
                     poses.close()
                     poses = None
-                report = reports.take()
-                values = (client.physics_status(report, NODE) if report is not None else None) or values
+                values = client.physics_status(reports.take_all(), NODE) or values
                 self.bag = (values or {}).get("recording") or self.bag
                 # The node speaks after its first tick, and the bridge may be ready before or after that.
                 if not self.ran and poses is None and values is not None:

@@ -99,10 +99,10 @@ class OrganView:
                     setattr(band, name, vertices.astype(np.float32) if name == "vertices" else faces.astype(np.uint32))
             band.visible = len(faces) > 0
 
-    def set_opacity(self, opacity: float | None) -> None:
-        """Let the skeleton shine through (0..1), or not at all (None)."""
+    def set_opacity(self, opacity: float) -> None:
+        """Let the skeleton shine through: 1 hides it."""
         for handle in self._bands:
-            handle.opacity = opacity
+            handle.opacity = opacity if opacity < 1.0 else None
 
     def remove(self) -> None:
         """Take it out of the picture."""
@@ -124,7 +124,9 @@ class SkeletonView:
             self.remove()
             ball = _icosphere(0.0008)
             self._handles = [
-                self._server.scene.add_line_segments("/skeleton/bones", bones, SKELETON, line_width=3.0),
+                self._server.scene.add_line_segments(
+                    "/skeleton/bones", bones, SKELETON, thickness=0.0006, thickness_units="world"
+                ),
                 self._server.scene.add_batched_meshes_simple(
                     "/skeleton/atoms",
                     *ball,

@@ -1,0 +1,280 @@
+"""Contact sets: which points of the surface a tool may touch, and what is left out."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points, nearest_weights
+from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
+from tissue_sim.model.state import MAX_ENTRIES
+
+from ..scenes import RADIUS, ball, kidney
+
+STILL = (0.0, 0.0, 0.0, 1.0)
+
+
+def make_finder(organ, *tools):
+    return ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, ToolSet(list(tools)))
+
+
+def find(finder, organ, *poses, engaged=None, pushing=None, margins=None):
+    n_tools = len(poses)
+    return finder.find(
+        organ.rest_positions,
+        np.array(poses),
+        np.zeros(n_tools) if margins is None else np.array(margins),
+        np.ones(n_tools, dtype=np.int64) if engaged is None else np.array(engaged),
+        np.zeros(n_tools, dtype=np.int64) if pushing is None else np.array(pushing),
+    )
+
+
+def over(organ, direction, gap, radius=0.0):
+    """A pose outside the outermost surface node in a direction, gap and radius away."""
+    direction = np.array(direction) / np.linalg.norm(direction)
+    node = np.argmax(organ.surface_positions @ direction)
+    return np.array([*(organ.surface_positions[node] + (gap + radius) * direction), *STILL])
+
+
+def points_of(found, position):
+    return np.einsum("ij,ijk->ik", found.weight, position[found.node])
+
+
+def check_entries(found, organ):
+    assert found.node.shape == found.weight.shape == found.normal.shape == (len(found.tool), 3)
+    np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, atol=1e-12)
+    assert np.all(found.weight >= 0.0)
+    assert np.all((found.node >= 0) & (found.node < organ.n_surface))
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-12)
+
+
+def test_far_tool_gives_an_empty_set_and_counts_the_skip():
+    organ = kidney()
+    finder = make_finder(organ, Tool("left", radius=0.005))
+    found = find(finder, organ, [1.0, 0.0, 0.0, *STILL])
+    assert len(found.tool) == len(found.node) == len(found.weight) == len(found.normal) == 0
+    np.testing.assert_array_equal(found.tip_node, [[-1, -1, -1]])
+    assert (finder.counters.sets, finder.counters.far_skips, finder.counters.narrow_phases) == (1, 1, 0)
+
+
+def test_tool_within_the_organs_box_but_far_from_its_triangles_is_skipped_too():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left", radius=0.002))
+    found = find(finder, organ, [0.0, 0.0, 0.0, *STILL])
+    assert len(found.tool) == 0
+    assert (finder.counters.far_skips, finder.counters.narrow_phases) == (1, 0)
+
+
+@pytest.mark.parametrize("organ", [ball(1), ball(2), kidney()], ids=["coarse", "fine", "kidney"])
+@pytest.mark.parametrize(
+    "tool", [Tool("left", radius=0.006), Tool("left", "capsule", radius=0.003, length=0.05)], ids=["sphere", "capsule"]
+)
+def test_every_entry_is_a_point_of_a_triangle_near_the_tool(organ, tool):
+    finder = make_finder(organ, tool)
+    found = find(finder, organ, over(organ, (0.2, 0.1, 1.0), 0.0, tool.radius))
+    assert len(found.tool) > 3
+    check_entries(found, organ)
+    assert finder.counters.narrow_phases == 1
+    triangles = {tuple(sorted(t)) for t in organ.surface_triangles.tolist()}
+    for nodes in found.node:
+        assert len(set(nodes)) == 1 or tuple(sorted(nodes.tolist())) in triangles
+    assert found.dropped == 0
+    twice = {tuple(np.round(point, 12)) for point in points_of(found, organ.rest_positions)}
+    assert len(twice) == len(found.tool), "a point occurs twice"
+
+
+@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+def test_every_node_within_the_margin_is_an_entry(organ):
+    finder = make_finder(organ, Tool("left", radius=0.006), Tool("right", radius=0.003))
+    left, right = over(organ, (0.2, 0.1, 1.0), 0.0, 0.006), over(organ, (1.0, 0.1, 0.3), 0.001, 0.003)
+    found = find(finder, organ, left, right)
+    check_entries(found, organ)
+    assert np.all(np.diff(found.tool) >= 0)
+    for tool, pose, radius in ((0, left, 0.006), (1, right, 0.003)):
+        distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1) - radius
+        corner = (found.tool == tool) & (found.node[:, 0] == found.node[:, 1])
+        assert set(np.flatnonzero(distance < MARGIN)) <= set(found.node[corner, 0])
+    # What a fast tool may reach until the next set.
+    wide = find(finder, organ, left, right, margins=[0.004, 0.0])
+    distance = np.linalg.norm(organ.surface_positions - left[:3], axis=1) - 0.006
+    assert set(np.flatnonzero(distance < MARGIN + 0.004)) <= set(wide.node[wide.tool == 0, 0])
+    assert np.count_nonzero(wide.tool == 1) == np.count_nonzero(found.tool == 1)
+
+
+@pytest.mark.parametrize("radius", [0.004, 0.002])
+def test_points_lie_dense_enough_that_the_tool_does_not_fit_between_them(radius):
+    """Over the middle of a triangle five tool radii long, some point is nearer than the tool's radius."""
+    organ = ball(1)
+    finder = make_finder(organ, Tool("left", radius=radius))
+    for triangle in organ.surface_triangles[::7]:
+        for weight in ([1 / 3, 1 / 3, 1 / 3], [0.5, 0.5, 0.0], [0.6, 0.3, 0.1], [0.2, 0.2, 0.6]):
+            point = weight @ organ.surface_positions[triangle]
+            found = find(finder, organ, [*point, *STILL])
+            distance = np.linalg.norm(points_of(found, organ.rest_positions) - point, axis=1)
+            assert distance.min() < 0.75 * radius
+
+
+def test_normals_point_outward():
+    organ = ball(2)
+    found = find(make_finder(organ, Tool("left", radius=0.006)), organ, over(organ, (0.0, 0.3, 1.0), 0.0, 0.006))
+    points = points_of(found, organ.rest_positions)
+    assert np.einsum("ij,ij->i", found.normal, points).min() > 0.95 * RADIUS
+    # Also at the rim, where some of a node's triangles lie beyond the tool's box.
+    mesh = trimesh.Trimesh(organ.surface_positions, organ.surface_triangles, process=False)
+    corner = found.node[:, 0] == found.node[:, 1]
+    near = np.einsum("ij,ij->i", found.normal[corner], mesh.vertex_normals[found.node[corner, 0]])
+    assert near.min() > 0.95
+
+
+@pytest.mark.parametrize("gap", [-0.001, 0.5 * MARGIN, 0.9 * MARGIN])
+def test_flat_tool_over_the_middle_of_a_triangle_has_points_in_it(tmp_path, gap):
+    """A small box turned flat to a triangle, no corner of the triangle anywhere near it."""
+    organ = ball(1)
+    box = trimesh.creation.box((0.004, 0.004, 0.004))
+    box.apply_translation([0.0, 0.0, -0.002])
+    box.export(tmp_path / "box.stl")
+    finder = make_finder(organ, Tool("left", "mesh", mesh=str(tmp_path / "box.stl")))
+    for number in range(0, len(organ.surface_triangles), 9):
+        triangle = organ.surface_triangles[number]
+        a, b, c = organ.surface_positions[triangle]
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal)
+        turn, _ = Rotation.align_vectors([-normal], [[0.0, 0.0, 1.0]])
+        middle = (a + b + c) / 3.0
+        found = find(finder, organ, [*(middle + gap * normal), *turn.as_quat()])
+        inside = np.all(np.sort(found.node, axis=1) == np.sort(triangle), axis=1)
+        assert inside.any(), f"triangle {number}"
+
+
+def test_tool_that_is_not_engaged_has_no_entries():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left"), Tool("right"))
+    pose = over(organ, (0.0, 0.0, 1.0), 0.0, 0.005)
+    found = find(finder, organ, pose, pose, engaged=[0, 1])
+    assert len(found.tool) > 0
+    assert np.all(found.tool == 1)
+    np.testing.assert_array_equal(found.engaged, [0, 1])
+
+
+def test_same_poses_and_surface_give_the_same_set_whatever_was_found_before():
+    organ = kidney()
+    finder = make_finder(organ, Tool("left", radius=0.01))
+    here, there = over(organ, (0.0, 0.1, 1.0), -0.004, 0.01), over(organ, (1.0, 0.1, 0.0), -0.004, 0.01)
+    first = find(finder, organ, here)
+    find(finder, organ, there)
+    again = find(finder, organ, here)
+    for name in ("tool", "node", "weight", "normal"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+
+
+def test_entries_beyond_the_capacity_are_dropped_farthest_first():
+    organ = ball(4)  # 2562 nodes
+    finder = make_finder(organ, Tool("left", radius=0.05))
+    pose = np.array([0.0, 0.0, 0.01, *STILL])
+    found = find(finder, organ, pose)
+    assert len(found.tool) == MAX_ENTRIES
+    assert found.dropped >= organ.n_surface - MAX_ENTRIES
+    check_entries(found, organ)
+    distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1)
+    kept = np.zeros(organ.n_surface, dtype=bool)
+    kept[found.node[found.node[:, 0] == found.node[:, 1], 0]] = True
+    assert distance[kept].max() <= distance[~kept].min() + 1e-12
+
+
+def test_tool_is_inside_when_its_middle_is():
+    organ = kidney()
+    finder = make_finder(organ, Tool("left", radius=0.001), Tool("right", "capsule", radius=0.001, length=0.02))
+    atom = organ.atom_positions[20]
+    assert organ.atom_radius[20] > 0.012
+    assert finder.is_inside(0, organ.rest_positions, np.array([*atom, *STILL]))
+    # A capsule's middle lies half its length down the shaft.
+    assert finder.is_inside(1, organ.rest_positions, np.array([*(atom + [0.0, 0.0, 0.01]), *STILL]))
+    outside = over(organ, (0.0, 0.0, 1.0), 0.005)
+    assert not finder.is_inside(0, organ.rest_positions, outside)
+    assert not finder.is_inside(0, organ.rest_positions, np.array([5.0, 5.0, 5.0, *STILL]))
+
+
+def test_tool_that_holds_a_node_counts_as_inside():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left", radius=0.005))
+    assert finder.is_inside(0, organ.rest_positions, over(organ, (0.0, 0.0, 1.0), -0.001, 0.005))
+    assert not finder.is_inside(0, organ.rest_positions, over(organ, (0.0, 0.0, 1.0), 0.001, 0.005))
+
+
+# points under tips -----------------------------------------------------------------------------
+def nearest_on_surface(organ, point):
+    corners = organ.surface_positions[organ.surface_triangles]
+    nearest = trimesh.triangles.closest_point(corners, np.repeat([point], len(corners), axis=0))
+    distance = np.linalg.norm(nearest - point, axis=1)
+    return nearest[distance.argmin()], distance.min()
+
+
+@pytest.mark.parametrize("organ", [ball(1), kidney()], ids=["ball", "kidney"])
+def test_point_under_a_tip_is_the_nearest_of_the_surface(organ):
+    finder = make_finder(organ, Tool("left"))
+    random = np.random.default_rng(0)
+    for _ in range(60):
+        triangle = organ.surface_triangles[random.integers(len(organ.surface_triangles))]
+        tip = random.dirichlet([1, 1, 1]) @ organ.surface_positions[triangle] + random.normal(0.0, 0.002, 3)
+        found = find(finder, organ, [*tip, *STILL], engaged=[0], pushing=[1])
+        expected, distance = nearest_on_surface(organ, tip)
+        assert found.tip_weight[0].sum() == pytest.approx(1.0)
+        assert found.tip_weight[0].min() >= -1e-12
+        point = found.tip_weight[0] @ organ.rest_positions[found.tip_node[0]]
+        assert np.linalg.norm(point - tip) == pytest.approx(distance, abs=1e-9), expected
+
+
+def test_tip_reaches_no_farther_than_it_should():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left"), Tool("right"))
+    near, far = over(organ, (0.0, 0.0, 1.0), 0.99 * TIP_REACH), over(organ, (0.0, 0.0, 1.0), 1.01 * TIP_REACH)
+    found = find(finder, organ, near, far, engaged=[0, 0], pushing=[1, 1])
+    assert np.all(found.tip_node[0] >= 0)
+    np.testing.assert_array_equal(found.tip_node[1], [-1, -1, -1])
+    np.testing.assert_array_equal(found.tip_weight[1], 0.0)
+    silent = find(finder, organ, near, near, engaged=[0, 0], pushing=[0, 1])
+    np.testing.assert_array_equal(silent.tip_node[0], [-1, -1, -1])
+
+
+# geometry --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("divisions", [0.2, 1.0, 1.5, 3.0, 7.7, 100.0])
+def test_lattice_divides_a_triangle_evenly_without_its_corners(divisions):
+    m = min(max(1, int(np.ceil(divisions))), 8)
+    weights = edge_and_face_points(divisions)
+    assert weights.shape == ((m + 1) * (m + 2) // 2 - 3, 3)
+    if len(weights):
+        np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+        assert weights.min() >= 0.0
+        assert weights.max() < 1.0
+        np.testing.assert_allclose(weights * m, np.round(weights * m), atol=1e-12)
+        assert len(np.unique(np.round(weights, 9), axis=0)) == len(weights)
+
+
+def test_nearest_weights_give_the_nearest_point():
+    random = np.random.default_rng(0)
+    corners, points = random.standard_normal((200, 3, 3)), random.standard_normal((200, 3))
+    weights, distance = nearest_weights(corners, points)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-9)
+    assert weights.min() > -1e-9
+    np.testing.assert_allclose(
+        np.linalg.norm(np.einsum("ij,ijk->ik", weights, corners) - points, axis=1), distance, atol=1e-9
+    )
+    # No other point of the triangle is nearer.
+    others = np.einsum("kj,ijx->ikx", random.dirichlet([1, 1, 1], 300), corners)
+    assert np.all(np.linalg.norm(others - points[:, None], axis=2).min(axis=1) >= distance - 1e-9)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+        [[1.0, 1.0, 1.0]] * 3,
+    ],
+    ids=["line", "edge", "point"],
+)
+def test_triangle_without_area_gives_finite_weights(corners):
+    weights, distance = nearest_weights(0.01 * np.array([corners]), np.array([[0.012, 0.003, 0.001]]))
+    assert np.all(np.isfinite(weights))
+    assert np.all(np.isfinite(distance))
+    assert weights.sum() == pytest.approx(1.0)

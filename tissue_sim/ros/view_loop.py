@@ -1,0 +1,140 @@
+"""What the viewer does for each picture: take the newest of everything, draw what has changed."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import viser
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+
+from tissue_sim.ros import client
+from tissue_sim.ros.cdr import parse_stamped
+from tissue_sim.ros.services import Services
+from tissue_sim.ros.view_panel import Panel
+from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, ToolView, camera_for, light
+
+SILENT_AFTER = 3.0  # s without diagnostics
+POSE_LASTS = 1.0  # s that a tool stays in the picture without a new pose
+FORCE_LASTS = 0.2  # s
+
+
+class Viewer:
+    """Takes the newest of everything and draws what has changed; `update` is called for each picture."""
+
+    def __init__(
+        self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...], radius: float
+    ) -> None:
+        self._server, self._target = server, target
+        self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
+        self._surface = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
+        self._atoms = client.Inbox(node, PointCloud2, f"/{target}/skeleton", client.stream_qos())
+        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._services = Services(target)
+        self._panel = Panel(server)
+        self._organ: OrganView | None = None
+        self._positions: Any = None
+        self._skeleton = SkeletonView(server)
+        self._tools = [_Tool(node, ToolView(server, name, i, radius), name) for i, name in enumerate(tools)]
+        self._values: dict[str, str] = {}
+        self._heard = -np.inf
+        server.scene.set_up_direction("+z")
+        light(server)
+        server.initial_camera.fov = FIELD_OF_VIEW
+        server.initial_camera.near = 0.02
+
+    def update(self, watched: bool) -> None:
+        """Take what has come; draw it when somebody looks."""
+        mesh = self._mesh.take()
+        if mesh is not None:
+            self._take_mesh(*client.mesh_arrays(mesh))
+        self._take_report()
+        self._services.poll(self._panel.wishes, self._tell)
+        surface, atoms = self._surface.take(), self._atoms.take()
+        if surface is not None and self._organ is not None:
+            positions = client.cloud_array(surface)
+            # Another number of nodes belongs to an organ whose mesh is still on its way.
+            if positions.shape == self._organ.rest.shape and np.isfinite(positions).all():
+                self._positions = positions.astype(np.float64)
+        with self._server.atomic():
+            if watched and self._organ is not None and self._positions is not None:
+                self._organ.show(self._positions)
+                self._positions = None
+            if atoms is not None:
+                self._skeleton.show(client.cloud_array(atoms)[:, :3].astype(np.float64))
+            if self._organ is not None:
+                self._organ.set_opacity(self._panel.opacity.value)
+            for tool in self._tools:
+                tool.update()
+
+    def _take_mesh(self, vertices: Any, triangles: Any) -> None:
+        if self._organ is not None:
+            if np.array_equal(vertices, self._organ.rest):
+                return
+            self._organ.remove()
+            self._skeleton.remove()
+        self._organ = OrganView(self._server, vertices, triangles)
+        self._positions = None
+        position, centre = camera_for(vertices)
+        self._server.initial_camera.position, self._server.initial_camera.look_at = position, centre
+        for watcher in self._server.get_clients().values():
+            watcher.camera.position, watcher.camera.look_at = position, centre
+
+    def _take_report(self) -> None:
+        values = client.physics_status(self._reports.take_all(), self._target)
+        now = time.monotonic()
+        if values is not None:
+            self._values, self._heard = values, now
+        if now - self._heard < SILENT_AFTER:
+            self._panel.say(f"**/{self._target}**", self._values)
+        elif self._organ is None:
+            self._panel.say(f"**Waiting for the mesh of /{self._target}.** Start `tissue_node`.", {})
+        else:
+            self._panel.say(f"**/{self._target} is silent.** The picture shows where it stood.", {})
+
+    def _tell(self, text: str, good: bool) -> None:
+        for watcher in self._server.get_clients().values():
+            watcher.add_notification(
+                "Done" if good else "Not done", text, color="green" if good else "red", auto_close_seconds=6.0
+            )
+
+
+class _Tool:
+    """A tool's newest pose and wrench, and its place in the picture."""
+
+    def __init__(self, node: Node, view: Any, name: str) -> None:
+        self._view = view
+        self._poses = client.Inbox(node, PoseStamped, f"{name}/measured_cp", client.stream_qos(), raw=True)
+        self._wrenches = client.Inbox(node, WrenchStamped, f"{name}/servo_cf", client.stream_qos(), raw=True)
+        self._position: Any = None
+        self._force: Any = None
+        self._posed = self._felt = -np.inf
+
+    def update(self) -> None:
+        now = time.monotonic()
+        pose, wrench = _vector(self._poses.take(), 7), _vector(self._wrenches.take(), 6)
+        if pose is not None:
+            self._position, self._posed = pose, now
+        if wrench is not None:
+            self._force, self._felt = wrench, now
+        self._view.show(
+            self._position if now - self._posed < POSE_LASTS else None,
+            self._force if now - self._felt < FORCE_LASTS else None,
+        )
+
+
+def _vector(raw: bytes | None, n_values: int) -> Any:
+    """First three values of a stamped message, or None when there is none, or none that can be drawn."""
+    if raw is None:
+        return None
+    try:
+        values = np.array(parse_stamped(raw, n_values).values[:3])
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
