@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import signed_volume
-from tissue_sim.organ.remesh import flip_edges, stars, transport
+from tissue_sim.organ.remesh import flip_edges, relax, transport, vertex_normals
 from tissue_sim.organ.surface import Wall, closed_wall, intersecting_pairs
 
 Floats = NDArray[np.float64]
@@ -60,7 +60,8 @@ class Balloon:
     def edge(self) -> float:
         """Mean edge length, mm."""
         t = self.triangles
-        return float(np.mean([np.linalg.norm(self.positions[t[:, k]] - self.positions[t[:, k - 1]], axis=1) for k in range(3)]))
+        sides = self.positions[t] - self.positions[np.roll(t, 1, axis=1)]
+        return float(np.linalg.norm(sides, axis=2).mean())
 
 
 def inflate(wall: Wall, points: int, parameters: BalloonParameters | None = None) -> Balloon:
@@ -97,7 +98,8 @@ def _farthest_from(positions: Floats, triangles: Ints, wall: Wall) -> float:
     inside = wall.level < 0.0
     rim = np.argwhere(inside & ~binary_erosion(inside))[:, ::-1] * wall.spacing
     corner = positions[triangles]
-    probes = np.concatenate([positions, corner.mean(axis=1), *(0.5 * (corner[:, k] + corner[:, k - 1]) for k in range(3))])
+    middles = 0.5 * (corner + np.roll(corner, 1, axis=1))
+    probes = np.concatenate([positions, corner.mean(axis=1), middles.reshape(-1, 3)])
     return float(cKDTree(probes).query(rim)[0].max())
 
 
@@ -125,7 +127,7 @@ def _move_to_wall(positions: Floats, triangles: Ints, wall: Wall, p: BalloonPara
     level = np.ascontiguousarray(sign * wall.level, dtype=np.float32)
     volume = signed_volume(positions, triangles)
     for step in range(1, p.steps + 1):
-        expand(positions, triangles, level, h, p.tension, sign * p.pressure * h)
+        expand(positions, triangles, vertex_normals(positions, triangles), level, h, p.tension, sign * p.pressure * h)
         if step % 3 == 0:
             transport(positions, triangles, _RATIO, max(points // 25, 1))
             _flip(positions, triangles)
@@ -198,32 +200,22 @@ def sample(level, h, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
-    """Unit normals (n, 3), the area-weighted mean of the triangles around each point."""
-    normal = np.zeros_like(positions)
-    for t in range(triangles.shape[0]):
-        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        u = positions[j] - positions[i]
-        v = positions[k] - positions[i]
-        cross = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
-        for p in (i, j, k):
-            normal[p] += cross
-    for p in range(positions.shape[0]):
-        length = np.sqrt((normal[p] ** 2).sum())
-        if length > 0.0:
-            normal[p] /= length
-    return normal
-
-
-@njit(cache=True)
-def expand(positions: Floats, triangles: Ints, level: NDArray[np.float32], h: float, tension: float, pressure: float) -> None:
+def expand(
+    positions: Floats,
+    triangles: Ints,
+    normal: Floats,
+    level: NDArray[np.float32],
+    h: float,
+    tension: float,
+    pressure: float,
+) -> None:
     """One step of the balloon's forces, in place.
 
-    pressure in mm a step, tension without unit. A move that would leave the organ is halved up to
-    three times, then tried along the surface only, so that points at the wall still slide.
+    normal (n, 3): of the points; level: allowed where it is 0 or less; pressure in mm a step, tension without
+    unit. A move that would leave the organ is halved up to three times, then tried along the surface only, so
+    that points at the wall still slide.
     """
     n = positions.shape[0]
-    normal = vertex_normals(positions, triangles)
     force = pressure * normal
     for t in range(triangles.shape[0]):
         for k in range(3):
@@ -246,27 +238,3 @@ def expand(positions: Floats, triangles: Ints, level: NDArray[np.float32], h: fl
                 scale *= 0.5
             if moved:
                 break
-
-
-@njit(cache=True)
-def relax(positions: Floats, triangles: Ints, share: float) -> None:
-    """Move every point along the surface towards the area-weighted middle of its triangles, in place."""
-    n = positions.shape[0]
-    normal = vertex_normals(positions, triangles)
-    star, count = stars(triangles, n)
-    target = np.empty_like(positions)
-    for i in range(n):
-        total = 0.0
-        middle = np.zeros(3)
-        for k in range(count[i]):
-            t = star[i, k]
-            a, b, c = positions[triangles[t, 0]], positions[triangles[t, 1]], positions[triangles[t, 2]]
-            u, v = b - a, c - a
-            area = np.sqrt(
-                (u[1] * v[2] - u[2] * v[1]) ** 2 + (u[2] * v[0] - u[0] * v[2]) ** 2 + (u[0] * v[1] - u[1] * v[0]) ** 2
-            )
-            middle += area * (a + b + c) / 3.0
-            total += area
-        shift = middle / total - positions[i] if total > 0.0 else np.zeros(3)
-        target[i] = positions[i] + share * 1.5 * (shift - normal[i] * (shift * normal[i]).sum())
-    positions[:] = target

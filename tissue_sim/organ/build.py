@@ -6,7 +6,7 @@ import argparse
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,7 +80,7 @@ def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet) -> Orga
         f" ({time.perf_counter() - started:.1f} s)"
     )
     if balloon.missed > 2.0 * balloon.edge:
-        tell(f"warning: the balloon left folds of the wall up to {balloon.missed:.0f} mm deep; more --points reach further")
+        tell(f"warning: the balloon left out folds of the wall, up to {balloon.missed:.0f} mm deep; use more --points")
     figures = {"wall_distance_mm": round(off, 4), "wall_missed_mm": round(balloon.missed, 3), "grid_mm": wall.spacing}
     solid = wall_of_surface(positions, triangles, wall)
     return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), tell)
@@ -186,8 +186,6 @@ def _fixed_from_file(path: Path, count: int) -> NDArray[np.int32]:
 
 
 def _with(request: Request, provenance: dict[str, Any]) -> Request:
-    from dataclasses import replace
-
     return replace(request, provenance={**request.provenance, **provenance})
 
 
@@ -208,7 +206,8 @@ def _versions() -> dict[str, str]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `tissue_sim build`."""
-    # seeds such as -80,12,300 are values, not options
+    parser.formatter_class = argparse.HelpFormatter  # the texts name the defaults where there are any
+    # Seeds such as -80,12,300 are values, not options.
     parser._negative_number_matcher = re.compile(r"-\.?\d")
     parser.add_argument("image", nargs="?", metavar="IMAGE", help="CT: a NIfTI, NRRD or MHA file, or a DICOM folder")
     source = parser.add_argument_group("what the organ is made from (IMAGE with a seed, or one of --mask, --surface)")
@@ -218,7 +217,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a point inside the organ: millimetres in the patient frame of the image, LPS (x to the patient's left,"
         " y to the back, z to the head), for every format; Slicer and ITK-SNAP show R,A,S: negate the first two",
     )
-    source.add_argument("--seed-voxel", metavar="I,J,K", help="the same as voxel indices, counted from 0, first axis first")
+    source.add_argument(
+        "--seed-voxel", metavar="I,J,K", help="the same as voxel indices, from 0, in the file's axis order"
+    )
     source.add_argument("--series", metavar="UID", help="series to read when the DICOM folder holds several")
     source.add_argument("--mask", metavar="FILE", help="start from a segmentation (same formats) instead of a seed")
     source.add_argument("--label", type=int, metavar="N", help="value of the organ in --mask when it holds several")
@@ -241,10 +242,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     organ.add_argument("--poisson-ratio", type=float, default=0.45, metavar="NU", help="default: %(default)g")
     organ.add_argument("--density", type=float, default=1060.0, metavar="KG_M3", help="kg/m^3 (default: %(default)g)")
     stages = parser.add_argument_group("segmentation from a seed (defaults are worked out from the image)")
-    stages.add_argument("--smoothing", type=float, default=2.5, metavar="MM", help="Gaussian before intensities are compared, mm (default: %(default)g)")
-    stages.add_argument("--window", type=float, default=3.0, metavar="SD", help="half-width of the intensity window, standard deviations (default: %(default)g)")
-    stages.add_argument("--erosion", type=float, metavar="MM", help="erosion depth, mm (default: until the organ is separate)")
-    stages.add_argument("--grid", type=float, metavar="MM", help="spacing of the working grid, mm (default: half the coarsest, within 1..1.5)")
+    stages.add_argument(
+        "--smoothing",
+        type=float,
+        default=2.5,
+        metavar="MM",
+        help="standard deviation of the Gaussian before intensities are compared, mm (default: %(default)g)",
+    )
+    stages.add_argument(
+        "--window",
+        type=float,
+        default=3.0,
+        metavar="SD",
+        help="half-width of the intensity window, in standard deviations of the organ (default: %(default)g)",
+    )
+    stages.add_argument(
+        "--erosion", type=float, metavar="MM", help="erosion depth, mm (default: until the organ is separate)"
+    )
+    stages.add_argument(
+        "--grid",
+        type=float,
+        metavar="MM",
+        help="spacing of the working grid, mm (default: half the image's coarsest, within 1..1.5)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -265,7 +285,12 @@ def run(args: argparse.Namespace) -> int:
         density=args.density,
         provenance={"source": Path(source).name},
     )
-    organ = _build(args, request)
+    try:
+        organ = _build(args, request)
+    except ModuleNotFoundError as error:
+        raise UserError(
+            f"building organs needs {error.name}; install the extra: pip install 'tissue_sim[image]'"
+        ) from None
     organ.save(out)
     n = organ.n_surface
     print(
@@ -277,7 +302,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _source(args: argparse.Namespace) -> str:
     """The one input that was named; refuses none, several, and options that don't belong to it."""
-    given = [(what, path) for what, path in (("IMAGE", args.image), ("--mask", args.mask), ("--surface", args.surface)) if path]
+    inputs = (("IMAGE", args.image), ("--mask", args.mask), ("--surface", args.surface))
+    given = [(what, path) for what, path in inputs if path]
     if not given:
         raise UserError("nothing to build from; name an IMAGE with --seed, a --mask or a --surface")
     if len(given) > 1:

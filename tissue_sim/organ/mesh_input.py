@@ -49,7 +49,9 @@ def read_mesh(path: str | Path, unit: str | None = None) -> SurfaceMesh:
     if suffix not in FORMATS:
         raise UserError(f"surface {source} has no known mesh format; use one of {', '.join(FORMATS)}")
     if unit is None and suffix not in _METRES:
-        raise UserError(f"surface {source}: {suffix[1:].upper()} doesn't say its unit of length; give --unit mm or --unit m")
+        raise UserError(
+            f"surface {source}: {suffix[1:].upper()} doesn't say its length unit; give --unit mm or --unit m"
+        )
     if unit is not None and unit not in UNITS:
         raise UserError(f"unit {unit} is not known; use mm or m")
     mesh = _load(source, suffix)

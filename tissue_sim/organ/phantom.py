@@ -6,6 +6,7 @@ then blurred and made noisy. The same parameters give the same voxels.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +23,9 @@ Triple = tuple[float, float, float]
 # Hounsfield units at 120 kV without contrast agent
 AIR, FAT, KIDNEY, SPLEEN, MUSCLE, BOWEL, LIVER, BLOOD = -1000.0, -100.0, 32.0, 46.0, 55.0, 25.0, 56.0, 42.0
 MARROW, CORTEX = 190.0, 480.0
+
+_BOWEL: tuple[Triple, ...] = ((100.0, -5.0, -120.0), (94.0, 2.0, -28.0), (68.0, -12.0, 0.0), (20.0, -45.0, 12.0))
+_VEIN: tuple[Triple, ...] = ((4.0, 22.0, 5.0), (22.0, 12.0, 3.0), (48.0, 33.0, 0.0))
 
 KIDNEY_CENTRE: Triple = (66.0, 38.0, 0.0)  # mm
 KIDNEY_SEMI_AXES: Triple = (28.0, 20.5, 57.0)  # mm across, front to back, along: 11 x 5.5 x 4 cm
@@ -74,7 +78,7 @@ def make_phantom(parameters: PhantomParameters | None = None) -> Phantom:
 def kidney_distance(grid: Grid) -> Field:
     """Signed distance (approximate, mm) of the bean: a bent ellipsoid with a hilum cut into its inner side."""
     u, v, w = _local(grid)
-    bean = _ellipsoid(u + 0.0035 * w * w - 3.0, v, w, KIDNEY_SEMI_AXES)
+    bean = _ellipsoid(u + np.float32(0.0035) * w * w - np.float32(3.0), v, w, KIDNEY_SEMI_AXES)
     hilum = _ellipsoid(u + 26.0, v + 2.0, w, (17.0, 9.0, 16.0))
     return _smooth_cut(bean, hilum, 4.0)
 
@@ -84,14 +88,14 @@ def _scene(grid: Grid, kidney: Field, gap: float) -> list[tuple[Field, float]]:
     x, y, z = grid
     body = _ellipsoid(x, y - 5.0, 0.0 * z, (138.0, 97.0, 1e6))
     wall = body + 16.0
-    spine = _capped(np.hypot(x, y - 58.0) - 22.0, -1.0)
+    spine = np.hypot(x, y - 58.0) - 22.0
     canal = np.hypot(x, y - 83.0) - 8.0
     neighbours: list[tuple[Callable[[Grid], Field], float]] = [
         (lambda g: _ellipsoid(g[0] - 106.0, g[1] - 30.0, g[2] - 46.0, (21.0, 42.0, 48.0)), SPLEEN),
         (lambda g: _ellipsoid(g[0] - 27.0 - 0.1 * (30.0 - g[2]), g[1] - 56.0, 0.0 * g[2], (16.0, 20.0, 1e6)), MUSCLE),
         (lambda g: _ellipsoid(g[0] - 62.0, g[1] - 80.0, 0.0 * g[2], (42.0, 18.0, 1e6)), MUSCLE),
-        (lambda g: _tube(g, ((100.0, -5.0, -120.0), (94.0, 2.0, -28.0), (68.0, -12.0, 0.0), (20.0, -45.0, 12.0)), 17.0), BOWEL),
-        (lambda g: _tube(g, ((4.0, 22.0, 5.0), (22.0, 12.0, 3.0), (48.0, 33.0, 0.0)), 4.5), BLOOD),
+        (lambda g: _tube(g, _BOWEL, 17.0), BOWEL),
+        (lambda g: _tube(g, _VEIN, 4.5), BLOOD),
     ]
     cut = gap - kidney
     painted: list[tuple[Field, float]] = [
@@ -124,9 +128,7 @@ def _grid(size: NDArray[np.int_], spacing: NDArray[np.float64], origin: NDArray[
 def _rotation() -> NDArray[np.float64]:
     """Columns: the kidney's axes across (to the side), front to back, along; its upper pole leans in and back."""
     inward, back = np.deg2rad(12.0), np.deg2rad(8.0)
-    about_y = np.array(
-        [[np.cos(inward), 0.0, -np.sin(inward)], [0.0, 1.0, 0.0], [np.sin(inward), 0.0, np.cos(inward)]]
-    )
+    about_y = np.array([[np.cos(inward), 0.0, -np.sin(inward)], [0.0, 1.0, 0.0], [np.sin(inward), 0.0, np.cos(inward)]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(back), np.sin(back)], [0.0, -np.sin(back), np.cos(back)]])
     return about_x @ about_y
 
@@ -148,16 +150,12 @@ def _ellipsoid(x: Field, y: Field, z: Field, semi_axes: Triple) -> Field:
 def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Field:
     """Distance to a polyline thickened to `radius`."""
     best = np.full(grid[0].shape, np.inf, dtype=np.float32)
-    for start, end in zip(points[:-1], points[1:], strict=True):
+    for start, end in itertools.pairwise(points):
         a, d = np.array(start, dtype=np.float32), np.array(end, dtype=np.float32) - np.array(start, dtype=np.float32)
         p = [grid[k] - a[k] for k in range(3)]
         t = np.clip(sum(p[k] * d[k] for k in range(3)) / np.dot(d, d), 0.0, 1.0)
         best = np.minimum(best, np.sqrt(sum((p[k] - t * d[k]) ** 2 for k in range(3))))
     return best - np.float32(radius)
-
-
-def _capped(distance: Field, least: float) -> Field:
-    return np.maximum(distance, np.float32(least) + distance)
 
 
 def _smooth_cut(shape: Field, tool: Field, radius: float) -> Field:

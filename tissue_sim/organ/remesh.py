@@ -1,4 +1,4 @@
-"""Local changes of a closed triangle surface that keep its point count and genus: flips and point transport.
+"""Changes of a closed triangle surface that keep its point count and genus: flips, point transport, relaxation.
 
 A flip turns the edge between two triangles; a transport collapses a short edge and splits a long one with
 the point that became free. Compiled; arrays are changed in place.
@@ -258,3 +258,45 @@ def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> in
         moved += 1
         long -= 1
     return moved
+
+
+@njit(cache=True)
+def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
+    """Unit normals (n, 3), the area-weighted mean of the triangles around each point."""
+    normal = np.zeros_like(positions)
+    for t in range(triangles.shape[0]):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        u = positions[j] - positions[i]
+        v = positions[k] - positions[i]
+        cross = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+        for p in (i, j, k):
+            normal[p] += cross
+    for p in range(positions.shape[0]):
+        length = np.sqrt((normal[p] ** 2).sum())
+        if length > 0.0:
+            normal[p] /= length
+    return normal
+
+
+@njit(cache=True)
+def relax(positions: Floats, triangles: Ints, share: float) -> None:
+    """Move every point along the surface towards the area-weighted middle of its triangles, in place."""
+    n = positions.shape[0]
+    normal = vertex_normals(positions, triangles)
+    star, count = stars(triangles, n)
+    target = np.empty_like(positions)
+    for i in range(n):
+        total = 0.0
+        middle = np.zeros(3)
+        for k in range(count[i]):
+            t = star[i, k]
+            a, b, c = positions[triangles[t, 0]], positions[triangles[t, 1]], positions[triangles[t, 2]]
+            u, v = b - a, c - a
+            area = np.sqrt(
+                (u[1] * v[2] - u[2] * v[1]) ** 2 + (u[2] * v[0] - u[0] * v[2]) ** 2 + (u[0] * v[1] - u[1] * v[0]) ** 2
+            )
+            middle += area * (a + b + c) / 3.0
+            total += area
+        shift = middle / total - positions[i] if total > 0.0 else np.zeros(3)
+        target[i] = positions[i] + share * 1.5 * (shift - normal[i] * (shift * normal[i]).sum())
+    positions[:] = target

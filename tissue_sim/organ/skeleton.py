@@ -2,8 +2,9 @@
 
 Every inner voxel knows its exact distance from the boundary (DFB). A tree grows from the voxel of largest
 DFB over the 26-neighbour graph, always on to the reachable voxel of largest DFB, keeping each voxel's
-parent. The tips are the two inner voxels farthest from each other, as the way inside goes; the tree's path
-between them is the centreline: it stays in the middle because the tree prefers large DFB. It is then centred between voxels, smoothed and resampled by arc length.
+parent. The tips are the two inner voxels farthest from each other, as the way inside goes; the tree's
+path between them is the centreline: it stays in the middle because the tree prefers large DFB. It is then
+trimmed at the tips, centred between voxels, smoothed and resampled by arc length.
 """
 
 from __future__ import annotations

@@ -45,10 +45,10 @@ class Wall:
     fragments: int = 0
     filled: float = 0.0
 
-    def sample(self, points: ArrayLike, order: int = 1) -> Floats:
+    def sample(self, points: ArrayLike) -> Floats:
         """Signed distance (n,) mm at points (n, 3) mm."""
         index = np.asarray(points, dtype=np.float64).T[::-1] / self.spacing
-        return ndimage.map_coordinates(self.level, index, output=np.float64, order=order, mode="nearest", prefilter=False)
+        return ndimage.map_coordinates(self.level, index, output=np.float64, order=1, mode="nearest")
 
     def gradient(self, points: ArrayLike) -> Floats:
         """Gradient (n, 3) of the signed distance at points (n, 3) mm, by central differences over a voxel."""
@@ -143,7 +143,7 @@ def _as_ball(solid: Mask, h: float, name: str) -> tuple[Mask, float]:
 
 def _without_needless(ball: Mask, start: Mask) -> Mask:
     """Take back, largest first, the fillings of the closing that weren't needed to close a handle."""
-    labels, count = ndimage.label(ball & ~start)
+    labels, _ = ndimage.label(ball & ~start)
     order = np.argsort(np.bincount(labels.ravel())[1:])[::-1][:_FILLINGS_TRIED]
     for part in order + 1:
         less = ball & (labels != part)
@@ -261,15 +261,15 @@ def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
     centre = corner.mean(axis=1)
     radius = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
     pairs = cKDTree(centre).query_pairs(2.0 * radius.max(), output_type="ndarray")
-    close = np.linalg.norm(centre[pairs[:, 0]] - centre[pairs[:, 1]], axis=1) <= radius[pairs[:, 0]] + radius[pairs[:, 1]]
-    pairs = pairs[close]
+    first, second = pairs.T
+    pairs = pairs[np.linalg.norm(centre[first] - centre[second], axis=1) <= radius[first] + radius[second]]
     shared = (triangles[pairs[:, 0]][:, :, None] == triangles[pairs[:, 1]][:, None, :]).any(axis=(1, 2))
     pairs = pairs[~shared]
     hit = np.zeros(len(pairs), dtype=bool)
-    for first, second in ((0, 1), (1, 0)):
+    for one, other in ((0, 1), (1, 0)):
         for k in range(3):
-            start, end = corner[pairs[:, first], k], corner[pairs[:, first], (k + 1) % 3]
-            hit |= _segment_hits(start, end, corner[pairs[:, second]])
+            start, end = corner[pairs[:, one], k], corner[pairs[:, one], (k + 1) % 3]
+            hit |= _segment_hits(start, end, corner[pairs[:, other]])
     return pairs[hit].astype(np.int32)
 
 

@@ -84,12 +84,16 @@ class Panel:
         self._reset = gui.add_button("Reset", hint="Back to the rest shape")
         self._record = gui.add_button("Record", hint="Start or stop a bag")
         self._recording = False
+        self._reset.disabled = self._record.disabled = True
         self._reset.on_click(lambda _: self.wishes.put(Wish.RESET))
         self._record.on_click(lambda _: self.wishes.put(Wish.STOP_RECORDING if self._recording else Wish.RECORD))
-        self.say("", {})
+        self._said: tuple[str, Mapping[str, str]] = ("", {})
 
     def say(self, headline: str, values: Mapping[str, str]) -> None:
         """Show a headline (Markdown) and the node's values, if there are any."""
+        if (headline, values) == self._said:
+            return
+        self._said = headline, dict(values)
         self._headline.content = headline
         self._status.visible = bool(values)
         if values:

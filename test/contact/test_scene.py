@@ -1,0 +1,414 @@
+"""Tools on tissue, whole ticks: balance of forces, depth, friction, clamp, staleness, release."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.model import state as st
+from tissue_sim.model.shapes import signed_distance
+
+from ..scenes import RADIUS, ball, free_ball, kidney
+
+PROBE = Tool("left", radius=0.008)
+
+
+def top_of(organ):
+    return organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
+
+
+def lead(scene, tool, path, hold=0):
+    """One pose a tick along a path (k, 3) m, then the last one again; the forces (k + hold, 3) N."""
+    path = np.atleast_2d(path)
+    forces = []
+    for position in [*path, *[path[-1]] * hold]:
+        scene.move(tool, position)
+        scene.step()
+        forces.append(scene.wrenches[tool, :3].copy())
+    return np.array(forces)
+
+
+def line(start, end, ticks):
+    share = np.linspace(0.0, 1.0, ticks)[:, None]
+    return (1.0 - share) * np.asarray(start) + share * np.asarray(end)
+
+
+def press(scene, depth, ticks=60, hold=150, tool=0, radius=None):
+    """Lead a round tool from 2 mm above the organ's top node to `depth` m into where it was."""
+    radius = scene.tools.shapes.size[tool, 0] if radius is None else radius
+    at = top_of(scene.simulation.organ) + [0.0, 0.0, radius]
+    return lead(scene, tool, line(at + [0.0, 0.0, 0.002], at - [0.0, 0.0, depth], ticks), hold)
+
+
+def deepest(scene, tool=0):
+    """How deep the deepest surface node lies inside a tool, m."""
+    simulation = scene.simulation
+    pose = simulation.state.tool_pose[tool]
+    local = Rotation.from_quat(pose[3:]).inv().apply(simulation.positions[: simulation.organ.n_surface] - pose[:3])
+    return -min(signed_distance(scene.tools.shapes, tool, *point)[0] for point in local)
+
+
+def is_sound(scene):
+    simulation = scene.simulation
+    return (
+        np.all(np.isfinite(simulation.buffer.floats))
+        and simulation.state.count[st.FAULTS] == 0
+        and np.all(np.isfinite(scene.contacts.weight))
+    )
+
+
+# equal and opposite ----------------------------------------------------------------------------
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+@pytest.mark.parametrize("subdivisions", [1, 2])
+def test_momentum_of_a_free_organ_changes_by_minus_the_wrench(friction, subdivisions):
+    organ = free_ball(subdivisions)
+    scene = Scene(organ, [PROBE, Tool("right", "capsule", radius=0.004, length=0.05)])
+    scene.simulation.settings[st.FRICTION] = friction
+    scene.simulation.settings[st.FORCE_CLAMP] = 100.0
+    above = top_of(organ) + [0.0, 0.0, 0.008]
+    side = np.array([RADIUS + 0.004, 0.0, 0.025])
+    momentum, felt, most = [np.zeros(3)], [], np.zeros(2)
+    for tick in range(150):
+        scene.move(0, above + [2e-5 * tick, 1e-5 * tick, 0.001 - 4e-5 * tick])
+        scene.move(1, side - [3e-5 * tick, 2e-5 * tick, 0.0])
+        scene.step()
+        momentum.append(organ.mass @ scene.simulation.velocities)
+        felt.append(scene.wrenches[:, :3].sum(axis=0))
+        most = np.maximum(most, np.linalg.norm(scene.wrenches[:, :3], axis=1))
+    change = np.diff(momentum, axis=0) / 1e-3
+    assert most.min() > 0.05, "a tool did not touch"
+    assert np.abs(change + felt).max() < 1e-9
+    assert is_sound(scene)
+
+
+def test_angular_momentum_of_a_free_organ_changes_by_minus_the_moment():
+    """About the tool's origin, which stands still once the tool does; to the first order in the substep."""
+    organ = free_ball(2)
+    scene = Scene(organ, [PROBE])
+    origin = top_of(organ) + [0.004, 0.003, 0.007]
+    spin = []
+    lead(scene, 0, line(origin + [0.0, 0.0, 0.003], origin, 30))
+    moments = []
+    for _ in range(40):
+        arm = scene.simulation.positions - origin
+        spin.append(np.cross(arm, organ.mass[:, None] * scene.simulation.velocities).sum(axis=0))
+        lead(scene, 0, origin)
+        moments.append(scene.wrenches[0, 3:].copy())
+    change = np.diff(spin, axis=0) / 1e-3
+    largest = np.abs(moments).max()
+    assert largest > 1e-5
+    assert np.abs(change + moments[:-1]).max() < 0.02 * largest
+
+
+def test_wrench_balances_the_elastic_forces_when_all_is_still():
+    scene = Scene(ball(2), [PROBE])
+    press(scene, 0.004, hold=600)
+    simulation = scene.simulation
+    still = scene.wrenches[0, :3]
+    assert still[2] > 0.1
+    from tissue_sim.model.tick import elastic_forces
+
+    force = np.zeros_like(simulation.positions)
+    elastic_forces(simulation.model, simulation.positions, force)
+    assert np.abs(force[simulation.model.moving].sum(axis=0) - still).max() < 1e-3 * still[2]
+
+
+# depth -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+@pytest.mark.parametrize("depth", [0.003, 0.008])
+def test_no_node_is_deep_inside_the_tool_at_rest_after_a_poke(organ, depth):
+    scene = Scene(organ, [PROBE])
+    forces = press(scene, depth, hold=300)
+    assert scene.simulation.state.count[st.TOUCHING] > 0
+    assert deepest(scene) < 2e-4
+    assert forces[-1, 2] > 0.05
+    # It holds still: no chatter between contact points.
+    assert np.ptp(forces[-50:], axis=0).max() < 1e-3
+    assert is_sound(scene)
+
+
+def test_force_grows_with_depth():
+    reached = []
+    for depth in (0.001, 0.003, 0.005, 0.007):
+        scene = Scene(kidney(), [PROBE])
+        reached.append(press(scene, depth, hold=200)[-1, 2])
+    assert np.all(np.diff(reached) > 0.0)
+    assert reached[0] > 0.0
+
+
+def test_instrument_shaft_laid_along_the_organ_sinks_in_nowhere():
+    organ = kidney()
+    scene = Scene(organ, [Tool("left", "capsule", radius=0.0025, length=0.08)])
+    # The capsule's axis, its own z, turned along the kidney's length.
+    middle = organ.surface_positions.mean(axis=0)
+    side = organ.surface_positions[:, 0].max() + 0.0025
+    forces = []
+    for x in [*np.linspace(side + 0.002, side - 0.006, 100), *[side - 0.006] * 200]:
+        scene.move(0, [x, middle[1], middle[2] + 0.04])
+        scene.step()
+        forces.append(scene.wrenches[0, 0])
+    assert deepest(scene) < 3e-4
+    assert forces[-1] > 0.1
+    assert is_sound(scene)
+
+
+def test_instrument_tip_pressed_by_a_mesh_tool_is_held(tmp_path):
+    blade = trimesh.creation.box((0.006, 0.006, 0.03))
+    blade.apply_translation([0.0, 0.0, 0.015])
+    blade.export(tmp_path / "blade.stl")
+    scene = Scene(kidney(), [Tool("left", "mesh", mesh=str(tmp_path / "blade.stl"))])
+    forces = press(scene, 0.004, radius=0.0)
+    assert forces[-1, 2] > 0.05
+    assert deepest(scene) < 2e-4
+    assert is_sound(scene)
+
+
+# small tools -----------------------------------------------------------------------------------
+def push_through_the_middle(organ, radius, number, travel=0.004):
+    """Lead a small ball along a triangle's normal through its middle; the largest force and the gap at the end."""
+    triangle = organ.surface_triangles[number]
+    a, b, c = organ.surface_positions[triangle]
+    normal = np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+    middle = (a + b + c) / 3.0
+    scene = Scene(organ, [Tool("needle", radius=radius)])
+    start = middle + (radius + 0.001) * normal
+    lead(scene, 0, line(start, start - (travel + 0.001) * normal, 100), hold=50)
+    x = scene.simulation.positions[triangle]
+    facing = np.cross(x[1] - x[0], x[2] - x[0])
+    facing /= np.linalg.norm(facing)
+    above = (scene.simulation.state.tool_pose[0, :3] - x[0]) @ facing
+    assert is_sound(scene)
+    return float(np.linalg.norm(scene.wrenches[0, :3])), above
+
+
+@pytest.mark.parametrize("radius", [0.003, 0.0015])
+@pytest.mark.parametrize("number", [3, 20, 45])
+def test_tool_much_smaller_than_a_triangle_is_held_by_its_middle(radius, number):
+    """Edges of 17 mm, a ball of 3 to 6 mm across."""
+    force, above = push_through_the_middle(ball(1), radius, number)
+    assert force > 0.02
+    assert above > 0.0
+
+
+@pytest.mark.parametrize("radius", [0.0005, 0.0001])
+def test_needle_finer_than_the_contact_points_is_held_too(radius):
+    """The finest tool that is allowed does not slip between two contact points."""
+    force, above = push_through_the_middle(ball(2), radius, 40, travel=0.002)
+    assert force > 0.005
+    assert above > 0.0
+
+
+# release ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("region", ["off", "frozen"])
+def test_force_is_exactly_nothing_after_the_tool_has_left(region):
+    organ = kidney()
+    scene = Scene(organ, [PROBE], local_region=region)
+    forces = press(scene, 0.002, hold=50)
+    reach = np.abs(scene.simulation.positions - organ.rest_positions).max()
+    assert np.linalg.norm(forces[-1]) > 0.01
+    up = top_of(organ) + [0.0, 0.0, 0.008]
+    lead(scene, 0, line(up - [0.0, 0.0, 0.002], up + [0.0, 0.0, 0.02], 50))
+    after = lead(scene, 0, up + [0.0, 0.0, 0.02], hold=1200)
+    np.testing.assert_array_equal(after, 0.0)
+    np.testing.assert_array_equal(scene.wrenches, 0.0)
+    assert scene.simulation.asleep
+    assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 0.01 * reach
+
+
+def test_hovering_tool_feels_nothing_and_lets_the_organ_sleep():
+    organ = kidney()
+    scene = Scene(organ, [PROBE])
+    forces = lead(scene, 0, top_of(organ) + [0.0, 0.0, 0.0085], hold=100)
+    assert len(scene.contacts.tool) > 0
+    np.testing.assert_array_equal(forces, 0.0)
+    assert scene.simulation.asleep
+    np.testing.assert_array_equal(scene.simulation.positions, organ.rest_positions)
+
+
+# friction --------------------------------------------------------------------------------------
+def plate(folder):
+    """A flat plate of 80 x 80 x 20 mm, its underside at the origin, facing -z."""
+    mesh = trimesh.creation.box((0.08, 0.08, 0.02))
+    mesh.apply_translation([0.0, 0.0, 0.01])
+    mesh.export(folder / "plate.stl")
+    return Tool("left", "mesh", mesh=str(folder / "plate.stl"))
+
+
+def pressed_and_dragged(scene, speed, ticks=120):
+    """Forces while a plate is pressed 3 mm down on the top and then dragged along x at `speed` m/s."""
+    press(scene, 0.003, hold=150, radius=0.0)
+    at = scene.simulation.state.tool_pose[0, :3].copy()
+    return lead(scene, 0, line(at, at + [speed * ticks * 1e-3, 0.0, 0.0], ticks))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.6])
+def test_tangential_force_stays_in_the_friction_cone(tmp_path, friction):
+    scene = Scene(ball(2), [plate(tmp_path)])
+    scene.simulation.settings[st.FRICTION] = friction
+    forces = pressed_and_dragged(scene, 0.15)
+    normal, tangential = forces[:, 2], np.linalg.norm(forces[:, :2], axis=1)
+    assert normal.min() > 0.1
+    assert np.all(tangential <= friction * normal + 1e-9)
+    if friction == 0.0:
+        assert tangential.max() < 1e-9
+    else:
+        # It drags: pulled back against the motion, and at the cone's edge once it slides.
+        assert forces[20:, 0].max() < 0.0
+        assert tangential[-1] > 0.9 * friction * normal[-1]
+    assert is_sound(scene)
+
+
+def test_smooth_ball_feels_no_moment_about_its_middle():
+    """Without friction every contact force passes through the middle of a spherical tool."""
+    moments = {}
+    for friction in (0.0, 0.6):
+        scene = Scene(kidney(), [PROBE])
+        scene.simulation.settings[st.FRICTION] = friction
+        press(scene, 0.003, hold=20)
+        at = scene.simulation.state.tool_pose[0, :3].copy()
+        lead(scene, 0, line(at, at + [0.004, 0.002, 0.0], 40))
+        moments[friction] = np.linalg.norm(scene.wrenches[0, 3:])
+        assert np.linalg.norm(scene.wrenches[0, :3]) > 0.05
+    assert moments[0.0] < 1e-12
+    assert moments[0.6] > 1e-5
+
+
+def test_stuck_tissue_follows_the_tool(tmp_path):
+    """Dragged slowly by less than the cone allows, the touched nodes move along; without friction they stay."""
+    moved = {}
+    for friction in (0.0, 5.0):
+        scene = Scene(ball(2), [plate(tmp_path)])
+        scene.simulation.settings[st.FRICTION] = friction
+        press(scene, 0.003, hold=150, radius=0.0)
+        node = int(np.argmax(scene.simulation.positions[:162, 2]))
+        before = scene.simulation.positions[node].copy()
+        at = scene.simulation.state.tool_pose[0, :3].copy()
+        lead(scene, 0, line(at, at + [0.001, 0.0, 0.0], 100))
+        moved[friction] = scene.simulation.positions[node, 0] - before[0]
+    assert moved[5.0] == pytest.approx(0.001, rel=0.02)
+    assert abs(moved[0.0]) < 1e-4
+
+
+# clamp -----------------------------------------------------------------------------------------
+def test_force_is_cut_to_the_clamp_in_its_direction():
+    free, cut = Scene(kidney(), [PROBE]), Scene(kidney(), [PROBE])
+    cut.simulation.settings[st.FORCE_CLAMP] = 0.1
+    whole, clamped = press(free, 0.006, hold=0), press(cut, 0.006, hold=0)
+    size, limited = np.linalg.norm(whole, axis=1), np.linalg.norm(clamped, axis=1)
+    assert size.max() > 0.3
+    np.testing.assert_allclose(limited, np.minimum(size, 0.1), rtol=1e-12)
+    np.testing.assert_allclose(clamped * size[:, None], whole * limited[:, None], atol=1e-12)
+    assert cut.simulation.state.count[st.CLAMPED] == np.count_nonzero(size > 0.1)
+    assert free.simulation.state.count[st.CLAMPED] == 0
+    # What the tissue feels is not cut.
+    np.testing.assert_array_equal(cut.simulation.positions, free.simulation.positions)
+
+
+# staleness -------------------------------------------------------------------------------------
+def test_stale_pose_ramps_the_wrench_to_nothing_and_never_up():
+    scene = Scene(kidney(), [PROBE])
+    press(scene, 0.004, hold=400)
+    scene.simulation.settings[st.STALE_TIME], scene.simulation.settings[st.RAMP_TIME] = 0.05, 0.02
+    held = np.linalg.norm(scene.wrenches[0, :3])
+    sizes = []
+    for _ in range(75):
+        scene.step()
+        sizes.append(np.linalg.norm(scene.wrenches[0, :3]))
+    sizes = np.array(sizes)
+    assert held > 0.1
+    # The hold ended with a tick of its own: 49 more are fresh.
+    np.testing.assert_allclose(sizes[:49], held, rtol=0.01)
+    assert np.diff(sizes).max() < 1e-5 * held
+    np.testing.assert_allclose(sizes[49:69], held * (1.0 - np.arange(1, 21) / 20.0), atol=0.02 * held)
+    np.testing.assert_array_equal(sizes[69:], 0.0)
+    np.testing.assert_array_equal(scene.wrenches[0], 0.0)
+
+
+def test_organ_is_let_go_after_the_ramp_and_a_new_pose_engages_at_once():
+    scene = Scene(kidney(), [PROBE])
+    press(scene, 0.002, hold=20)
+    for _ in range(1500):
+        scene.step()
+    assert scene.simulation.asleep
+    pose = top_of(kidney()) + [0.01, 0.0, 0.02]
+    scene.move(0, pose)
+    np.testing.assert_array_equal(scene.simulation.state.tool_pose[0, :3], pose)
+
+
+# external force --------------------------------------------------------------------------------
+def test_external_force_dents_the_tissue_under_the_tip_and_is_not_felt():
+    organ = kidney()
+    scene = Scene(organ, [PROBE])
+    tip = top_of(organ) + [0.0, 0.0, 0.009]  # its ball does not touch
+    for _ in range(150):
+        scene.move(0, tip)
+        scene.push(0, [0.0, 0.0, -0.1])
+        scene.step()
+    moved = scene.simulation.positions - organ.rest_positions
+    assert moved[int(np.argmax(organ.surface_positions[:, 2])), 2] < -5e-4
+    assert np.linalg.norm(moved, axis=1).argmax() in scene.contacts.tip_node[0]
+    np.testing.assert_array_equal(scene.wrenches, 0.0)
+    for _ in range(1500):
+        scene.move(0, tip)
+        scene.step()
+    assert scene.simulation.asleep
+    assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 1e-5
+
+
+# rough use -------------------------------------------------------------------------------------
+def test_two_jaws_nip_lift_and_let_go():
+    organ = kidney()
+    scene = Scene(organ, [Tool("left", radius=0.004), Tool("right", radius=0.004)])
+    top = top_of(organ)
+    for tick in range(900):
+        closing = max(0.002, 0.016 - 6e-5 * tick) if tick < 450 else min(0.02, 0.002 + 1e-4 * (tick - 450))
+        lift = 0.006 * min(1.0, max(0.0, (tick - 250) / 150))
+        for tool, sign in ((0, 1.0), (1, -1.0)):
+            scene.move(tool, top + [sign * (closing + 0.004), 0.0, lift - 0.004])
+        scene.step()
+        assert np.all(np.isfinite(scene.wrenches))
+        if tick == 440:
+            # The jaws are pushed apart.
+            assert scene.wrenches[0, 0] > 0.01
+            assert scene.wrenches[1, 0] < -0.01
+    lead(scene, 0, top + [0.1, 0.0, 0.0], hold=5)
+    lead(scene, 1, top - [0.1, 0.0, 0.0], hold=1500)
+    assert is_sound(scene)
+    np.testing.assert_array_equal(scene.wrenches, 0.0)
+    assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 1e-4
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_tool_that_jumps_about_inside_and_out_leaves_nothing_that_is_not_finite(seed):
+    organ = ball(2)
+    scene = Scene(organ, [Tool("left", radius=0.006), Tool("right", "capsule", radius=0.003, length=0.05)])
+    random = np.random.default_rng(seed)
+    span = scene.simulation.settings[st.LAST_GOOD_SPAN]
+    for tick in range(600):
+        for tool in range(2):
+            if tick % 7 == 0:
+                turn = Rotation.random(rng=random).as_quat()
+                scene.move(tool, random.uniform(-0.05, 0.05, 3), turn)
+        if tick % 50 == 0:
+            scene.push(0, random.normal(0.0, 2.0, 3))
+        scene.step()
+        assert np.all(np.isfinite(scene.simulation.buffer.floats))
+        assert np.all(np.linalg.norm(scene.wrenches[:, :3], axis=1) <= 10.0 + 1e-9)
+        assert np.abs(scene.simulation.positions - organ.rest_positions).max() <= span
+    lead(scene, 0, [1.0, 0.0, 0.0], hold=5)
+    lead(scene, 1, [1.0, 0.0, 0.0], hold=2500)
+    assert scene.simulation.asleep, "the organ does not find back to rest"
+    assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 1e-5
+
+
+def test_two_scenes_with_the_same_inputs_are_bit_identical():
+    states = []
+    for _ in range(2):
+        scene = Scene(kidney(), [PROBE, Tool("right", "capsule", radius=0.003, length=0.04)])
+        press(scene, 0.004, hold=30)
+        lead(scene, 1, line([0.2, 0.0, 0.0], kidney().surface_positions[10], 60))
+        states.append((scene.simulation.buffer.floats.copy(), scene.simulation.buffer.integers.copy()))
+    np.testing.assert_array_equal(states[0][0], states[1][0])
+    np.testing.assert_array_equal(states[0][1], states[1][1])

@@ -1,0 +1,195 @@
+"""The viewer: bands of colour, texts, messages as arrays, and the real process with a page behind it."""
+
+import signal
+import socket
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point
+from processes import Process
+from shape_msgs.msg import Mesh, MeshTriangle
+from stand_in import ball, cloud
+from std_msgs.msg import Header
+
+from tissue_sim.cli import main
+from tissue_sim.ros import client
+from tissue_sim.ros.bands import cut_into_bands
+
+pytest.importorskip("viser")
+from tissue_sim.ros import view_panel, view_scene
+
+STAND_IN = str(Path(__file__).with_name("stand_in.py"))
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def area(vertices, triangles):
+    corners = vertices[triangles]
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+
+
+# bands -----------------------------------------------------------------------------------------
+def test_bands_cover_the_surface_once_and_keep_to_their_levels():
+    vertices, triangles = ball()
+    levels = [-0.041, -0.02, 0.0, 0.0001, 0.03, 0.06]
+    bands = cut_into_bands(vertices, triangles, vertices[:, 2], levels)
+    assert len(bands) == len(levels) + 1
+    assert sum(area(*band) for band in bands) == pytest.approx(area(vertices, triangles), rel=1e-9)
+    edges = [-np.inf, *levels, np.inf]
+    for (points, _), low, high in zip(bands, edges[:-1], edges[1:], strict=True):
+        if len(points):
+            assert points[:, 2].min() >= low - 1e-12
+            assert points[:, 2].max() <= high + 1e-12
+    assert [len(faces) > 0 for _, faces in bands] == [True] * 6 + [False]
+
+
+def test_bands_keep_their_outside_out():
+    vertices, triangles = ball()
+    for points, faces in cut_into_bands(vertices, triangles, vertices[:, 0], [-0.01, 0.004]):
+        corners = points[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert np.einsum("ij,ij->i", normals, corners.mean(axis=1)).min() > -1e-15
+
+
+def test_nothing_to_cut_is_one_band():
+    vertices, triangles = ball()
+    first, second = cut_into_bands(vertices, triangles, np.zeros(len(vertices)), [0.001])
+    assert len(first[1]) == len(triangles)
+    assert len(second[0]) == len(second[1]) == 0
+
+
+def test_a_face_never_names_a_vertex_that_is_not_there():
+    """Each update of one property leaves a drawable mesh, whether bands grow or shrink."""
+
+    class Recorded:
+        def __init__(self, **given):
+            self.__dict__.update(given)
+
+        def __setattr__(self, name, value):
+            self.__dict__[name] = value
+            if name in ("vertices", "faces"):
+                assert len(self.faces) == 0 or self.faces.max() < len(self.vertices)
+
+    class Scene:
+        def add_mesh_simple(self, name, vertices, faces, **_):
+            return Recorded(vertices=vertices, faces=faces, visible=False)
+
+    class Server:
+        scene = Scene()
+
+    vertices, triangles = ball()
+    view = view_scene.OrganView(Server(), vertices, triangles)
+    for size in (0.0, 0.004, 0.012, 0.002, 0.0):
+        near = np.exp(-np.sum((vertices - vertices[0]) ** 2, axis=1) / (2 * 0.01**2))
+        view.show(vertices + size * near[:, None] * (0.0, 0.0, 1.0))
+        shown = [band for band in view._bands if band.visible]
+        assert sum(len(band.faces) for band in shown) >= len(triangles)
+    assert len(shown) == 1
+
+
+# the picture -----------------------------------------------------------------------------------
+def test_the_camera_sees_all_of_the_organ():
+    vertices, _ = ball()
+    vertices = vertices + 3.0
+    position, looked_at = view_scene.camera_for(vertices)
+    forward = (looked_at - position) / np.linalg.norm(looked_at - position)
+    rays = vertices - position
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    tangent = np.tan(0.5 * view_scene.FIELD_OF_VIEW)
+    depth = rays @ forward
+    assert depth.min() > 0.02  # beyond the near plane
+    assert np.abs(rays @ np.cross(right, forward) / depth).max() < tangent
+    assert np.abs(rays @ right / depth).max() < tangent
+
+
+def test_an_arrow_starts_at_the_tool_and_is_as_long_as_the_force():
+    start, end = view_scene.arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0]), 0.005)[0]
+    assert start == pytest.approx([1.0, 1.995, 3.0])
+    assert end - start == pytest.approx([0.0, -0.06, 0.0], abs=1e-6)
+
+
+def test_the_legend_names_every_band():
+    legend = view_panel.legend_html()
+    for level, colour in view_scene.BANDS:
+        assert f">{level:g}<" in legend
+        assert f"rgb{colour}" in legend
+
+
+def test_the_status_shows_what_is_there_and_survives_what_is_not():
+    text = view_panel.status_text(
+        {"tick_rate_hz": "999.61", "force_n": "0.4567", "left.state": "fresh", "left.force_n": "x", "recording": "/a/b"}
+    )
+    assert "| Tick rate | 1000 Hz |" in text
+    assert "| Force | 0.46 N |" in text
+    assert "| Tool left | fresh, - |" in text
+    assert "| Overruns | - |" in text
+    assert "`/a/b`" in text
+
+
+# messages --------------------------------------------------------------------------------------
+def test_meshes_and_clouds_become_arrays():
+    mesh = Mesh(
+        vertices=[Point(x=1.0, y=2.0, z=3.0), Point(z=1.0), Point(y=-1.0)],
+        triangles=[MeshTriangle(vertex_indices=np.array([0, 2, 1], dtype=np.uint32))],
+    )
+    vertices, triangles = client.mesh_arrays(mesh)
+    assert vertices.tolist() == [[1.0, 2.0, 3.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    assert triangles.tolist() == [[0, 2, 1]]
+    columns = np.arange(12.0, dtype=np.float32).reshape(3, 4)
+    assert np.array_equal(client.cloud_array(cloud(columns)), columns)
+
+
+def test_the_newest_status_of_the_right_node_counts():
+    def report(name, rate):
+        status = DiagnosticStatus(name=name, values=[KeyValue(key="tick_rate_hz", value=rate)])
+        return DiagnosticArray(header=Header(stamp=Time(sec=1)), status=[status])
+
+    reports = [report("tissue_sim: physics", "1"), report("tissue_sim: physics", "2"), report("camera: driver", "3")]
+    assert client.physics_status(reports, "ward/tissue_sim") == {"tick_rate_hz": "2"}
+    assert client.physics_status(reports[2:], "tissue_sim") is None
+
+
+# the process -----------------------------------------------------------------------------------
+def test_the_page_is_there_before_the_node_and_the_viewer_ends_at_once(tmp_path):
+    port = free_port()
+    viewer = Process(["-m", "tissue_sim.cli", "view", "--port", str(port)], tmp_path / "viewer.log")
+    viewer.wait_for(f"http://127.0.0.1:{port}", 20.0)
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5.0) as page:
+        assert page.status == 200
+        assert b"<html" in page.read()
+    for words in ([STAND_IN], [STAND_IN, "--smaller"]):  # a node comes, and then one with another organ
+        node = Process(words, tmp_path / "node.log")
+        time.sleep(1.2)
+        assert node.stop() == 0
+    start = time.monotonic()
+    assert viewer.stop(signal.SIGINT) == 0
+    assert time.monotonic() - start < 3.0
+    assert viewer.text() == f"open http://127.0.0.1:{port}\n"
+
+
+def test_a_taken_port_is_one_line_and_exit_code_2(capfd):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert main(["view", "--port", str(port)]) == 2
+    error = capfd.readouterr().err
+    assert error == f"tissue_sim: error: port {port} of 127.0.0.1 is taken; choose another with --port\n"
+
+
+@pytest.mark.parametrize("words", [["--host", "no such host"], ["--port", "0"], ["--tool-radius", "5"]])
+def test_wrong_use_is_one_line_and_exit_code_2(words, capfd):
+    try:
+        code = main(["view", *words])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert capfd.readouterr().err.count("\n") == 1
