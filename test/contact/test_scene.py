@@ -9,6 +9,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
 from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.tick import elastic_forces
 
 from ..scenes import RADIUS, ball, free_ball, kidney
 
@@ -108,8 +109,6 @@ def test_wrench_balances_the_elastic_forces_when_all_is_still():
     simulation = scene.simulation
     still = scene.wrenches[0, :3]
     assert still[2] > 0.1
-    from tissue_sim.model.tick import elastic_forces
-
     force = np.zeros_like(simulation.positions)
     elastic_forces(simulation.model, simulation.positions, force)
     assert np.abs(force[simulation.model.moving].sum(axis=0) - still).max() < 1e-3 * still[2]
@@ -192,7 +191,7 @@ def test_tool_much_smaller_than_a_triangle_is_held_by_its_middle(radius, number)
     assert above > 0.0
 
 
-@pytest.mark.parametrize("radius", [0.0005, 0.0001])
+@pytest.mark.parametrize("radius", [0.0005, 0.001])
 def test_needle_finer_than_the_contact_points_is_held_too(radius):
     """The finest tool that is allowed does not slip between two contact points."""
     force, above = push_through_the_middle(ball(2), radius, 40, travel=0.002)
@@ -326,13 +325,16 @@ def test_stale_pose_ramps_the_wrench_to_nothing_and_never_up():
     np.testing.assert_array_equal(scene.wrenches[0], 0.0)
 
 
-def test_organ_is_let_go_after_the_ramp_and_a_new_pose_engages_at_once():
-    scene = Scene(kidney(), [PROBE])
+def test_stale_tool_lets_the_organ_go_and_a_new_pose_engages_at_once():
+    scene = Scene(ball(2), [PROBE])
     press(scene, 0.002, hold=20)
-    for _ in range(1500):
+    for _ in range(1200):
         scene.step()
+        if scene.simulation.asleep:
+            break
     assert scene.simulation.asleep
-    pose = top_of(kidney()) + [0.01, 0.0, 0.02]
+    assert np.abs(scene.simulation.positions - scene.simulation.model.rest).max() < 1e-5
+    pose = top_of(ball(2)) + [0.01, 0.0, 0.02]
     scene.move(0, pose)
     np.testing.assert_array_equal(scene.simulation.state.tool_pose[0, :3], pose)
 
@@ -347,8 +349,8 @@ def test_external_force_dents_the_tissue_under_the_tip_and_is_not_felt():
         scene.push(0, [0.0, 0.0, -0.1])
         scene.step()
     moved = scene.simulation.positions - organ.rest_positions
-    assert moved[int(np.argmax(organ.surface_positions[:, 2])), 2] < -5e-4
-    assert np.linalg.norm(moved, axis=1).argmax() in scene.contacts.tip_node[0]
+    assert moved[:, 2].min() < -5e-4
+    assert moved[:, 2].argmin() in scene.contacts.tip_node[0]
     np.testing.assert_array_equal(scene.wrenches, 0.0)
     for _ in range(1500):
         scene.move(0, tip)
@@ -359,25 +361,35 @@ def test_external_force_dents_the_tissue_under_the_tip_and_is_not_felt():
 
 # rough use -------------------------------------------------------------------------------------
 def test_two_jaws_nip_lift_and_let_go():
+    """Across the upper pole, 18 mm wide at the jaws: 5 mm into either side, 4 mm up, open, away."""
     organ = kidney()
     scene = Scene(organ, [Tool("left", radius=0.004), Tool("right", radius=0.004)])
-    top = top_of(organ)
-    for tick in range(900):
-        closing = max(0.002, 0.016 - 6e-5 * tick) if tick < 450 else min(0.02, 0.002 + 1e-4 * (tick - 450))
-        lift = 0.006 * min(1.0, max(0.0, (tick - 250) / 150))
+    middle = top_of(organ) + [0.0, 0.0, -0.005]
+
+    def jaws(apart, up):
         for tool, sign in ((0, 1.0), (1, -1.0)):
-            scene.move(tool, top + [sign * (closing + 0.004), 0.0, lift - 0.004])
+            scene.move(tool, middle + [0.0, sign * (apart + 0.004), up])
         scene.step()
-        assert np.all(np.isfinite(scene.wrenches))
-        if tick == 440:
-            # The jaws are pushed apart.
-            assert scene.wrenches[0, 0] > 0.01
-            assert scene.wrenches[1, 0] < -0.01
-    lead(scene, 0, top + [0.1, 0.0, 0.0], hold=5)
-    lead(scene, 1, top - [0.1, 0.0, 0.0], hold=1500)
-    assert is_sound(scene)
+        assert np.all(np.isfinite(scene.simulation.buffer.floats))
+
+    for apart in np.linspace(0.012, 0.004, 100):
+        jaws(apart, 0.0)
+    for up in np.linspace(0.0, 0.004, 100):
+        jaws(0.004, up)
+    # The jaws are pushed apart, and down by what they lift.
+    assert scene.wrenches[0, 1] > 0.1
+    assert scene.wrenches[1, 1] < -0.1
+    assert scene.wrenches[:, 2].sum() < -0.01
+    lifted = scene.simulation.positions[np.argmax(organ.surface_positions[:, 2]), 2] - top_of(organ)[2]
+    assert lifted > 0.001
+    for apart in np.linspace(0.004, 0.02, 100):
+        jaws(apart, 0.004)
     np.testing.assert_array_equal(scene.wrenches, 0.0)
-    assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 1e-4
+    for _ in range(900):
+        jaws(0.1, 0.1)
+    assert is_sound(scene)
+    assert scene.simulation.asleep
+    assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 1e-5
 
 
 @pytest.mark.parametrize("seed", [0, 1])

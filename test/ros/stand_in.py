@@ -1,7 +1,7 @@
 """Stands in for the node where a test is about a program beside it: a ball with a moving bump, and its services.
 
-Arguments: --record-folder DIR (default: no bag is named), --smaller (another organ), --dies-after S,
---still (the bump does not move). Runs until SIGINT or SIGTERM.
+Prints where each tool was last. Arguments: --record-folder DIR (default: no bag is named), --smaller (another organ),
+--dies-after S, --still (the bump does not move). Runs until SIGINT or SIGTERM.
 """
 
 import argparse
@@ -73,10 +73,12 @@ def main() -> None:
         Path(recording).mkdir(parents=True)
     force = {"left": 0.0, "right": 0.0}
     poses = {"left": 0, "right": 0}
+    places = {}
 
     def answer(tool, publisher):
         def on_pose(pose):
             poses[tool] += 1
+            places[tool] = pose.pose.position
             wrench = WrenchStamped(header=pose.header)
             force[tool] = 0.5 if abs(pose.pose.position.y) < 0.024 else 0.0
             wrench.wrench.force.y = -force[tool]
@@ -128,10 +130,13 @@ def main() -> None:
 
     node.create_timer(1 / 60, show)
     node.create_timer(0.5, tell)
+    print("up", flush=True)
     while not stop:
         rclpy.spin_once(node, timeout_sec=0.05)
         if args.dies_after is not None and time.monotonic() - started > args.dies_after:
             sys.exit("stand_in: error: the disk is on fire")
+    for tool, place in places.items():
+        print("last pose of", tool, place.x, place.y, place.z, flush=True)
     node.destroy_node()
     rclpy.try_shutdown()
 

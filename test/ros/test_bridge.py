@@ -6,73 +6,101 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Point
 from processes import Process
+from shape_msgs.msg import Mesh
 from stand_in import ball
 
 from tissue_sim.cli import main
-from tissue_sim.ros.client import Inbox, stream_qos
+from tissue_sim.ros.bridge import Player
 from tissue_sim.ros.probing import Surface
+from tissue_sim.ros.trajectory import plan
 
 STAND_IN = str(Path(__file__).with_name("stand_in.py"))
 BRIDGE = ["-m", "tissue_sim.cli", "bridge"]
 
 
-@pytest.fixture(scope="module")
-def node(tmp_path_factory):
-    process = Process([STAND_IN], tmp_path_factory.mktemp("node") / "node.log")
-    yield process
-    assert process.stop() == 0, process.text()
+class RecordedTool:
+    """Takes the place of a tool's topics."""
+
+    def __init__(self):
+        self.poses, self.stamps = [], []
+
+    def publish(self, stamp, pose):
+        self.stamps.append(stamp)
+        self.poses.append(pose)
+
+    def feel(self):
+        pass
+
+
+class NoMesh:
+    def take(self):
+        return None
 
 
 @pytest.fixture
-def poses():
-    """The newest pose of the left tool, whenever it is asked for."""
-    context = rclpy.Context()
-    context.init()
-    listener = rclpy.create_node("listener", context=context)
-    yield Inbox(listener, PoseStamped, "left/measured_cp", stream_qos())
-    listener.destroy_node()
-    context.try_shutdown()
+def node(tmp_path):
+    process = Process([STAND_IN], tmp_path / "node.log")
+    process.wait_for("up", 20.0)
+    yield process
+    process.stop()
 
 
-def test_it_presses_feels_and_leaves(node, poses, tmp_path):
-    bridge = Process([*BRIDGE, "--seconds", "2.2", "--script", "stroke"], tmp_path / "bridge.log")
-    bridge.wait_for("at 500 Hz", 20.0)
-    seen = []
-    while bridge.child.poll() is None:
-        if (pose := poses.take()) is not None:
-            seen.append(pose)
-        time.sleep(0.01)
-    assert bridge.stop() == 0
-    assert {pose.header.frame_id for pose in seen} == {"organ"}
-    stamps = [pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec for pose in seen]
+def last_pose(process: Process) -> np.ndarray:
+    """Where the left tool was when the stand-in ended."""
+    assert process.stop() == 0, process.text()
+    line = next(line for line in process.text().splitlines() if line.startswith("last pose of left "))
+    return np.array(line.split()[-3:], dtype=float)
+
+
+@pytest.mark.parametrize("seconds", [0.3, 1.2])
+def test_poses_keep_to_the_path_in_real_time_and_end_outside(seconds):
+    vertices, triangles = ball()
+    path = plan(vertices, triangles, 0.005)
+    tools = [RecordedTool(), RecordedTool()]
+    Player(tools, 200.0, seconds).play(path, False, NoMesh(), vertices)
+    stamps, poses = 1e-9 * np.array(tools[0].stamps), np.array(tools[0].poses)
     assert np.all(np.diff(stamps) > 0.0)
-    assert abs(stamps[-1] - time.time()) < 20.0
-    surface = Surface(*ball())
-    points = np.array([(p.pose.position.x, p.pose.position.y, p.pose.position.z) for p in seen])
-    gaps = np.array([surface.closest(point)[0] for point in points]) - 0.005
-    assert gaps.min() == pytest.approx(-0.002 * 0.04 / 0.03 * 0.75, abs=8e-4)  # it pressed
-    assert gaps[-1] > 0.005  # it left
+    on_path = stamps - stamps[0] < seconds - 0.02
+    errors = [
+        np.linalg.norm(pose[:3] - path.poses(stamp - stamps[0])["left"][0])
+        for stamp, pose in zip(stamps[on_path], poses[on_path], strict=True)
+    ]
+    assert np.median(errors) < 0.15 * 0.003  # 3 ms at the highest speed
+    assert np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1).max() < 0.02  # late poses are skipped, not jumped
+    assert Surface(vertices, triangles).closest(poses[-1, :3])[0] > 0.01
+
+
+def test_another_organ_ends_the_path(monkeypatch):
+    vertices, triangles = ball()
+
+    class Meshes:
+        def take(self):
+            return Mesh(vertices=[Point(x=1.0)], triangles=[])
+
+    monkeypatch.setattr("tissue_sim.ros.bridge.LOOK_AGAIN", 0.1)
+    path = plan(vertices, triangles, 0.005)
+    tools = [RecordedTool(), RecordedTool()]
+    found = Player(tools, 200.0, 30.0).play(path, False, Meshes(), vertices)
+    assert found[0].tolist() == [[1.0, 0.0, 0.0]]
+    assert len(tools[0].poses) < 200
+
+
+def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, tmp_path):
+    bridge = Process([*BRIDGE, "--script", "stroke"], tmp_path / "bridge.log")
+    bridge.wait_for("at 500 Hz", 20.0)
+    time.sleep(1.5)  # now it draws
+    bridge.child.send_signal(signal.SIGTERM)
+    assert bridge.child.wait(5.0) == 0
+    assert "Traceback" not in bridge.text()
     last = bridge.text().splitlines()[-1]
     words = last.replace(",", "").split()
     sent, received = int(words[0]), int(words[words.index("wrenches") - 1])
-    assert 2 * 0.7 * 500 * 2.2 < sent < 2 * 500 * 4.0, last
-    assert received > 0.5 * sent, last
-    assert "left 0.50 N" in last, last
-
-
-def test_a_signal_ends_it_with_0_and_the_tools_outside(node, poses, tmp_path):
-    bridge = Process([*BRIDGE, "--script", "poke"], tmp_path / "bridge.log")
-    bridge.wait_for("at 500 Hz", 20.0)
-    time.sleep(1.3)
-    bridge.child.send_signal(signal.SIGTERM)
-    assert bridge.child.wait(5.0) == 0
-    pose = poses.take().pose.position
-    assert Surface(*ball()).closest(np.array([pose.x, pose.y, pose.z]))[0] > 0.01
-    assert "poses sent" in bridge.text()
-    assert "Traceback" not in bridge.text()
+    assert 2 * 0.7 * 500 * 1.5 < sent < 2 * 500 * 4.0, last
+    assert received > 0.3 * sent, last
+    assert "left 0.50 N, right 0.00 N" in last, last
+    assert Surface(*ball()).closest(last_pose(node))[0] > 0.01
 
 
 def test_no_node_is_one_line_and_exit_code_1(capfd):

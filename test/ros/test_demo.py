@@ -79,7 +79,7 @@ def test_an_end_before_the_node_is_up_is_said(tmp_path, monkeypatch, capfd):
     sleeper = [sys.executable, "-c", SLEEPER.format("0")]
     monkeypatch.setattr(demo, "node_command", lambda organ, folder: sleeper)
 
-    class AtOnce:
+    class AtOnce(demo.client.Stop):
         def __bool__(self):
             return True
 

@@ -169,7 +169,8 @@ def test_the_page_is_there_before_the_node_and_the_viewer_ends_at_once(tmp_path)
         assert b"<html" in page.read()
     for words in ([STAND_IN], [STAND_IN, "--smaller"]):  # a node comes, and then one with another organ
         node = Process(words, tmp_path / "node.log")
-        time.sleep(1.2)
+        node.wait_for("up", 20.0)
+        time.sleep(1.0)
         assert node.stop() == 0
     start = time.monotonic()
     assert viewer.stop(signal.SIGINT) == 0

@@ -18,7 +18,7 @@ from tissue_sim.model.shapes import CAPSULE, rotation_matrix
 from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs
 from tissue_sim.organ.organ import Ints
 
-TIP_REACH = 0.01  # m from the tip within which an external force finds the tissue
+TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
 MOST_FCL_CONTACTS = 256
 SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
 MOST_DIVISIONS = 8
@@ -63,6 +63,7 @@ class ContactFinder:
         self._matrix = np.zeros(9)
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
+        self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
         self._lattices = [edge_and_face_points(longest / (SPACING * size)) for size in tools.smallest]
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
@@ -155,7 +156,8 @@ class ContactFinder:
         """Points spread over each triangle that FCL finds within MARGIN of the tool.
 
         Nodes alone would let a small tool through between them. The points stay where they are on
-        the tissue; the point nearest to the tool wanders, and each step of it would be felt.
+        the tissue; the point nearest to the tool wanders, and each step of it would be felt. Only
+        tools too fine for a lattice get that.
         """
         self.counters.narrow_phases += 1
         local, inverse = np.unique(near, return_inverse=True)
@@ -172,6 +174,11 @@ class ContactFinder:
         result = fcl.CollisionResult()
         fcl.collide(fcl.CollisionObject(model), body, request, result)
         touched = sorted({contact.b1 for contact in result.contacts if 0 <= contact.b1 < len(near)})
+        if self._is_fine[tool]:
+            where = {contact.b1: np.asarray(contact.pos) for contact in result.contacts}
+            corners = near[touched].astype(np.int64).reshape(-1, 3)
+            points = np.array([where[triangle] for triangle in touched]).reshape(-1, 3)
+            return corners, nearest_weights(position[corners], points)[0]
         lattice = self._lattices[tool]
         corners = near[touched].astype(np.int64)
         nodes, weights = np.repeat(corners, len(lattice), axis=0), np.tile(lattice, (len(corners), 1))
@@ -210,4 +217,10 @@ def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
     """
     nearest = trimesh.triangles.closest_point(corners, points)
     weights = trimesh.triangles.points_to_barycentric(corners, nearest)
+    # A triangle without area has no such weights: its nearest corner stands for it.
+    flat = ~np.all(np.isfinite(weights), axis=1)
+    if np.any(flat):
+        corner = np.argmin(np.linalg.norm(corners[flat] - points[flat, None], axis=2), axis=1)
+        weights[flat] = np.eye(3)[corner]
+        nearest[flat] = corners[flat, corner]
     return weights, np.linalg.norm(nearest - points, axis=1)

@@ -10,6 +10,7 @@ import fcl
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import HalfspaceIntersection
 
 from tissue_sim.errors import UserError
 from tissue_sim.model.shapes import CAPSULE, CONVEX, SPHERE, Shapes
@@ -55,9 +56,9 @@ class ToolSet:
             kind, size, hull = _shape(tool, self.warnings)
             kinds.append(kind)
             sizes.append(size)
-            planes.append(_planes(hull) if hull is not None else np.zeros((0, 4)))
+            planes.append(_planes(tool, hull) if hull is not None else np.zeros((0, 4)))
             starts.append(starts[-1] + len(planes[-1]))
-            self.grown.append(_grown(kind, size, hull))
+            self.grown.append(_grown(kind, size, hull, planes[-1]))
             ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -size[1]]])
             corners = np.array(hull.vertices) if hull is not None else ends
             self.corners.append(corners)
@@ -83,8 +84,8 @@ def _shape(tool: Tool, warnings: list[str]) -> tuple[int, tuple[float, float], t
         raise UserError(f"tool '{tool.name}': unknown shape '{tool.shape}'; choose one of {', '.join(SHAPE_NAMES)}")
     if tool.shape == "mesh":
         return CONVEX, (0.0, 0.0), _hull(tool, warnings)
-    if not 1e-4 <= tool.radius <= 0.5:
-        raise UserError(f"tool '{tool.name}': radius {tool.radius:g} m is outside 0.0001..0.5")
+    if not 5e-4 <= tool.radius <= 0.5:
+        raise UserError(f"tool '{tool.name}': radius {tool.radius:g} m is outside 0.0005..0.5")
     if tool.shape == "sphere":
         return SPHERE, (tool.radius, 0.0), None
     if not 0.0 <= tool.length <= 2.0:
@@ -104,26 +105,34 @@ def _hull(tool: Tool, warnings: list[str]) -> trimesh.Trimesh:
         raise UserError(
             f"tool '{tool.name}': mesh '{tool.mesh}' is {hull.extents.max():.3g} m long; meshes are in metres"
         )
+    if hull.extents.min() < 1e-5:
+        raise UserError(f"tool '{tool.name}': mesh '{tool.mesh}' is flat; give it a thickness")
     if not mesh.is_convex:
         warnings.append(f"tool '{tool.name}': mesh '{tool.mesh}' is not convex; its convex hull is used")
     return hull
 
 
-def _planes(hull: trimesh.Trimesh) -> Floats:
+def _planes(tool: Tool, hull: trimesh.Trimesh) -> Floats:
     normals = np.asarray(hull.face_normals)
     offsets = np.einsum("ij,ij->i", normals, hull.triangles[:, 0])
     planes = np.unique(np.round(np.column_stack([normals, offsets]), 9), axis=0)
     if len(planes) > MOST_PLANES:
-        raise UserError(f"a tool mesh has {len(planes)} faces in its convex hull; simplify it to {MOST_PLANES}")
+        raise UserError(
+            f"tool '{tool.name}': the convex hull of '{tool.mesh}' has {len(planes)} faces;"
+            f" simplify it to {MOST_PLANES}"
+        )
     return planes
 
 
-def _grown(kind: int, size: tuple[float, float], hull: trimesh.Trimesh | None) -> Any:
+def _grown(kind: int, size: tuple[float, float], hull: trimesh.Trimesh | None, planes: Floats) -> Any:
     if kind == SPHERE:
         return fcl.Sphere(size[0] + MARGIN)
     if kind == CAPSULE:
         return fcl.Capsule(size[0] + MARGIN, size[1])
     assert hull is not None
-    vertices = np.asarray(hull.vertices) + MARGIN * np.asarray(hull.vertex_normals)
-    faces: NDArray[Any] = np.column_stack([np.full(len(hull.faces), 3), hull.faces]).ravel()
-    return fcl.Convex(vertices, len(hull.faces), faces)
+    # The planes moved out, so that every point within the margin of a face is inside.
+    halfspaces = np.column_stack([planes[:, :3], -(planes[:, 3] + MARGIN)])
+    corners = HalfspaceIntersection(halfspaces, hull.vertices.mean(axis=0)).intersections
+    grown = trimesh.convex.convex_hull(corners)
+    faces: NDArray[Any] = np.column_stack([np.full(len(grown.faces), 3), grown.faces]).ravel()
+    return fcl.Convex(np.asarray(grown.vertices), len(grown.faces), faces)

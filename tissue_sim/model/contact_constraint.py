@@ -95,20 +95,21 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
 
 @kernel
 def resolve_contacts(
-    state: Any, shapes: Any, inverse_mass: Any, scratch: Any, friction: float, step: float, iterations: int
+    state: Any, shapes: Any, mobility: Any, scratch: Any, friction: float, step: float, iterations: int
 ) -> int:
     """Keep every contact point out of its tool; returns how many touched.
 
     Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours is let
     back, so that points sharing nodes settle on one distribution of force instead of taking turns.
     scratch.origin (T, 3), scratch.rotation (T, 9) are the tools at the substep's end, last_* at its
-    beginning; step s. Adds to scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
+    beginning; mobility (n,) 1/kg is the velocity that an impulse gives a node; step s. Adds to
+    scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
     about the tool's origin, N m s.
     """
     found = gather_contacts(state, shapes, scratch.origin, scratch.rotation, scratch)
     for _ in range(iterations if found > 1 else min(found, 1)):
         for near in range(found):
-            resolve_contact(state, shapes, inverse_mass, scratch, near, friction, step)
+            resolve_contact(state, shapes, mobility, scratch, near, friction, step)
     touching = 0
     for near in range(found):
         if scratch.near_normal[near] > 0.0:
@@ -118,7 +119,7 @@ def resolve_contacts(
 
 @kernel
 def resolve_contact(
-    state: Any, shapes: Any, inverse_mass: Any, scratch: Any, near: int, friction: float, step: float
+    state: Any, shapes: Any, mobility: Any, scratch: Any, near: int, friction: float, step: float
 ) -> None:
     """One contact point: no penetration, and no sliding within the friction cone."""
     entry = scratch.near_entry[near]
@@ -126,7 +127,7 @@ def resolve_contact(
     compliance = 0.0
     for c in range(3):
         weight = state.contact_weight[entry, c]
-        compliance += weight * weight * inverse_mass[state.contact_node[entry, c]]
+        compliance += weight * weight * mobility[state.contact_node[entry, c]]
     if compliance == 0.0:
         return
     origin = scratch.origin
@@ -164,7 +165,7 @@ def resolve_contact(
     held[0], held[1], held[2] = share * tx, share * ty, share * tz
     for c in range(3):
         node = state.contact_node[entry, c]
-        move = state.contact_weight[entry, c] * inverse_mass[node]
+        move = state.contact_weight[entry, c] * mobility[node]
         if state.count[REGION] == MODAL:
             state.contact_impulse[node, 0] += state.contact_weight[entry, c] * px
             state.contact_impulse[node, 1] += state.contact_weight[entry, c] * py

@@ -21,6 +21,7 @@ from tissue_sim.model.state import (
     MODAL_TICKS,
     POSE_SEQUENCE,
     REMAINING,
+    SNAPS,
     TICK,
 )
 
@@ -92,10 +93,12 @@ def take_contacts(
 def reset_state(model: Any, state: Any, scratch: Any) -> None:
     """Back to the rest shape, asleep, without tools; the counters go on."""
     tick, faults, asleep = state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS]
+    snaps = state.count[SNAPS]
     frozen, modal, clamped = state.count[FROZEN_TICKS], state.count[MODAL_TICKS], state.count[CLAMPED]
     state.count[:] = 0
     state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS] = tick, faults, asleep
     state.count[FROZEN_TICKS], state.count[MODAL_TICKS], state.count[CLAMPED] = frozen, modal, clamped
+    state.count[SNAPS] = snaps
     state.count[ASLEEP] = 1
     state.count[BACKOFF] = 1
     state.position[:] = model.rest

@@ -109,7 +109,7 @@ class Simulation:
         """
         index = np.atleast_1d(np.asarray(nodes, dtype=np.int64))
         values = np.asarray(forces, dtype=np.float64)
-        if values.size != 3 * len(index):
+        if values.size != 3 * len(index) or values.shape[-1] != 3:
             raise UserError(f"forces has shape {values.shape}, expected ({len(index)}, 3) for {len(index)} nodes")
         values = values.reshape(len(index), 3)
         if not np.all(np.isfinite(values)):
@@ -213,6 +213,7 @@ def _scratch(model: Model, n_tools: int) -> Scratch:
     return Scratch(
         force=empty(n, 3),
         impulse=empty(n_tools, 6),
+        mobility=empty(n),
         origin=empty(n_tools, 3),
         rotation=empty(n_tools, 9),
         last_origin=empty(n_tools, 3),

@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     """Solve every load; returns 0, also when some did not settle (`converged` tells)."""
     if not 0.0 < args.tolerance < 1.0:
         raise UserError(f"--tolerance {args.tolerance:g} is outside 0..1")
-    if not args.longest > 0.0:
-        raise UserError(f"--longest {args.longest:g} must be greater than 0 s")
+    if not 0.0 < args.longest <= 3600.0:
+        raise UserError(f"--longest {args.longest:g} is outside 0..3600 s")
     organ = Organ.load(args.organ)
     forces = read_loads(args.loads, organ.n_surface)
     simulation = Simulation(organ, args.model, args.rate, args.local_region)
@@ -53,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
         displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
         seconds[load] = time.perf_counter() - start
     try:
-        np.savez_compressed(args.out, displacements=displacements, seconds=seconds, converged=converged)
+        with open(args.out, "wb") as stream:  # numpy would add .npz to a bare name
+            np.savez_compressed(stream, displacements=displacements, seconds=seconds, converged=converged)
     except OSError as error:
         raise UserError(f"cannot write {args.out}: {error.strerror}") from None
     print(
@@ -72,7 +73,7 @@ def read_loads(path: str, n_surface: int) -> Floats:
             forces = np.asarray(stored["forces"], dtype=np.float64)
     except FileNotFoundError:
         raise UserError(f"loads file {path} does not exist") from None
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile):
+    except (OSError, ValueError, TypeError, EOFError, AttributeError, zipfile.BadZipFile):
         raise UserError(f"{path} is no .npz file of loads; write one with numpy.savez(path, forces=...)") from None
     if forces.ndim != 3 or forces.shape[1:] != (n_surface, 3):
         raise UserError(f"{path}: forces has shape {forces.shape}, expected (L, {n_surface}, 3) for this organ")

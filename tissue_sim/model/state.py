@@ -31,7 +31,9 @@ CLAMPED = 16  # ticks in which a wrench was cut to the clamp
 CONTACT_SEQUENCE = 17  # which contact set is in use
 REGION_BOUNDARY = 18  # nodes at the region's edge that follow the modes
 MODAL_TICKS = 19  # ticks that moved a modal region
-N_COUNT = 20
+SNAPPED = 20  # 1 while the organ is led back from a false rest shape
+SNAPS = 21  # times that it had to be
+N_COUNT = 22
 
 WHOLE, FROZEN, MODAL = 0, 1, 2
 

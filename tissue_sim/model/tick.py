@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import is_touched, resolve_contacts
 from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
+from tissue_sim.model.guard import guard
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.jit import kernel
-from tissue_sim.model.shapes import rotation_matrix
 from tissue_sim.model.state import (
     ACTIVE,
     AGE,
@@ -23,25 +23,21 @@ from tissue_sim.model.state import (
     BACKOFF,
     CLAMPED,
     DAMPING_SCALE,
-    ENGAGED,
-    FAULTS,
     FORCE_AGE,
     FORCE_CLAMP,
     FRICTION,
     FROZEN,
     FROZEN_TICKS,
-    LAST_GOOD_SPAN,
     LOADED,
     LOCAL_REGION,
     MODAL,
     MODAL_TICKS,
     QUIET,
-    RAMP_TIME,
     REGION,
     REGION_FORCE,
     REGION_NODES,
-    REMAINING,
-    STALE_TIME,
+    SNAPPED,
+    SNAPS,
     STIFFNESS_SCALE,
     SUBSTEPS,
     TICK,
@@ -50,11 +46,20 @@ from tissue_sim.model.state import (
     WANTED_SUBSTEPS,
     WHOLE,
 )
+from tissue_sim.model.tool_motion import (
+    add_tip_forces,
+    advance_tools,
+    freshness,
+    has_tip_force,
+    set_frame,
+    step_pose,
+)
 
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
-MAX_BACKOFF = 8
+SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
+WAY_BACK = 0.02  # share of the way to rest in a tick
 CONTACT_ITERATIONS = 8
 
 # Values of settings[LOCAL_REGION]; 0 is off.
@@ -66,6 +71,7 @@ class Scratch(NamedTuple):
 
     force: Any  # (n, 3) N
     impulse: Any  # (T, 6) N s on the tissue
+    mobility: Any  # (n,) 1/kg
     origin: Any  # (T, 3) m at the substep's end
     rotation: Any  # (T, 9)
     last_origin: Any  # (T, 3) at its beginning
@@ -108,6 +114,12 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         count[ASLEEP] = 0
         count[QUIET] = 0
         choose_region(state, settings)
+    if count[SNAPPED] == 1:
+        if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
+            lead_back(model, state)
+            state.wrench[:] = 0.0
+            return
+        count[SNAPPED] = 0
     if count[REGION] == WHOLE:
         count[ACTIVE] = len(model.moving)
     else:
@@ -116,6 +128,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     scratch.impulse[:] = 0.0
     substeps = int(settings[WANTED_SUBSTEPS]) * count[BACKOFF]
     count[SUBSTEPS] = substeps
+    set_mobility(model, settings, settings[TICK_TIME] / substeps, scratch.mobility)
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps)
     guard(model, state, settings, scratch)
@@ -127,73 +140,6 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         state.nodal_force[:] = 0.0
         count[LOADED] = 0
     rest_if_quiet(model, state, forced)
-
-
-@kernel
-def advance_tools(state: Any, settings: Any, scratch: Any) -> None:
-    """Move each tool towards its newest pose, and let go of it when poses stop."""
-    for tool in range(len(state.tool_pose)):
-        tools = state.tool_count[tool]
-        scratch.start_pose[tool] = state.tool_pose[tool]
-        if tools[AGE] >= 0:
-            tools[AGE] += 1
-            if tools[AGE] * settings[TICK_TIME] > settings[STALE_TIME] + settings[RAMP_TIME]:
-                tools[ENGAGED] = 0
-        if tools[FORCE_AGE] >= 0:
-            tools[FORCE_AGE] += 1
-        if tools[REMAINING] > 0:
-            share = 1.0 / tools[REMAINING]
-            step_pose(state.tool_pose[tool], state.tool_goal[tool], share)
-            tools[REMAINING] -= 1
-        set_frame(state.tool_pose[tool], scratch.origin[tool], scratch.rotation[tool])
-
-
-@kernel
-def step_pose(pose: Any, goal: Any, share: float) -> None:
-    """Move a pose (7,) by a share of the way to a goal; the quaternion by normalised lerp."""
-    if share >= 1.0:
-        pose[:] = goal
-        return
-    for c in range(3):
-        pose[c] += share * (goal[c] - pose[c])
-    dot = pose[3] * goal[3] + pose[4] * goal[4] + pose[5] * goal[5] + pose[6] * goal[6]
-    sign = 1.0 if dot >= 0.0 else -1.0
-    norm = 0.0
-    for c in range(3, 7):
-        pose[c] += share * (sign * goal[c] - pose[c])
-        norm += pose[c] * pose[c]
-    norm = 1.0 / math.sqrt(norm)
-    for c in range(3, 7):
-        pose[c] *= norm
-
-
-@kernel
-def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
-    """Origin (3,) and rotation matrix (9,) of a pose (7,)."""
-    origin[:] = pose[:3]
-    rotation_matrix(pose[3:], rotation)
-
-
-@kernel
-def freshness(age: int, settings: Any) -> float:
-    """1 while an input is fresh, ramping to 0 after it went stale; 0 when there was none."""
-    if age < 0:
-        return 0.0
-    late = age * settings[TICK_TIME] - settings[STALE_TIME]
-    if late <= 0.0:
-        return 1.0
-    return max(0.0, 1.0 - late / settings[RAMP_TIME])
-
-
-@kernel
-def has_tip_force(state: Any, settings: Any) -> bool:
-    """True when an external force acts on the tissue under any tool's tip."""
-    for tool in range(len(state.tool_force)):
-        if state.tip_node[tool, 0] >= 0 and freshness(state.tool_count[tool, FORCE_AGE], settings) > 0.0:
-            force = state.tool_force[tool]
-            if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
-                return True
-    return False
 
 
 @kernel
@@ -273,8 +219,21 @@ def advance_substep(
         step,
     )
     state.count[TOUCHING] = resolve_contacts(
-        state, shapes, model.inverse_mass, scratch, settings[FRICTION], step, CONTACT_ITERATIONS
+        state, shapes, scratch.mobility, scratch, settings[FRICTION], step, CONTACT_ITERATIONS
     )
+
+
+@kernel
+def set_mobility(model: Any, settings: Any, step: float, mobility: Any) -> None:
+    """Velocity that an impulse gives each node within a substep, (n,) 1/kg.
+
+    The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With 1/m alone
+    a body at rest would press with a force short by h d/m.
+    """
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        inverse = model.inverse_mass[node]
+        mobility[node] = inverse / (1.0 + step * inverse * settings[DAMPING_SCALE] * model.damping[node])
 
 
 @kernel
@@ -316,48 +275,6 @@ def add_loads(state: Any, settings: Any, force: Any) -> None:
 
 
 @kernel
-def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
-    """Add the external forces at the tools' tips to force (n, 3) N."""
-    for tool in range(len(state.tool_force)):
-        fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
-        if fresh > 0.0 and state.tip_node[tool, 0] >= 0:
-            for c in range(3):
-                node, weight = state.tip_node[tool, c], fresh * state.tip_weight[tool, c]
-                for axis in range(3):
-                    force[node, axis] += weight * state.tool_force[tool, axis]
-
-
-@kernel
-def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Keep this state if it is finite and bounded, else go back to the last good one, at rest.
-
-    After a fault the substeps double (up to 8 times), until the organ has slept.
-    """
-    span = settings[LAST_GOOD_SPAN] * settings[LAST_GOOD_SPAN]
-    speed = span / (settings[TICK_TIME] * settings[TICK_TIME])
-    good = True
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        moved = sped = 0.0
-        for c in range(3):
-            offset = state.position[node, c] - model.rest[node, c]
-            moved += offset * offset
-            sped += state.velocity[node, c] * state.velocity[node, c]
-        # Comparisons with NaN are false, so this catches it too.
-        good = good and moved < span and sped < speed
-    if good:
-        state.good_position[:] = state.position
-        state.good_velocity[:] = state.velocity
-        return
-    state.position[:] = state.good_position
-    state.velocity[:] = 0.0
-    state.good_velocity[:] = 0.0
-    scratch.impulse[:] = 0.0
-    state.count[FAULTS] += 1
-    state.count[BACKOFF] = min(MAX_BACKOFF, 2 * state.count[BACKOFF])
-
-
-@kernel
 def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
     """What each hand should feel: minus the mean force on the tissue, faded when stale, clamped."""
     cut = False
@@ -395,21 +312,45 @@ def total_load(state: Any, settings: Any) -> float:
 
 @kernel
 def rest_if_quiet(model: Any, state: Any, forced: bool) -> None:
-    """Fall asleep after a number of ticks without touch, load, speed and displacement."""
+    """Fall asleep after a number of ticks without touch, load, speed and displacement.
+
+    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that
+    nobody touches and that stands still away from its rest shape is led back to it.
+    """
     count = state.count
     if forced or count[TOUCHING] > 0:
         count[QUIET] = 0
         return
+    speed, displacement = 0.0, 0.0
     for index in range(len(model.moving)):
         node = model.moving[index]
         for c in range(3):
-            if (
-                abs(state.velocity[node, c]) > QUIET_SPEED
-                or abs(state.position[node, c] - model.rest[node, c]) > QUIET_DISPLACEMENT
-            ):
-                count[QUIET] = 0
-                return
+            speed = max(speed, abs(state.velocity[node, c]))
+            displacement = max(displacement, abs(state.position[node, c] - model.rest[node, c]))
+    if speed > QUIET_SPEED:
+        count[QUIET] = 0
+        return
     count[QUIET] += 1
-    if count[QUIET] >= QUIET_TICKS:
-        count[ASLEEP] = 1
-        count[BACKOFF] = 1
+    if displacement <= QUIET_DISPLACEMENT:
+        if count[QUIET] >= QUIET_TICKS:
+            count[ASLEEP] = 1
+            count[BACKOFF] = 1
+    elif count[QUIET] >= QUIET_TICKS and displacement > SNAPPED_DISPLACEMENT:
+        count[SNAPPED] = 1
+        count[SNAPS] += 1
+
+
+@kernel
+def lead_back(model: Any, state: Any) -> None:
+    """A step of the way back from a false rest shape, without forces: they hold the organ in it."""
+    displacement = 0.0
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        for c in range(3):
+            offset = (1.0 - WAY_BACK) * (state.position[node, c] - model.rest[node, c])
+            state.position[node, c] = model.rest[node, c] + offset
+            state.velocity[node, c] = 0.0
+            displacement = max(displacement, abs(offset))
+    if displacement <= QUIET_DISPLACEMENT:
+        state.count[SNAPPED] = 0
+        state.count[QUIET] = 0

@@ -91,7 +91,7 @@ def _scene(grid: Grid, kidney: Field, gap: float) -> list[tuple[Field, float]]:
     spine = np.hypot(x, y - 58.0) - 22.0
     canal = np.hypot(x, y - 83.0) - 8.0
     neighbours: list[tuple[Callable[[Grid], Field], float]] = [
-        (lambda g: _ellipsoid(g[0] - 106.0, g[1] - 30.0, g[2] - 46.0, (21.0, 42.0, 48.0)), SPLEEN),
+        (lambda g: _ellipsoid(g[0] - 110.0, g[1] - 30.0, g[2] - 46.0, (21.0, 42.0, 48.0)), SPLEEN),
         (lambda g: _ellipsoid(g[0] - 27.0 - 0.1 * (30.0 - g[2]), g[1] - 56.0, 0.0 * g[2], (16.0, 20.0, 1e6)), MUSCLE),
         (lambda g: _ellipsoid(g[0] - 62.0, g[1] - 80.0, 0.0 * g[2], (42.0, 18.0, 1e6)), MUSCLE),
         (lambda g: _tube(g, _BOWEL, 17.0), BOWEL),

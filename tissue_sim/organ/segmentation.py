@@ -37,7 +37,6 @@ _LOBE = 0.03  # volume share from which a lobe that breaks off counts
 _EROSION = (1.5, 10.0)  # mm, least and greatest depth tried
 _REFINEMENTS = 3
 _SPUR = 3.0  # mm, radius of the final opening
-_BESIDE, _BULGE = 5.0, 8.0  # mm: so near a neighbour, where fat is blurred away, a wider opening
 _CALMER = (np.inf, 2.0, 1.2)  # bounds of the deviation, in least deviations, tried one after another on a leak
 
 
@@ -351,16 +350,14 @@ def _dilate_back(
     """Dilate the core back to the wall, at most `reach` mm, against its dilating rivals.
 
     Both grow at the same rate through the tissue between the wall's intensity and bone: a watershed
-    of the distance to the nearer of the two. Spurs (vessels) thinner than 6 mm are opened away, and the ridges
-    that the blurred fat in the corner between two organs leaves.
+    of the distance to the nearer of the two. Spurs (vessels) thinner than 6 mm are opened away.
     """
     tissue = (sharp > window[0]) & (sharp < window[1]) | core
     to_core = (ndimage.distance_transform_edt(~core) * h).astype(np.float32)
     level = np.minimum(to_core, ndimage.distance_transform_edt(~rivals) * h) if rivals.any() else to_core
     basins = watershed(level, core * np.int32(1) + rivals * np.int32(2), mask=tissue)
     own = (basins == 1) & (to_core <= reach)
-    beside = ndimage.distance_transform_edt(basins != 2) * h < _BESIDE
-    own = (np.where(beside, _open(own, _BULGE / h), _open(own, _SPUR / h))) | core
+    own = _open(own, _SPUR / h) | core
     labels, _ = ndimage.label(own)
     return ndimage.binary_fill_holes(labels == labels[apex])
 

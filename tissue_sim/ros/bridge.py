@@ -6,6 +6,7 @@ import argparse
 import struct
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 SCRIPT = ("stroke", "poke", "nip")
 LOOK_AGAIN = 1.0  # s between two looks for another organ
+MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,11 +56,10 @@ def run(args: argparse.Namespace) -> int:
 
     from tissue_sim.ros.trajectory import plan
 
-    stop = client.Stop()
-    with client.client_node("haptic_bridge", args.node) as node:
+    with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
         tools = [ScriptedTool(node, name, args.frame) for name in args.tools]
         meshes = client.Inbox(node, Mesh, f"/{args.node}/mesh", client.latched_qos())
-        mesh = _wait_for(meshes, args.wait, stop)
+        mesh = _wait_until(meshes.take, args.wait, stop)
         if mesh is None:
             if not stop:
                 sys.stderr.write(
@@ -67,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
                 )
             return 0 if stop else 1
         vertices, triangles = client.mesh_arrays(mesh)
+        _wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
         player = Player(tools, args.rate, args.seconds)
         while True:
             path = plan(vertices, triangles, args.radius, args.tools, script)
@@ -122,6 +124,11 @@ class ScriptedTool:
         self._publisher.publish(bytes(self._bytes))
         self.sent += 1
 
+    @property
+    def heard(self) -> bool:
+        """Whether somebody subscribes to the poses."""
+        return bool(self._publisher.get_subscription_count())
+
     def feel(self) -> None:
         """Take the newest wrench, if one has come."""
         raw = self._wrenches.take()
@@ -173,14 +180,12 @@ class Player:
             tool.feel()
 
 
-def _wait_for(meshes: client.Inbox, longest: float, stop: client.Stop) -> Any:
+def _wait_until(ask: Callable[[], Any], longest: float, stop: client.Stop) -> Any:
+    """Ask until the answer is neither None nor False; what it is then, or after `longest` s."""
     end = time.monotonic() + longest
-    while not stop:
-        mesh = meshes.take()
-        if mesh is not None or time.monotonic() > end:
-            return mesh
-        time.sleep(0.05)
-    return None
+    while (answer := ask()) in (None, False) and not stop and time.monotonic() < end:
+        time.sleep(0.02)
+    return answer
 
 
 def _other_organ(mesh: Any, organ: Floats) -> Any:

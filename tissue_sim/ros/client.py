@@ -61,13 +61,21 @@ def node_name(text: str) -> str:
 
 # signals ---------------------------------------------------------------------------------------
 class Stop:
-    """True after SIGINT, SIGTERM or SIGHUP; made in the main thread, and polled."""
+    """True after SIGINT, SIGTERM or SIGHUP, while entered as a context in the main thread; polled."""
 
     def __init__(self) -> None:
         # A plain attribute: an Event's lock could be held by the very thread that the handler interrupts.
         self._asked = False
-        for number_ in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number_, self._ask)
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Stop:
+        for asked_by in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self._before[asked_by] = signal.signal(asked_by, self._ask)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for asked_by, handler in self._before.items():
+            signal.signal(asked_by, handler)
 
     def _ask(self, *_: Any) -> None:
         self._asked = True

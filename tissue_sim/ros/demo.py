@@ -18,6 +18,7 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.ros import client
 from tissue_sim.ros.children import Child, stop_all, wait_a_little
+from tissue_sim.ros.viewer import check_port, shown_host
 
 NODE = "tissue_sim"
 WAIT = 600.0  # s that the bridge waits for the node, which may compile its kernels first
@@ -44,8 +45,6 @@ def run(args: argparse.Namespace) -> int:
     if args.organ is not None and not Path(args.organ).is_file():
         raise UserError(f"organ file {args.organ} does not exist; make one with 'tissue_sim build'")
     if not args.no_viewer:
-        from tissue_sim.ros.viewer import check_port
-
         check_port(args.host, args.port)
     folder = Path(args.bag_folder or Path("recordings") / datetime.now().strftime("%Y%m%d-%H%M%S"))
     try:
@@ -56,24 +55,29 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     choose_graph(os.environ)
 
-    stop = client.Stop()
-    # The node first: the others wait for it. Stopped the other way round.
-    children = [Child("node", node_command(args.organ, folder), os.environ)]
-    print(f"node: {args.organ or 'the kidney that ships'}, records to {folder}")
-    if not args.no_viewer:
-        children.append(Child("viewer", _command("view", "--host", args.host, "--port", str(args.port)), os.environ))
-        print(f"viewer: open http://{args.host}:{args.port}")
-    children.append(Child("bridge", _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}"), os.environ))
-    print("bridge: strokes, pokes, nips, lifts and releases; Ctrl-C ends", flush=True)
     watch = Watch(args.seconds)
-    try:
-        dead = watch.run(children, stop)
-        last_words = dead.last_words() if dead else ""
-    finally:
-        killed = stop_all(children[::-1])
-        with contextlib.suppress(OSError):  # only an empty folder goes
-            folder.rmdir()
-    if dead is None and watch.ran and children[-1].output:
+    with client.Stop() as stop:
+        # The node first: the others wait for it. Stopped the other way round.
+        children = [Child("node", node_command(args.organ, folder), os.environ)]
+        print(
+            f"node: {args.organ or 'the kidney that ships'}, records to {folder};"
+            f" ROS domain {os.environ['ROS_DOMAIN_ID']}"
+        )
+        if not args.no_viewer:
+            words = _command("view", "--host", args.host, "--port", str(args.port))
+            children.append(Child("viewer", words, os.environ))
+            print(f"viewer: open http://{shown_host(args.host)}:{args.port}")
+        words = _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}")
+        children.append(Child("bridge", words, os.environ))
+        print("bridge: strokes, pokes, nips, lifts and releases; Ctrl-C ends", flush=True)
+        try:
+            dead = watch.run(children, stop)
+            last_words = dead.last_words() if dead else ""
+        finally:
+            killed = stop_all(children[::-1])
+            with contextlib.suppress(OSError):  # only an empty folder goes
+                folder.rmdir()
+    if dead is None and watch.node_up and children[-1].output:
         print(f"bridge: {children[-1].output[-1]}")
     return _conclude(watch, dead, last_words, killed)
 
@@ -130,7 +134,7 @@ class Watch:
     def __init__(self, seconds: float | None) -> None:
         self._seconds = seconds
         self.bag = ""
-        self.ran = False
+        self.node_up = False
 
     def run(self, children: list[Child], stop: client.Stop) -> Child | None:
         """Print a line a second; returns the child that ended by itself, or None when it is time to stop."""
@@ -145,6 +149,7 @@ class Watch:
             )
             started = next_line = time.monotonic()
             end, values = float("inf"), None
+            counting = False
             while not stop and time.monotonic() < end:
                 for child in children:
                     if child.exit_code is not None:
@@ -155,8 +160,9 @@ class Watch:
                 values = client.physics_status(reports.take_all(), NODE) or values
                 self.bag = (values or {}).get("recording") or self.bag
                 # The node speaks after its first tick, and the bridge may be ready before or after that.
-                if not self.ran and poses is None and values is not None:
-                    self.ran = True
+                self.node_up = values is not None
+                if not counting and poses is None and self.node_up:
+                    counting = True
                     end = time.monotonic() + (self._seconds or float("inf"))
                 now = time.monotonic()
                 if now >= next_line:
@@ -176,7 +182,7 @@ class Watch:
 def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[str]) -> int:
     if dead is not None:
         sys.stderr.write(f"tissue_sim demo: the {dead.name} ended by itself, {last_words}\n")
-    if dead is None and not watch.ran:
+    if dead is None and not watch.node_up:
         sys.stderr.write("tissue_sim demo: stopped before the node was up\n")
         return 1
     for name in killed:

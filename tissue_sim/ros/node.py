@@ -225,6 +225,7 @@ class TissueNode(Node):
         }
         problems = {
             "faults": int(count[st.FAULTS]),
+            "false_rest_shapes": int(count[st.SNAPS]),
             "clamped_ticks": int(count[st.CLAMPED]),
             "dropped_contacts": self.contacts.dropped,
             "lost_bag_messages": self.recorder.lost,

@@ -56,7 +56,7 @@ NODE_SPECS = (
 
 TOOL_SPECS = (
     Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
-    Spec("radius", 0.005, "m, of a sphere or capsule", 1e-4, 0.5),
+    Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
     Spec("length", 0.05, "m, of a capsule between the centres of its caps, from the tip along -z", 0.0, 2.0),
     Spec("mesh", "", "mesh file of the tool in metres; its convex hull is used"),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import io
 import os
 import socket
@@ -37,11 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGINT or SIGTERM; returns 0. Raises UserError when it can't be served."""
     check_port(args.host, args.port)
-    stop = client.Stop()
-    with _server(args.host, args.port) as server, client.client_node("viewer", args.node) as node:
-        print(f"open http://{_shown(args.host)}:{args.port}", flush=True)
+    with (
+        client.Stop() as stop,
+        _server(args.host, args.port) as server,
+        client.client_node("viewer", args.node) as node,
+    ):
         from tissue_sim.ros.view_loop import Viewer
 
+        print(f"open http://{shown_host(args.host)}:{args.port}", flush=True)
         viewer = Viewer(server, node, args.node, args.tools, args.tool_radius)
         while not stop:
             started = time.monotonic()
@@ -64,7 +68,7 @@ def check_port(host: str, port: int) -> None:
     except PermissionError:
         raise UserError(f"port {port} needs more rights; choose one above 1023 with --port") from None
     except OSError as error:
-        if error.errno in (98, 48):  # EADDRINUSE on Linux and elsewhere
+        if error.errno == errno.EADDRINUSE:
             raise UserError(f"port {port} of {host} is taken; choose another with --port") from None
         raise UserError(f"cannot serve at {host}:{port}: {error.strerror}; choose another --host") from None
 
@@ -89,6 +93,6 @@ def _server(host: str, port: int) -> Iterator[viser.ViserServer]:
             server.stop()
 
 
-def _shown(host: str) -> str:
+def shown_host(host: str) -> str:
     """How a host reads in an address that works in a browser on this machine."""
     return {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)

@@ -1,0 +1,89 @@
+"""How tools move through a tick, and how fresh their poses and forces are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.model.jit import kernel
+from tissue_sim.model.shapes import rotation_matrix
+from tissue_sim.model.state import AGE, ENGAGED, FORCE_AGE, RAMP_TIME, REMAINING, STALE_TIME, TICK_TIME
+
+
+@kernel
+def freshness(age: int, settings: Any) -> float:
+    """1 while an input is fresh, ramping to 0 after it went stale; 0 when there was none."""
+    if age < 0:
+        return 0.0
+    late = age * settings[TICK_TIME] - settings[STALE_TIME]
+    if late <= 0.0:
+        return 1.0
+    return max(0.0, 1.0 - late / settings[RAMP_TIME])
+
+
+@kernel
+def advance_tools(state: Any, settings: Any, scratch: Any) -> None:
+    """Move each tool towards its newest pose, and let go of it when poses stop."""
+    for tool in range(len(state.tool_pose)):
+        tools = state.tool_count[tool]
+        scratch.start_pose[tool] = state.tool_pose[tool]
+        if tools[AGE] >= 0:
+            tools[AGE] += 1
+            if tools[AGE] * settings[TICK_TIME] > settings[STALE_TIME] + settings[RAMP_TIME]:
+                tools[ENGAGED] = 0
+        if tools[FORCE_AGE] >= 0:
+            tools[FORCE_AGE] += 1
+        if tools[REMAINING] > 0:
+            share = 1.0 / tools[REMAINING]
+            step_pose(state.tool_pose[tool], state.tool_goal[tool], share)
+            tools[REMAINING] -= 1
+        set_frame(state.tool_pose[tool], scratch.origin[tool], scratch.rotation[tool])
+
+
+@kernel
+def step_pose(pose: Any, goal: Any, share: float) -> None:
+    """Move a pose (7,) by a share of the way to a goal; the quaternion by normalised lerp."""
+    if share >= 1.0:
+        pose[:] = goal
+        return
+    for c in range(3):
+        pose[c] += share * (goal[c] - pose[c])
+    dot = pose[3] * goal[3] + pose[4] * goal[4] + pose[5] * goal[5] + pose[6] * goal[6]
+    sign = 1.0 if dot >= 0.0 else -1.0
+    norm = 0.0
+    for c in range(3, 7):
+        pose[c] += share * (sign * goal[c] - pose[c])
+        norm += pose[c] * pose[c]
+    norm = 1.0 / math.sqrt(norm)
+    for c in range(3, 7):
+        pose[c] *= norm
+
+
+@kernel
+def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
+    """Origin (3,) and rotation matrix (9,) of a pose (7,)."""
+    origin[:] = pose[:3]
+    rotation_matrix(pose[3:], rotation)
+
+
+@kernel
+def has_tip_force(state: Any, settings: Any) -> bool:
+    """True when an external force acts on the tissue under any tool's tip."""
+    for tool in range(len(state.tool_force)):
+        if state.tip_node[tool, 0] >= 0 and freshness(state.tool_count[tool, FORCE_AGE], settings) > 0.0:
+            force = state.tool_force[tool]
+            if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
+                return True
+    return False
+
+
+@kernel
+def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
+    """Add the external forces at the tools' tips to force (n, 3) N."""
+    for tool in range(len(state.tool_force)):
+        fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
+        if fresh > 0.0 and state.tip_node[tool, 0] >= 0:
+            for c in range(3):
+                node, weight = state.tip_node[tool, c], fresh * state.tip_weight[tool, c]
+                for axis in range(3):
+                    force[node, axis] += weight * state.tool_force[tool, axis]
