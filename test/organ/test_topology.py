@@ -55,9 +55,7 @@ class TestOrgan:
     def test_each_spoke_is_the_nearest_atom(self, organ):
         spokes = springs(organ, SPOKE)
         np.testing.assert_array_equal(np.sort(spokes[:, 0]), np.arange(organ.n_surface))
-        distance = np.linalg.norm(
-            organ.surface_positions[spokes[:, 0], None] - organ.atom_positions[None], axis=2
-        )
+        distance = np.linalg.norm(organ.surface_positions[spokes[:, 0], None] - organ.atom_positions[None], axis=2)
         np.testing.assert_array_equal(spokes[:, 1] - organ.n_surface, distance.argmin(axis=1))
 
     def test_virtual_springs_are_the_next_three_nearest(self, organ):

@@ -118,9 +118,9 @@ def test_bad_pose_is_refused_by_name(client, node, reason):
     """A clear line, a counter in diagnostics, and a node that goes on."""
     message = {"position": (1.0, 0.0, 0.0)} | BAD_POSES[reason]
     key = f"left.refused.{reason}"
-    assert client.spin_until(
-        lambda: client.send_pose(**message) or int(client.diagnostics.get(key, 0)) > 0, 5.0
-    ), client.diagnostics
+    assert client.spin_until(lambda: client.send_pose(**message) or int(client.diagnostics.get(key, 0)) > 0, 5.0), (
+        client.diagnostics
+    )
     assert client.level != b"\x00"
     assert reason in client.message
     assert "tool 'left': pose refused: " in node.text()

@@ -29,7 +29,7 @@ FORCE: Colour = (40, 120, 255)
 ARROW_LENGTH = 0.03  # m for 1 N
 LEAST_FORCE = 0.01  # N that gets an arrow
 FIELD_OF_VIEW = np.radians(35.0)
-VIEW = np.array([-0.55, -1.0, 0.35])  # from the organ to the camera: from the front, the side and above
+VIEW = np.array([0.85, -0.8, 0.3])  # from the organ to the camera: from the front, the side and above
 
 
 def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
@@ -72,13 +72,12 @@ class OrganView:
         self.rest = np.asarray(vertices, dtype=np.float64)
         self._triangles = triangles
         self._levels = [level * 1e-3 for level, _ in BANDS]
-        self._bands = [
+        self._meshes = [
             server.scene.add_mesh_simple(
                 f"/organ/{name}",
                 self.rest,
                 self._triangles,
                 color=colour,
-                visible=False,
                 cast_shadow=False,
                 receive_shadow=False,
             )
@@ -89,25 +88,26 @@ class OrganView:
     def show(self, positions: Floats) -> None:
         """Draw the surface at positions (n, 3) m."""
         displacement = np.linalg.norm(positions - self.rest, axis=1)
-        for band, (vertices, faces) in zip(
-            self._bands, cut_into_bands(positions, self._triangles, displacement, self._levels), strict=True
-        ):
-            if len(faces):
-                # At no moment may a face name a vertex that isn't there.
-                grows = len(vertices) > len(band.vertices)
-                for name in ("vertices", "faces") if grows else ("faces", "vertices"):
-                    setattr(band, name, vertices.astype(np.float32) if name == "vertices" else faces.astype(np.uint32))
-            band.visible = len(faces) > 0
+        bands = cut_into_bands(positions, self._triangles, displacement, self._levels)
+        for mesh, (vertices, faces) in zip(self._meshes, bands, strict=True):
+            if len(faces) == 0:  # a triangle without area: to hide the mesh would show a hole for a moment
+                vertices, faces = positions[:1], np.zeros((1, 3), dtype=np.int64)
+            if len(vertices) > len(mesh.vertices):  # at no moment may a face name a vertex that isn't there
+                mesh.vertices = vertices.astype(np.float32)
+                mesh.faces = faces.astype(np.uint32)
+            else:
+                mesh.faces = faces.astype(np.uint32)
+                mesh.vertices = vertices.astype(np.float32)
 
     def set_opacity(self, opacity: float) -> None:
         """Let the skeleton shine through: 1 hides it."""
-        for handle in self._bands:
-            handle.opacity = opacity if opacity < 1.0 else None
+        for mesh in self._meshes:
+            mesh.opacity = opacity if opacity < 1.0 else None
 
     def remove(self) -> None:
         """Take it out of the picture."""
-        for handle in self._bands:
-            handle.remove()
+        for mesh in self._meshes:
+            mesh.remove()
 
 
 class SkeletonView:

@@ -1,0 +1,208 @@
+"""`tissue_sim build` from every kind of input, and its one-line refusals."""
+
+import json
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+import trimesh
+
+from tissue_sim.cli import main
+from tissue_sim.errors import UserError
+from tissue_sim.organ.build import Request, organ_from_mask, parse_triple, select_fixed
+from tissue_sim.organ.image import Volume
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.phantom import PhantomParameters, make_phantom
+
+from .shapes import write_dicom
+
+FEW = ["--points", "200", "--atoms", "12"]
+
+
+@pytest.fixture(scope="module")
+def ct():
+    """The left side of a coarser phantom in whole HU, cropped around the kidney, and its seed."""
+    phantom = make_phantom(PhantomParameters(spacing=(2.0, 2.0, 2.5)))
+    centre = np.round(phantom.ct.to_index(phantom.seed_point)).astype(int)
+    part = phantom.ct.crop(centre - np.array([30, 28, 29]), centre + np.array([30, 28, 29]))
+    return part, phantom.seed_point
+
+
+def seed_text(seed):
+    return ",".join(f"{v:.4f}" for v in seed)
+
+
+def write(volume, path):
+    sitk.WriteImage(sitk.Cast(volume.to_sitk(), sitk.sitkInt16), str(path))
+    return str(path)
+
+
+def build(capsys, *arguments, out):
+    code = main(["build", *arguments, *FEW, "--out", str(out)])
+    captured = capsys.readouterr()
+    assert code == 0, captured.err
+    return Organ.load(out), captured.out
+
+
+def refused(capsys, *arguments):
+    """Standard error of a call that must end with exit code 2 and one line."""
+    code = main(["build", *arguments])
+    captured = capsys.readouterr()
+    assert code == 2
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("tissue_sim: error: ")
+    return captured.err
+
+
+def test_a_ct_in_any_format_gives_the_same_organ(ct, tmp_path, capsys):
+    volume, seed = ct
+    write_dicom(tmp_path / "series", volume)
+    sources = [write(volume, tmp_path / f"ct.{suffix}") for suffix in ("nii.gz", "nrrd", "mha")]
+    organs = []
+    for source in [*sources, str(tmp_path / "series")]:
+        organ, text = build(capsys, source, "--seed", seed_text(seed), out=tmp_path / "organ.npz")
+        organs.append(organ)
+        assert "200 points, 396 triangles, 12 atoms" in text
+    for other in organs[1:]:
+        np.testing.assert_array_equal(other.surface_triangles, organs[0].surface_triangles)
+        np.testing.assert_allclose(other.surface_positions, organs[0].surface_positions, atol=1e-6)
+        np.testing.assert_allclose(other.atom_positions, organs[0].atom_positions, atol=1e-6)
+    organ = organs[0]
+    assert 110e-6 < organ.volume < 150e-6
+    assert organ.provenance["source"] == "ct.nii.gz"
+    assert organ.provenance["segmentation"]["grid_mm"] == 1.25
+    assert "numpy" in organ.provenance["packages"]
+    assert str(tmp_path) not in json.dumps(dict(organ.provenance))
+    kidney = np.array([0.066, 0.038, 0.0])
+    assert np.linalg.norm(organ.surface_positions.mean(axis=0) - kidney) < 0.01
+
+
+def test_a_seed_may_be_voxel_indices_or_negative(ct, tmp_path, capsys):
+    volume, seed = ct
+    moved = Volume(volume.array, volume.spacing, volume.origin - 300.0, volume.direction, "moved")
+    path = write(moved, tmp_path / "ct.nrrd")
+    first, _ = build(capsys, path, "--seed", seed_text(seed - 300.0), out=tmp_path / "a.npz")
+    index = ",".join(str(int(i)) for i in np.round(volume.to_index(seed)))
+    second, _ = build(capsys, path, "--seed-voxel", index, out=tmp_path / "b.npz")
+    assert first.surface_positions[:, 0].max() < 0.0
+    assert abs(first.volume - second.volume) < 0.02 * first.volume
+
+
+def test_a_mask_with_labels_and_fixed_nodes(ct, tmp_path, capsys):
+    volume, seed = ct
+    x, y, z = (volume.to_points(np.argwhere(np.ones(volume.array.shape))[:, ::-1]) - seed).T
+    inside = ((x / 20) ** 2 + (y / 18) ** 2 + (z / 34) ** 2 < 1).reshape(volume.array.shape)
+    labels = inside * 4.0 + ~inside * (volume.array < -200) * 2.0
+    path = write(volume.with_array(labels.astype(np.float32)), tmp_path / "labels.nrrd")
+    options = ["--youngs-modulus", "5000", "--density", "1000", "--fixed", "x>0.75"]
+    organ, _ = build(capsys, "--mask", path, "--label", "4", *options, out=tmp_path / "o.npz")
+    assert organ.volume == pytest.approx(4 / 3 * np.pi * 20 * 18 * 34 * 1e-9, rel=0.03)
+    assert organ.youngs_modulus == 5000
+    assert organ.mass.sum() == pytest.approx(1000 * organ.volume)
+    held = organ.surface_positions[organ.fixed, 0]
+    free = np.delete(organ.surface_positions[:, 0], organ.fixed)
+    assert held.min() >= free.max()
+    assert 0.05 < len(held) / 200 < 0.35
+    assert "several labels (2, 4)" in refused(capsys, "--mask", path)
+
+
+def test_a_surface_keeps_its_points_or_gets_new_ones(tmp_path, capsys):
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    mesh.apply_scale([1.0, 0.8, 1.6])
+    mesh.vertices = mesh.vertices.astype(np.float32)
+    path = tmp_path / "egg.ply"
+    mesh.export(path)
+    kept, text = build(capsys, "--surface", str(path), "--unit", "mm", "--keep-points", out=tmp_path / "k.npz")
+    np.testing.assert_array_equal(kept.surface_positions, np.asarray(mesh.vertices) * 1e-3)
+    np.testing.assert_array_equal(kept.surface_triangles, mesh.faces)
+    assert kept.n_atoms == 12
+    assert "642 points" in text
+    new, _ = build(capsys, "--surface", str(path), "--unit", "mm", out=tmp_path / "n.npz")
+    assert (new.n_surface, len(new.surface_triangles)) == (200, 396)
+    assert new.volume == pytest.approx(kept.volume, rel=0.02)
+    np.testing.assert_allclose(new.surface_positions.mean(axis=0), 0.0, atol=1e-3)
+
+
+def test_repairs_are_told(tmp_path, capsys):
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=20.0)
+    mesh.invert()
+    path = tmp_path / "inward.ply"
+    mesh.export(path)
+    _, text = build(capsys, "--surface", str(path), "--unit", "mm", out=tmp_path / "o.npz")
+    assert "repaired: turned inward triangles outward" in text
+
+
+def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
+    volume, seed = ct
+    image = write(volume, tmp_path / "ct.nrrd")
+    here = ["--seed", seed_text(seed)]
+    for arguments, reason in [
+        ([], "nothing to build from"),
+        ([image], "--seed X,Y,Z"),
+        ([image, "--mask", image, *here], "IMAGE and --mask were given"),
+        ([image, "--seed", "1,2"], "'1,2' is not three numbers"),
+        ([image, "--seed", "1,2,x"], "is not three numbers"),
+        ([image, *here, "--seed-voxel", "1,2,3"], "choose one"),
+        ([image, *here, "--label", "1"], "--label belongs to --mask"),
+        (["--mask", image, *here], "--seed belongs to IMAGE"),
+        (["--surface", "egg.stl"], "egg.stl does not exist"),
+        ([str(tmp_path / "none.nii"), *here], "does not exist"),
+        ([image, "--seed", "900,0,0"], "lies outside"),
+        ([image, *here, "--window", "-1"], "--window -1 must be greater than 0"),
+        ([image, *here, "--out", str(tmp_path / "no" / "o.npz")], "for the organ file does not exist"),
+        ([image, *here, "--points", "10"], "--points 10 is too few"),
+        ([image, *here, "--atoms", "0"], "--atoms 0 is too few"),
+        ([image, *here, *FEW, "--fixed", "w<3"], "is not understood"),
+        ([image, *here, *FEW, "--poisson-ratio", "0.7"], "Poisson's ratio 0.7"),
+    ]:
+        assert reason in refused(capsys, *arguments), arguments
+
+
+def test_fixed_choices(tmp_path):
+    positions = np.random.default_rng(8).uniform(-1.0, 3.0, (300, 3))
+    low = select_fixed("z<0.1", positions)
+    level = positions[:, 2].min() + 0.1 * np.ptp(positions[:, 2])
+    np.testing.assert_array_equal(low, np.flatnonzero(positions[:, 2] <= level))
+    assert len(select_fixed("none", positions)) == 0
+    assert len(select_fixed("y > 0", positions)) == 300
+    np.save(tmp_path / "nodes.npy", np.array([7, 3, 7]))
+    np.testing.assert_array_equal(select_fixed(str(tmp_path / "nodes.npy"), positions), [3, 7])
+    np.save(tmp_path / "far.npy", np.array([300]))
+    np.save(tmp_path / "float.npy", np.array([0.5]))
+    (tmp_path / "text.npy").write_text("1 2 3")
+    for choice, reason in {
+        "z<1.5": "within 0..1",
+        "z=0.1": "is not understood",
+        str(tmp_path / "far.npy"): r"outside 0\.\.299",
+        str(tmp_path / "float.npy"): "1-D array of integers",
+        str(tmp_path / "text.npy"): "no .npy file",
+        str(tmp_path / "none.npy"): "does not exist",
+    }.items():
+        with pytest.raises(UserError, match=reason):
+            select_fixed(choice, positions)
+
+
+def test_triples():
+    np.testing.assert_array_equal(parse_triple("--seed", "-1, 2.5,3e1"), [-1.0, 2.5, 30.0])
+    with pytest.raises(UserError, match="--seed 'nan,1,2'"):
+        parse_triple("--seed", "nan,1,2")
+
+
+def test_a_mirrored_mask_still_points_outward():
+    grid = np.indices((30, 30, 40)) - np.array([14.5, 14.5, 19.5])[:, None, None, None]
+    inside = (grid[0] / 11) ** 2 + (grid[1] / 9) ** 2 + (grid[2] / 16) ** 2 < 1
+    mask = Volume(inside, np.ones(3), np.zeros(3), np.diag([1.0, -1.0, 1.0]), "mirrored")
+    organ = organ_from_mask(mask, Request(name="egg", points=200, atoms=8))
+    assert organ.volume == pytest.approx(4 / 3 * np.pi * 11 * 9 * 16 * 1e-9, rel=0.04)
+    assert organ.surface_positions[:, 1].max() < 0.0
+
+
+def test_help_names_every_option(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["build", "--help"])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    for option in ("--seed ", "--seed-voxel", "--mask", "--label", "--surface", "--keep-points", "--fixed", "--unit"):
+        assert option in text
+    assert "LPS" in text
+    assert "None" not in text

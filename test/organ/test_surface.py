@@ -1,0 +1,124 @@
+"""The wall, marching cubes on it, and the measures of surfaces."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.balloon import fibonacci_sphere
+from tissue_sim.organ.surface import (
+    closed_wall,
+    intersecting_pairs,
+    largest_component,
+    make_wall,
+    marching_cubes_surface,
+    measure,
+    wall_of_surface,
+)
+
+from .shapes import ball, solid
+
+
+@pytest.mark.parametrize(("spacing", "size"), [((1, 1, 1), (50, 50, 50)), ((1.0, 1.5, 3.0), (50, 34, 18))])
+def test_the_wall_of_a_ball_is_a_sphere(spacing, size):
+    wall = make_wall(solid(ball(18.0), spacing, size))
+    positions, triangles = marching_cubes_surface(wall)
+    radius = np.linalg.norm(wall.to_patient(positions) * 1e3, axis=1)
+    assert abs(radius.mean() - 18.0) < 0.2
+    assert radius.std() < 0.12 * max(spacing)
+    quality = measure(positions, triangles)
+    assert (quality.euler, quality.open_edges, quality.self_intersections) == (2, 0, 0)
+    assert abs(quality.volume / (4 / 3 * np.pi * 18.0**3) - 1) < 0.03
+    assert abs(wall.area() / (4 * np.pi * 18.0**2) - 1) < 0.1
+
+
+def test_a_mirrored_image_keeps_triangles_outward():
+    wall = make_wall(solid(ball(12.0), size=(40, 40, 40), direction=np.diag([-1.0, 1.0, 1.0])))
+    positions, triangles = marching_cubes_surface(wall)
+    turned = measure(wall.to_patient(positions), wall.outward(triangles))
+    assert turned.volume > 0.0
+
+
+def test_fragments_are_left_out_and_cavities_filled():
+    def shape(x, y, z):
+        shell = np.maximum(ball(16.0)(x, y, z), -ball(5.0)(x, y, z))
+        return np.minimum(shell, ball(2.5)(x - 21, y, z))
+
+    wall = make_wall(solid(shape))
+    assert wall.fragments == 1
+    assert 0.4 < wall.filled < 0.65  # the 5 mm cavity, mL
+    assert measure(*marching_cubes_surface(wall)).euler == 2
+
+
+def test_a_handle_is_closed():
+    def bridge(x, y, z):
+        """A ball with a groove across that a thin bar spans."""
+        groove = np.maximum(np.abs(x) - 3.0, 8.0 - z)
+        bar = np.maximum(np.hypot(y, z - 14.0) - 2.0, np.abs(x) - 5.0)
+        return np.minimum(np.maximum(ball(20.0)(x, y, z), -groove), bar)
+
+    wall = make_wall(solid(bridge))
+    assert measure(*marching_cubes_surface(wall)).euler == 2
+    assert 0.0 < wall.filled < 1.0
+
+
+def test_a_ring_is_refused():
+    def torus(x, y, z):
+        return np.hypot(np.hypot(x, y) - 18.0, z) - 4.0
+
+    with pytest.raises(UserError, match="hole through it"):
+        make_wall(solid(torus))
+
+
+def test_empty_and_tiny_masks_are_refused():
+    empty = solid(ball(-1.0))
+    with pytest.raises(UserError, match="is empty"):
+        make_wall(empty)
+    with pytest.raises(UserError, match="voxels only"):
+        make_wall(solid(ball(2.0)))
+
+
+def test_a_closing_fills_a_slot_and_leaves_the_rest():
+    def slotted(x, y, z):
+        return np.maximum(ball(20.0)(x, y, z), -np.maximum(np.abs(x) - 2.0, 5.0 - z))
+
+    wall = make_wall(solid(slotted))
+    closed = closed_wall(wall, 4.0)
+    in_slot, outside = [[24.5 + 4.0, 28.5, 38.0]], [[24.5 + 4.0, 28.5, 4.0]]
+    assert wall.sample([[28.5, 28.5, 38.0]])[0] > 0 > closed.sample([[28.5, 28.5, 38.0]])[0]
+    assert closed.sample(outside)[0] == pytest.approx(wall.sample(outside)[0])
+    assert closed.sample(in_slot)[0] <= wall.sample(in_slot)[0]
+
+
+def test_the_wall_of_a_surface_is_where_the_surface_is():
+    wall = make_wall(solid(ball(18.0)))
+    positions, triangles = fibonacci_sphere(2000)
+    middle = np.full(3, 0.5 * wall.spacing * (wall.level.shape[0] - 1))
+    again = wall_of_surface(middle + 12.0 * positions, triangles, wall)
+    assert np.abs(again.sample(middle + 12.0 * positions)).mean() < 0.15
+    assert again.sample([middle])[0] == pytest.approx(-12.0, abs=0.6)
+
+
+def test_intersections_are_counted():
+    positions, triangles = fibonacci_sphere(60)
+    assert len(intersecting_pairs(positions, triangles)) == 0
+    pushed = positions.copy()
+    pushed[30] = -1.3 * pushed[30]  # through the far side
+    assert len(intersecting_pairs(pushed, triangles)) > 0
+
+
+def test_the_largest_component_is_kept_and_turned_outward():
+    positions, triangles = fibonacci_sphere(100)
+    both = np.concatenate([0.3 * positions + 5.0, positions])
+    inward = np.concatenate([triangles, triangles[:, ::-1] + 100])
+    kept, faces = largest_component(both, inward.astype(np.int32))
+    np.testing.assert_allclose(kept, positions)
+    assert measure(kept, faces).volume > 0
+
+
+def test_projection_lands_on_the_wall():
+    wall = make_wall(solid(ball(18.0)))
+    positions, _ = fibonacci_sphere(300)
+    middle = np.full(3, 0.5 * wall.spacing * (wall.level.shape[0] - 1))
+    landed = wall.project(middle + 17.0 * positions)
+    assert np.abs(wall.sample(landed)).max() < 0.02
+    np.testing.assert_allclose(np.linalg.norm(landed - middle, axis=1), 18.0, atol=0.4)
