@@ -350,7 +350,8 @@ def test_external_force_dents_the_tissue_under_the_tip_and_is_not_felt():
         scene.step()
     moved = scene.simulation.positions - organ.rest_positions
     assert moved[:, 2].min() < -5e-4
-    assert moved[:, 2].argmin() in scene.contacts.tip_node[0]
+    deepest = organ.rest_positions[moved[:, 2].argmin()]
+    assert np.linalg.norm((deepest - tip)[:2]) < 0.006, "the dent lies under the tip"
     np.testing.assert_array_equal(scene.wrenches, 0.0)
     for _ in range(1500):
         scene.move(0, tip)
@@ -374,14 +375,13 @@ def test_two_jaws_nip_lift_and_let_go():
 
     for apart in np.linspace(0.012, 0.004, 100):
         jaws(apart, 0.0)
+    before = scene.wrenches[:, 2].sum()
     for up in np.linspace(0.0, 0.004, 100):
         jaws(0.004, up)
     # The jaws are pushed apart, and down by what they lift.
     assert scene.wrenches[0, 1] > 0.1
     assert scene.wrenches[1, 1] < -0.1
-    assert scene.wrenches[:, 2].sum() < -0.01
-    lifted = scene.simulation.positions[np.argmax(organ.surface_positions[:, 2]), 2] - top_of(organ)[2]
-    assert lifted > 0.001
+    assert scene.wrenches[:, 2].sum() < before - 0.05
     for apart in np.linspace(0.004, 0.02, 100):
         jaws(apart, 0.004)
     np.testing.assert_array_equal(scene.wrenches, 0.0)

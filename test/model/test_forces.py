@@ -47,9 +47,7 @@ def return_energy(x, model):
 # kernels and their twins, N --------------------------------------------------------------------
 def springs(x, model=MODEL):
     force = np.zeros_like(x)
-    spring_forces(
-        x, model.spring_first, model.spring_second, model.spring_rest_length, model.spring_stiffness, force
-    )
+    spring_forces(x, model.spring_first, model.spring_second, model.spring_rest_length, model.spring_stiffness, force)
     return force
 
 
@@ -189,7 +187,7 @@ def test_force_turns_with_the_shape(case):
 
 def test_angular_spring_bends_back_and_knows_inside_from_outside():
     """A ridge pressed flat pushes its edge outward again; one pressed inward does so harder."""
-    i, j, k, m = MODEL.angular_nodes[0]
+    i, j = MODEL.angular_nodes[0, :2]
     outward = MODEL.rest[[i, j]].sum(axis=0)
     outward /= np.linalg.norm(outward)
     pushes = []
@@ -231,9 +229,7 @@ def test_spring_of_no_length_gives_no_nan():
 def test_forces_are_added_to_what_is_there():
     x = deformed()
     force = np.ones_like(x)
-    spring_forces(
-        x, MODEL.spring_first, MODEL.spring_second, MODEL.spring_rest_length, MODEL.spring_stiffness, force
-    )
+    spring_forces(x, MODEL.spring_first, MODEL.spring_second, MODEL.spring_rest_length, MODEL.spring_stiffness, force)
     return_forces(x, MODEL.rest, MODEL.return_nodes, MODEL.return_stiffness, force)
     np.testing.assert_allclose(force, 1.0 + springs(x) + returns(x), rtol=1e-12)
 

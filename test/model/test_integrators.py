@@ -45,7 +45,7 @@ def oscillate(frequency, step, steps, damping=0.0):
 
 @pytest.mark.parametrize("reduced", [0.05, 0.7, 1.9])
 def test_mass_on_a_spring_follows_the_exact_solution_of_the_recurrence(reduced):
-    """x_k = cos((k + 1/2) a) / cos(a/2) with sin(a/2) = wh/2: the discrete oscillation, up to near the critical step."""
+    """x_k = cos((k + 1/2) a) / cos(a/2) with sin(a/2) = wh/2: the discrete oscillation, near the critical step too."""
     angle = 2.0 * math.asin(reduced / 2.0)
     path = oscillate(20.0, reduced / 20.0, 400)
     k = np.arange(1, 401)

@@ -188,7 +188,8 @@ def test_no_single_damaged_byte_gives_a_traceback_or_another_organ(path, tmp_pat
         try:
             assert Organ.load(damaged).digest() == digest
         except UserError as error:
-            assert "damaged.npz" in str(error)
+            if "damaged.npz" not in str(error):
+                surprises.add(f"unnamed: {error}")
         except Exception as error:
             surprises.add(f"{type(error).__name__}: {error}")
     assert not surprises
@@ -319,7 +320,7 @@ def test_shipped_kidney_loads():
 
 
 def test_organ_that_does_not_ship_is_refused():
-    with pytest.raises(UserError, match="no organ 'spleen'.*tissue_sim build"):
+    with pytest.raises(UserError, match=r"no organ 'spleen'.*tissue_sim build"):
         shipped_organ("spleen")
 
 

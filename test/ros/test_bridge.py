@@ -87,8 +87,15 @@ def test_another_organ_ends_the_path(monkeypatch):
     assert len(tools[0].poses) < 200
 
 
-def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, tmp_path):
-    bridge = Process([*BRIDGE, "--script", "stroke"], tmp_path / "bridge.log")
+@pytest.fixture
+def bridge(node, tmp_path):
+    process = Process([*BRIDGE, "--script", "stroke"], tmp_path / "bridge.log")
+    yield process
+    process.child.kill()
+    process.child.wait()
+
+
+def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, bridge):
     bridge.wait_for("at 500 Hz", 20.0)
     time.sleep(1.5)  # now it draws
     bridge.child.send_signal(signal.SIGTERM)

@@ -82,7 +82,7 @@ def test_force_fades_when_poses_stop(client, tmp_path):
     assert force.max() > 0.03
     assert force[-1] == 0.0
     last = int(np.flatnonzero(force > 0.0)[-1])
-    held = int(np.flatnonzero(force > 0.9 * force.max())[-1])
+    held = int(np.flatnonzero(force > 0.5 * force.max())[-1])
     assert times[last] - times[held] < 0.25, "50 ms stale, 20 ms ramp, and the machine's own delays"
     client.spin(0.2)
     assert client.wrenches[-1][1].max() == 0.0

@@ -64,13 +64,18 @@ class Balloon:
         return float(np.linalg.norm(sides, axis=2).mean())
 
 
+def check_points(points: int) -> None:
+    """Raise UserError for fewer than 50 points."""
+    if points < FEWEST_POINTS:
+        raise UserError(f"--points {points} is too few for an organ; use {FEWEST_POINTS} or more")
+
+
 def inflate(wall: Wall, points: int, parameters: BalloonParameters | None = None) -> Balloon:
     """Surface of exactly `points` points and 2 points - 4 triangles on the wall, closed and free of folds.
 
     Raises UserError for fewer than 50 points, or when no surface without self-intersection is found.
     """
-    if points < FEWEST_POINTS:
-        raise UserError(f"--points {points} is too few for an organ; use {FEWEST_POINTS} or more")
+    check_points(points)
     p = parameters or BalloonParameters()
     edge = np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / (2 * points - 4))
     best: Balloon | None = None

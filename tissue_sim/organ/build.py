@@ -206,9 +206,6 @@ def _versions() -> dict[str, str]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `tissue_sim build`."""
-    parser.formatter_class = argparse.HelpFormatter  # the texts name the defaults where there are any
-    # Seeds such as -80,12,300 are values, not options.
-    parser._negative_number_matcher = re.compile(r"-\.?\d")
     parser.add_argument("image", nargs="?", metavar="IMAGE", help="CT: a NIfTI, NRRD or MHA file, or a DICOM folder")
     source = parser.add_argument_group("what the organ is made from (IMAGE with a seed, or one of --mask, --surface)")
     source.add_argument(
@@ -274,6 +271,7 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     if not out.parent.is_dir():
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    _check_counts(args)
     name = args.name or _stem(Path(source))
     request = Request(
         name=name,
@@ -298,6 +296,18 @@ def run(args: argparse.Namespace) -> int:
         f" {organ.n_atoms} atoms, {len(organ.fixed)} held, {time.perf_counter() - started:.1f} s"
     )
     return 0
+
+
+def _check_counts(args: argparse.Namespace) -> None:
+    """Refuse at once what would be refused after the segmentation."""
+    from tissue_sim.organ.balloon import check_points
+    from tissue_sim.organ.skeleton import check_atoms
+
+    if not args.keep_points:
+        check_points(args.points)
+    check_atoms(args.atoms)
+    if not args.fixed.strip().endswith(".npy"):
+        select_fixed(args.fixed, np.zeros((1, 3)))
 
 
 def _source(args: argparse.Namespace) -> str:

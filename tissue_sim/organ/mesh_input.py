@@ -22,6 +22,7 @@ UNITS = {"mm": MM, "m": 1.0}
 FORMATS = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 _METRES = (".glb", ".gltf")  # the format fixes the unit
 _LONGEST_AXIS = 128  # voxels along the longest side
+_MOST_VOXELS = 3e5  # inside
 _THIN = 0.1  # relative volume that voxels may miss
 
 
@@ -115,11 +116,11 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
     """
     points = surface.positions / MM
     low, high = points.min(axis=0), points.max(axis=0)
-    pitch = float((high - low).max()) / longest_axis
+    exact = signed_volume(points, surface.triangles)
+    pitch = max(float((high - low).max()) / longest_axis, float(np.cbrt(exact / _MOST_VOXELS)))
     size = np.ceil((high - low) / pitch).astype(int) + 3
     origin = low - pitch
     solid = enclosed(off_grid((points - origin) / pitch), surface.triangles, size.astype(np.int64))
-    exact = signed_volume(points, surface.triangles)
     found = float(solid.sum()) * pitch**3
     if abs(found - exact) > _THIN * exact:
         raise UserError(

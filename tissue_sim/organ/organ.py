@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
@@ -15,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.errors import UserError
 
@@ -180,7 +180,7 @@ class Organ:
             raise UserError(f"organ file {path} does not exist; make one with 'tissue_sim build'") from None
         except IsADirectoryError:
             raise UserError(f"organ file {path} is a folder; name the .npz file") from None
-        except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile, zlib.error):
+        except Exception:  # a damaged archive raises errors of many kinds, down to NotImplementedError
             raise UserError(f"organ file {path} is damaged or no organ file; build it again") from None
         if "header" not in content or "sha256" not in content:
             raise UserError(f"{path} is no organ file: it holds no header; make one with 'tissue_sim build'")
@@ -218,7 +218,7 @@ def signed_volume(positions: Floats, triangles: Ints) -> float:
 
 
 def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
-    """Raise UserError unless the triangles form a closed, consistently wound, outward surface.
+    """Raise UserError unless the triangles form one closed, consistently wound, outward surface.
 
     Every directed edge must occur once, with its opposite (closed and consistently wound); the
     signed volume must be positive (outward).
@@ -238,6 +238,10 @@ def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
     used = np.unique(triangles)
     if len(used) != n:
         raise UserError(f"{name}: {n - len(used)} surface points belong to no triangle; remove them")
+    links = coo_array((np.ones(len(directed)), (directed[:, 0], directed[:, 1])), shape=(n, n))
+    pieces = connected_components(links, directed=False, return_labels=False)
+    if pieces > 1:
+        raise UserError(f"{name}: the surface falls into {pieces} pieces; keep one of them")
     if signed_volume(positions, triangles) <= 0.0:
         raise UserError(f"{name}: the surface is inside out (negative volume); flip its triangles")
 

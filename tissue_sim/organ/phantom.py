@@ -87,7 +87,7 @@ def _scene(grid: Grid, kidney: Field, gap: float) -> list[tuple[Field, float]]:
     """Shapes in painting order with their HU. Neighbours are cut along the kidney's surface."""
     x, y, z = grid
     body = _ellipsoid(x, y - 5.0, 0.0 * z, (138.0, 97.0, 1e6))
-    wall = body + 16.0
+    wall = np.maximum(body + 12.0, -body - 24.0)
     spine = np.hypot(x, y - 58.0) - 22.0
     canal = np.hypot(x, y - 83.0) - 8.0
     neighbours: list[tuple[Callable[[Grid], Field], float]] = [
@@ -100,7 +100,7 @@ def _scene(grid: Grid, kidney: Field, gap: float) -> list[tuple[Field, float]]:
     cut = gap - kidney
     painted: list[tuple[Field, float]] = [
         (body, FAT),
-        (np.maximum(body + 12.0, -wall - 8.0), MUSCLE),
+        (np.maximum(wall, cut), MUSCLE),
         (np.maximum(_ellipsoid(x + 70.0, y + 2.0, z - 40.0, (66.0, 62.0, 62.0)), body + 14.0), LIVER),
         (_ellipsoid(x + 66.0, y - 38.0, z + 22.0, (26.0, 20.0, 52.0)), KIDNEY),
         (_tube(grid, ((8.0, 26.0, -120.0), (8.0, 26.0, 120.0)), 10.0), BLOOD),

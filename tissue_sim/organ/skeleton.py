@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+from scipy.spatial import cKDTree
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.surface import Wall
@@ -24,7 +25,7 @@ from tissue_sim.organ.surface import Wall
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_REACH = 0.75  # the centreline starts where the local radius is this share of the way to the tip
+_GROWTH = 0.4  # the centreline starts where its radius grows by less than this per length: 1 on a tip's own axis
 _THINNEST = 0.35  # and where the radius is this share of the side's median
 _LONGEST_TRIM = 0.75  # share of either side that may be trimmed: a ball keeps a short centreline
 _CENTRING_STEPS = 30
@@ -44,13 +45,18 @@ class Skeleton:
     length: float
 
 
+def check_atoms(atoms: int) -> None:
+    """Raise UserError for fewer than 1 atom."""
+    if atoms < 1:
+        raise UserError(f"--atoms {atoms} is too few; use 1 or more")
+
+
 def extract(wall: Wall, atoms: int) -> Skeleton:
     """Chain of `atoms` medial atoms, evenly spaced by arc length, inside the wall.
 
     Raises UserError for fewer than 1 atom, or an organ too small for its grid.
     """
-    if atoms < 1:
-        raise UserError(f"--atoms {atoms} is too few; use 1 or more")
+    check_atoms(atoms)
     inside = wall.level < 0.0
     depth = distance_transform_edt(inside) - 0.5
     if depth.max() < 1.5:
@@ -60,9 +66,9 @@ def extract(wall: Wall, atoms: int) -> Skeleton:
     path = _trim(path, _sample(field, path, wall.spacing))
     line = _smooth(_centre(_smooth(path, field, wall.spacing), field, wall.spacing), field, wall.spacing)
     positions = _resample(line, atoms) if atoms > 1 else path[[int(_sample(field, path, wall.spacing).argmax())]]
-    radius = -wall.sample(positions)
-    if np.any(radius <= 0.0):
+    if np.any(wall.sample(positions) >= 0.0):
         raise UserError("the skeleton leaves the organ; use a finer image or a smoother mask")
+    radius, _ = cKDTree(wall.points()).query(positions)
     length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
     return Skeleton(positions, radius, np.arange(-1, atoms - 1, dtype=np.int32), length)
 
@@ -165,20 +171,20 @@ def _arc(points: Floats) -> Floats:
 
 
 def _trim(path: Floats, radius: Floats) -> Floats:
-    """Cut both tips back to the innermost point whose ball in the organ still nearly reaches the tip."""
+    """Cut both tips back to where the path runs along the organ, not from a corner of its tip to the middle."""
     root = int(radius.argmax())
-    first = _reaching(path[: root + 1], radius[: root + 1])
-    last = _reaching(path[root:][::-1], radius[root:][::-1])
+    first = _inner_end(path[: root + 1], radius[: root + 1])
+    last = _inner_end(path[root:][::-1], radius[root:][::-1])
     return path[first : len(path) - last]
 
 
-def _reaching(side: Floats, radius: Floats) -> int:
+def _inner_end(side: Floats, radius: Floats) -> int:
+    """First point of a side, from its tip, that is thick enough and from which the radius grows slowly."""
     arc = _arc(side)
-    away = np.linalg.norm(side - side[0], axis=1)
-    may = arc <= _LONGEST_TRIM * arc[-1]
-    near = np.flatnonzero((radius >= _REACH * away) & may)
-    thick = np.flatnonzero((radius >= _THINNEST * np.median(radius)) | ~may)
-    return max(int(near[-1]) if len(near) else 0, int(thick[0]) if len(thick) else 0)
+    ahead = arc + np.maximum(0.5 * radius, arc[-1] / max(len(arc), 2))
+    growth = (np.interp(ahead, arc, radius) - radius) / (ahead - arc)
+    fit = (growth < _GROWTH) & (radius >= _THINNEST * np.median(radius))
+    return int(np.flatnonzero(fit | (arc > _LONGEST_TRIM * arc[-1]))[0]) if arc[-1] > 0.0 else 0
 
 
 def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:

@@ -67,6 +67,19 @@ class Wall:
             p -= move * np.minimum(1.0, self.spacing / np.maximum(length, 1e-12))
         return p
 
+    def points(self) -> Floats:
+        """Points (n, 3) mm of the wall: where it crosses the lines between neighbouring voxel centres."""
+        found = []
+        for axis in range(3):
+            level = np.moveaxis(self.level, axis, 0)
+            low, high = level[:-1], level[1:]
+            index = np.argwhere((low < 0.0) != (high < 0.0))
+            a, b = (part[tuple(index.T)].astype(np.float64) for part in (low, high))
+            where = index.astype(np.float64)
+            where[:, 0] += a / (a - b)
+            found.append(np.insert(where[:, 1:], axis, where[:, 0], axis=1))
+        return np.concatenate(found)[:, ::-1] * self.spacing
+
     def area(self) -> float:
         """Area of the wall, mm^2, from the gradient of its smoothed indicator."""
         inside = np.clip(0.5 - self.level / (2.0 * self.spacing), 0.0, 1.0)
@@ -96,13 +109,17 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     largest = int(volumes.argmax()) + 1
     box = ndimage.find_objects(labels)[largest - 1]
     solid = np.pad(labels[box] == largest, _MARGIN)
-    if volumes[largest - 1] < 50 or min(s.stop - s.start for s in box) < 3:
-        raise UserError(f"{mask.name or 'the mask'} holds {volumes[largest - 1]} voxels only; an organ needs more")
+    name = mask.name or "the mask"
+    thinnest = min(s.stop - s.start for s in box)
+    if volumes[largest - 1] < 50:
+        raise UserError(f"{name} holds {volumes[largest - 1]} voxels only; an organ needs more")
+    if thinnest < 3:
+        raise UserError(f"{name} is {thinnest} voxels thick, too thin for an organ; use a finer image")
     first = np.array([s.start for s in box[::-1]]) - _MARGIN
     h = float(spacing or mask.spacing.min())
-    level = _signed_distance(solid, mask.spacing[::-1])
-    level = ndimage.gaussian_filter(level, _SMOOTHING * mask.spacing.min() / mask.spacing[::-1])
-    level = _resample(level, mask.spacing[::-1], h)
+    rough = _signed_distance(solid, mask.spacing[::-1])
+    smooth = ndimage.gaussian_filter(rough, _SMOOTHING * mask.spacing.min() / mask.spacing[::-1])
+    level = _exact_away(_resample(smooth, mask.spacing[::-1], h), h)
     ball, filled = _as_ball(level < 0.0, h, mask.name)
     return Wall(_patched(level, ball, h), h, mask.to_points(first), mask.direction, count - 1, filled)
 
@@ -113,6 +130,18 @@ def _signed_distance(solid: Mask, sampling: Floats) -> NDArray[np.float32]:
     outer = ndimage.distance_transform_edt(~solid, sampling)
     half = 0.5 * float(sampling.min())
     return (np.where(solid, half - inner, outer - half)).astype(np.float32)
+
+
+def _smooth_distance(solid: Mask, h: float) -> NDArray[np.float32]:
+    """Signed distance, smooth near the wall so that voxel steps don't show, exact away from it."""
+    return _exact_away(ndimage.gaussian_filter(_signed_distance(solid, np.full(3, h)), _SMOOTHING), h)
+
+
+def _exact_away(smooth: NDArray[np.float32], h: float) -> NDArray[np.float32]:
+    """Exact distances to the smooth level's inside from 2.5 voxels on: smoothing alone flattens the ridges."""
+    exact = _signed_distance(smooth < 0.0, np.full(3, h))
+    share = np.clip(np.abs(exact) / h - 1.5, 0.0, 1.0)
+    return (smooth + share * (exact - smooth)).astype(np.float32)
 
 
 def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray[np.float32]:
@@ -127,9 +156,9 @@ def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray
 def _as_ball(solid: Mask, h: float, name: str) -> tuple[Mask, float]:
     """Fill cavities and close handles until the solid is a topological ball (Euler number 1); and the mL added."""
     ball = _largest_part(ndimage.binary_fill_holes(solid))
-    start, radius = ball, 0.0
-    limit = _LARGEST_CLOSING * float(ndimage.distance_transform_edt(ball).max())
+    start, radius, limit = ball, 0.0, 0.0
     while euler_number(ball, connectivity=1) != 1:
+        limit = limit or _LARGEST_CLOSING * float(ndimage.distance_transform_edt(start).max())
         radius = max(1.3 * radius, radius + 1.0)
         if radius > limit:
             raise UserError(
@@ -153,13 +182,13 @@ def _without_needless(ball: Mask, start: Mask) -> Mask:
 
 
 def _patched(level: NDArray[np.float32], ball: Mask, h: float) -> NDArray[np.float32]:
-    """The level with the changed solid `ball` for its inside; untouched away from the changes."""
+    """The level with the changed solid `ball` for its inside; its own near the wall where nothing changed."""
     changed = ball != (level < 0.0)
     if not changed.any():
         return level
-    smooth = ndimage.gaussian_filter(_signed_distance(ball, np.full(3, h)), _SMOOTHING)
-    near = ndimage.binary_dilation(changed, iterations=2)
-    return np.where(near, np.minimum(smooth, np.where(changed, smooth, level)), level).astype(np.float32)
+    smooth = _smooth_distance(ball, h)
+    own = ~ndimage.binary_dilation(changed, iterations=3) & (np.abs(smooth) < 1.5 * h)
+    return np.where(own, level, smooth)
 
 
 def _largest_part(solid: Mask) -> Mask:
@@ -178,6 +207,8 @@ def _close(solid: Mask, radius: float) -> Mask:
 def closed_wall(wall: Wall, radius: float) -> Wall | None:
     """The wall after a closing by a ball of `radius` mm: narrower folds are filled. None where that makes a ring."""
     solid = wall.level < 0.0
+    if radius < wall.spacing:
+        return wall
     try:
         ball = _as_ball(_close(solid, radius / wall.spacing), wall.spacing, "")[0]
     except UserError:
@@ -191,8 +222,7 @@ def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
     solid = _largest_part(enclosed(off_grid(positions / wall.spacing), triangles, size))
     if not solid.any():
         raise UserError("the surface encloses no voxel; use a finer image")
-    level = ndimage.gaussian_filter(_signed_distance(solid, np.full(3, wall.spacing)), _SMOOTHING)
-    return replace(wall, level=level)
+    return replace(wall, level=_smooth_distance(solid, wall.spacing))
 
 
 def marching_cubes_surface(wall: Wall) -> tuple[Floats, Ints]:

@@ -46,6 +46,7 @@ class ContactWorker:
         n_tools = len(self._ports)
         self._positions = np.zeros((len(physics.simulation.model.rest), 3))
         self._engaged = np.zeros(n_tools, dtype=np.int64)
+        self._held_off = [False] * n_tools
         self._last_pose = np.zeros((n_tools, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[int, ...] = ()
@@ -104,9 +105,13 @@ class ContactWorker:
                 continue
             if not self._engaged[tool]:
                 if self._finder.is_inside(tool, self._positions, poses[tool]):
-                    self._warn(f"tool '{self._ports[tool].name}' appeared inside the organ; move it out to engage it")
+                    if not self._held_off[tool]:
+                        name = self._ports[tool].name
+                        self._warn(f"tool '{name}' appeared inside the organ; move it out to engage it")
+                    self._held_off[tool] = True
                     continue
                 self._engaged[tool] = 1
+                self._held_off[tool] = False
             else:
                 covered = float(np.linalg.norm(poses[tool, :3] - self._last_pose[tool, :3]))
                 reach = covered / elapsed * 2.0 / self.rate

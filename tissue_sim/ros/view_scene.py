@@ -25,11 +25,11 @@ BANDS: tuple[tuple[float, Colour], ...] = (
 )
 SKELETON: Colour = (20, 30, 60)
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
-FORCE: Colour = (40, 120, 255)
+FORCE: Colour = (0, 60, 220)
 ARROW_LENGTH = 0.03  # m for 1 N
 LEAST_FORCE = 0.01  # N that gets an arrow
 FIELD_OF_VIEW = np.radians(35.0)
-VIEW = np.array([0.85, -0.8, 0.3])  # from the organ to the camera: from the front, the side and above
+VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the front, the side and above
 
 
 def arrow(position: Floats, force: Floats, radius: float) -> NDArray[np.float32]:
