@@ -15,7 +15,7 @@ from tissue_sim.model.shapes import signed_distance
 from tissue_sim.model.state import ENGAGED, ENTRIES, MODAL, REGION
 
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
-NEAR = 2e-4  # m: points that close may come to touch while others are resolved
+NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 
 
