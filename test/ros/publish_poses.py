@@ -31,8 +31,9 @@ message.header.frame_id = "organ"
 message.pose.orientation.w = 1.0
 start = time.monotonic()
 count = 0
-while (elapsed := time.monotonic() - start) < args.seconds:
-    phase = elapsed / args.seconds
+# A second outside first: the node may discover this publisher later than the publisher discovers the node.
+while (elapsed := time.monotonic() - start - 1.0) < args.seconds:
+    phase = max(0.0, elapsed / args.seconds)
     pressed = min(1.0, 4.0 * phase) if args.hold else math.sin(math.pi * min(1.0, 2.0 * phase))
     position = touch + (args.depth * pressed - 0.008 * (1.0 - pressed)) * inward
     message.header.stamp = node.get_clock().now().to_msg()

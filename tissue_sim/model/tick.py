@@ -60,7 +60,7 @@ QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
 SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
 WAY_BACK = 0.02  # share of the way to rest in a tick
-CONTACT_ITERATIONS = 5
+CONTACT_ITERATIONS = 8
 
 # Values of settings[LOCAL_REGION]; 0 is off.
 FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
