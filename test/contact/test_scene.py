@@ -200,7 +200,7 @@ def test_needle_finer_than_the_contact_points_is_held_too(radius):
 
 
 # release ---------------------------------------------------------------------------------------
-@pytest.mark.parametrize("region", ["off", "frozen"])
+@pytest.mark.parametrize("region", ["off", "frozen", "auto"])
 def test_force_is_exactly_nothing_after_the_tool_has_left(region):
     organ = kidney()
     scene = Scene(organ, [PROBE], local_region=region)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from tissue_sim.contact.broad_phase import add_normals, holds_node, nearest_node, surface_box, triangles_in_box
 from tissue_sim.contact.tools import MARGIN, ToolSet
 from tissue_sim.model.assembly import winding_number
+from tissue_sim.model.inputs import take_contacts
 from tissue_sim.model.shapes import CAPSULE, rotation_matrix
-from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs
+from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs, State
 from tissue_sim.organ.organ import Ints
 
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
@@ -36,6 +37,22 @@ class ContactSet:
     tip_weight: Floats  # (T, 3)
     engaged: Longs  # (T,)
     dropped: int = 0  # entries beyond the capacity, farthest first
+
+
+def hand_over(state: State, found: ContactSet, sequence: int) -> None:
+    """Let a simulation's state take up a contact set; sequence: its number."""
+    take_contacts(
+        state,
+        len(found.tool),
+        found.tool,
+        found.node,
+        found.weight,
+        found.normal,
+        found.tip_node,
+        found.tip_weight,
+        found.engaged,
+        sequence,
+    )
 
 
 @dataclass

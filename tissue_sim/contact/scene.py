@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tissue_sim.contact.finder import ContactFinder, ContactSet
+from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model import state as st
-from tissue_sim.model.inputs import take_contacts, take_force, take_pose
+from tissue_sim.model.inputs import take_force, take_pose
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
@@ -57,17 +57,6 @@ class Scene:
         pushing = (state.tool_count[:, st.FORCE_AGE] >= 0).astype(np.int64)
         found = self.finder.find(state.position, state.tool_goal, np.zeros(len(fresh)), fresh, pushing)
         self._sequence += 1
-        take_contacts(
-            state,
-            len(found.tool),
-            found.tool,
-            found.node,
-            found.weight,
-            found.normal,
-            found.tip_node,
-            found.tip_weight,
-            found.engaged,
-            self._sequence,
-        )
+        hand_over(state, found, self._sequence)
         self.contacts = found
         self.simulation.step()

@@ -8,10 +8,12 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
+from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.state import Floats
 
 N_MODES = 144  # a third of that triples the error of the region's surroundings
+_RIGID = 1e-9  # square of a frequency, over the largest diagonal, that is taken for 0
 
 
 class Modes(NamedTuple):
@@ -56,7 +58,10 @@ def stiffness_matrix(model: Model) -> csc_array:
 
 
 def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
-    """The lowest `count` modes of the nodes that may move (fewer when the model has fewer)."""
+    """The lowest `count` modes of the nodes that may move (fewer when the model has fewer).
+
+    Raises UserError when the organ can move as a whole without any force.
+    """
     n, moving = len(model.rest), model.moving.astype(np.int64)
     free = (3 * moving[:, None] + np.arange(3)).ravel()
     count = min(count, len(free) - 2)
@@ -66,7 +71,15 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
     root = diags_array(np.repeat(np.sqrt(model.inverse_mass[moving]), 3))
     scaled = (root @ stiffness_matrix(model)[free][:, free] @ root).tocsc()
     start = np.random.default_rng(0).standard_normal(len(free))
-    square, vectors = eigsh(scaled, k=count, sigma=0.0, v0=start)
+    try:
+        square, vectors = eigsh(scaled, k=count, sigma=0.0, v0=start)
+    except RuntimeError:  # exactly singular
+        square, vectors = np.zeros(1), np.zeros((len(free), 1))
+    if square.min() <= _RIGID * scaled.diagonal().max():
+        raise UserError(
+            "the organ has modes without stiffness, so nothing holds it: give it fixed nodes or return springs,"
+            " or use local_region off"
+        )
     order = np.argsort(square)
     shape = np.zeros((3 * n, count))
     shape[free] = root @ vectors[:, order]

@@ -58,6 +58,7 @@ from tissue_sim.model.tool_motion import (
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
+TREMBLING = 0.1  # 1/s, speed over displacement
 SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
 WAY_BACK = 0.02  # share of the way to rest in a tick
 CONTACT_ITERATIONS = 8
@@ -327,12 +328,13 @@ def rest_if_quiet(model: Any, state: Any, forced: bool) -> None:
         for c in range(3):
             speed = max(speed, abs(state.velocity[node, c]))
             displacement = max(displacement, abs(state.position[node, c] - model.rest[node, c]))
-    if speed > QUIET_SPEED:
+    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back within seconds.
+    if speed > max(QUIET_SPEED, TREMBLING * displacement):
         count[QUIET] = 0
         return
     count[QUIET] += 1
     if displacement <= QUIET_DISPLACEMENT:
-        if count[QUIET] >= QUIET_TICKS:
+        if count[QUIET] >= QUIET_TICKS and speed <= QUIET_SPEED:
             count[ASLEEP] = 1
             count[BACKOFF] = 1
     elif count[QUIET] >= QUIET_TICKS and displacement > SNAPPED_DISPLACEMENT:
@@ -351,6 +353,9 @@ def lead_back(model: Any, state: Any) -> None:
             state.position[node, c] = model.rest[node, c] + offset
             state.velocity[node, c] = 0.0
             displacement = max(displacement, abs(offset))
+    # A fault on the way must not restore the false shape.
+    state.good_position[:] = state.position
+    state.good_velocity[:] = 0.0
     if displacement <= QUIET_DISPLACEMENT:
         state.count[SNAPPED] = 0
         state.count[QUIET] = 0

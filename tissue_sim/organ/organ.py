@@ -160,7 +160,6 @@ class Organ:
                     stream,
                     header=np.array(text),
                     sha256=np.array(_digest(text, arrays)),
-                    allow_pickle=False,
                     **arrays,
                 )
         except OSError as error:

@@ -16,11 +16,11 @@ from rosbags.rosbag2.errors import ReaderError
 from rosbags.typesys import Stores, get_typestore
 from tqdm import tqdm
 
-from tissue_sim.contact.finder import ContactFinder, ContactSet
+from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
-from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
+from tissue_sim.model.inputs import reset_state, take_force, take_pose
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
@@ -238,18 +238,7 @@ class _Player:
         if contacts != self.taken[1]:
             found = self._contact_set(contacts)
             result.contact_sets += 1
-            take_contacts(
-                self.state,
-                len(found.tool),
-                found.tool,
-                found.node,
-                found.weight,
-                found.normal,
-                found.tip_node,
-                found.tip_weight,
-                found.engaged,
-                contacts,
-            )
+            hand_over(self.state, found, contacts)
         self.taken = row
 
     def _input(self, values: dict[int, Floats], sequence: int, what: str) -> Floats:
