@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import MODEL_NAMES, assemble, curvature_at_edges, winding_number
+from tissue_sim.model.assembly import MODEL_NAMES, assemble, curvature_at_edges
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Organ, SpringKind, signed_volume
+from tissue_sim.organ.organ import Organ, SpringKind
 
 from ..scenes import RADIUS, assembled, ball, kidney
 
@@ -78,6 +78,7 @@ def test_volume_model_without_interior_points_is_refused():
         atom_radius=np.empty(0),
         atom_parent=np.empty(0),
         interior_positions=np.empty((0, 3)),
+        interior_spoke=np.empty((0, 2)),
         fixed=organ.fixed,
         mass=organ.mass[:n],
         damping=organ.damping[:n],
@@ -160,37 +161,3 @@ def test_every_edge_of_a_ball_is_convex():
     model = assemble(organ)
     assert np.all(model.angular_rest > 0.0)
     assert model.angular_rest.sum() == pytest.approx(8.0 * np.pi * RADIUS, rel=0.03)
-
-
-# winding number --------------------------------------------------------------------------------
-def crossings(points, triangles):
-    """How many triangles lie above each point, along z."""
-    a, b, c = (triangles[None, :, k] - points[:, None] for k in range(3))
-
-    def turn(p, q):
-        return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
-
-    parts = np.stack([turn(b, c), turn(c, a), turn(a, b)])
-    hit = np.all(parts > 0.0, axis=0) | np.all(parts < 0.0, axis=0)
-    height = np.einsum("kpt,kpt->pt", parts, np.stack([a[..., 2], b[..., 2], c[..., 2]])) / parts.sum(axis=0)
-    return np.count_nonzero(hit & (height > 0.0), axis=1)
-
-
-def test_winding_number_is_one_inside_and_zero_outside():
-    organ = kidney()
-    mesh = trimesh.Trimesh(organ.surface_positions, organ.surface_triangles, process=False)
-    low, high = mesh.bounds
-    points = np.random.default_rng(0).uniform(low - 0.01, high + 0.01, (700, 3))
-    winding = winding_number(points, organ.surface_positions, organ.surface_triangles)
-    inside = winding > 0.5
-    np.testing.assert_allclose(winding, inside, atol=1e-9)
-    share = inside.mean() * np.prod(high - low + 0.02)
-    assert share == pytest.approx(organ.volume, rel=0.15)
-    np.testing.assert_array_equal(inside, crossings(points, mesh.triangles) % 2 == 1)
-
-
-def test_winding_number_changes_sign_with_the_triangles():
-    organ = ball()
-    flipped = organ.surface_triangles[:, ::-1]
-    assert signed_volume(organ.surface_positions, flipped) < 0.0
-    assert winding_number(np.zeros((1, 3)), organ.surface_positions, flipped)[0] == pytest.approx(-1.0)

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, check_surface, signed_volume
+from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, _digest, check_surface, signed_volume
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.topology import assemble_organ
 
@@ -132,6 +132,21 @@ def test_future_schema_is_refused_with_the_remedy(path):
     header["schema_version"] = SCHEMA_VERSION + 1
     rewrite(path, header=np.array(json.dumps(header)))
     refused(path, f"schema version {SCHEMA_VERSION + 1}.*update tissue_sim")
+
+
+def test_a_file_of_version_1_is_read_and_its_checksum_held(path):
+    """Before interior atoms: no interior_spoke."""
+    with np.load(path) as stored:
+        content = {key: stored[key] for key in stored.files if key not in ("interior_spoke", "sha256")}
+    header = json.loads(str(content.pop("header"))) | {"schema_version": 1}
+    text = json.dumps(header, sort_keys=True)
+    np.savez_compressed(path, header=np.array(text), sha256=np.array(_digest(text, content)), **content)
+    organ = Organ.load(path)
+    assert organ.n_interior == 0
+    assert organ.digest() == ball().digest()
+    content["mass"] = content["mass"] * 1.1
+    np.savez_compressed(path, header=np.array(text), sha256=np.array("0" * 64), **content)
+    refused(path, "altered.*checksum")
 
 
 def test_pickle_inside_is_refused_and_not_run(path, tmp_path):
@@ -304,6 +319,7 @@ def test_nodes_are_surface_then_atoms_then_interior():
     with_interior = replace(
         organ,
         interior_positions=interior,
+        interior_spoke=[[2, 7]],
         mass=np.append(organ.mass, 1e-3),
         damping=np.append(organ.damping, 0.1),
         return_stiffness=np.append(organ.return_stiffness, 0.0),

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from tissue_sim.contact.broad_phase import add_normals, holds_node, nearest_node, surface_box, triangles_in_box
 from tissue_sim.contact.tools import MARGIN, ToolSet
-from tissue_sim.model.assembly import winding_number
 from tissue_sim.model.inputs import take_contacts
 from tissue_sim.model.shapes import CAPSULE, rotation_matrix
 from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs, State
 from tissue_sim.organ.organ import Ints
+from tissue_sim.organ.winding import inside
 
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
 MOST_FCL_CONTACTS = 256
@@ -161,7 +161,7 @@ class ContactFinder:
         surface_box(position, self.n_surface, self._low, self._high)
         if np.any(centre < self._low) or np.any(centre > self._high):
             return False
-        return bool(winding_number(centre[None], position, self.triangles)[0] > 0.5)
+        return bool(inside(centre[None], position, self.triangles)[0])
 
     def _rotation(self, pose: Floats) -> Floats:
         rotation_matrix(pose[3:], self._matrix)

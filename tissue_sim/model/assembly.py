@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.spatial import Delaunay
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind
+from tissue_sim.organ.winding import inside
 
 ModelName = Literal["surface", "volume", "hybrid"]
 LEAST_AREA = 0.1  # of the rest area, below which a pair of triangles counts as collapsed
@@ -40,6 +42,10 @@ class Model(NamedTuple):
     mode_shape: Floats  # (n, 3, m) 1/sqrt(kg)
     neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
     neighbours: Ints
+    hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0): searched on demand
+
+
+NO_HOPS = np.zeros((0, 0), dtype=np.uint8)
 
 
 def assemble(organ: Organ, model: str = "hybrid") -> Model:
@@ -103,6 +109,7 @@ def assemble(organ: Organ, model: str = "hybrid") -> Model:
         mode_shape=np.zeros((n, 3, 0)),
         neighbour_start=_ints(graph.indptr),
         neighbours=_ints(graph.indices),
+        hops=NO_HOPS,
     )
 
 
@@ -143,7 +150,7 @@ def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
     if organ.n_nodes == organ.n_surface:
         raise UserError(f"organ '{organ.name}' has no interior points, which the volume model needs; use --atoms")
     cells = Delaunay(rest).simplices.astype(np.int64)
-    cells = cells[winding_number(rest[cells].mean(axis=1), organ.surface_positions, organ.surface_triangles) > 0.5]
+    cells = cells[inside(rest[cells].mean(axis=1), organ.surface_positions, organ.surface_triangles)]
     corner = rest[cells]
     volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
     pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])
@@ -159,22 +166,3 @@ def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
     shell = np.zeros(len(unique))
     shell[inverse.ravel()[len(pairs) :]] = organ.spring_stiffness[edge_springs]
     return _ints(unique), length, np.where(missed, shell, stiffness)
-
-
-def winding_number(points: Floats, positions: Floats, triangles: Ints) -> Floats:
-    """Winding number of a closed surface about each point, (p,): 1 inside, 0 outside.
-
-    Sum of the triangles' solid angles (van Oosterom & Strackee 1983).
-    """
-    corners = positions[triangles]
-    total = np.empty(len(points))
-    for start in range(0, len(points), 256):
-        a, b, c = (corners[None, :, k] - points[start : start + 256, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
-        numerator = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
-        denominator = la * lb * lc
-        denominator += np.einsum("ijk,ijk->ij", a, b) * lc
-        denominator += np.einsum("ijk,ijk->ij", b, c) * la
-        denominator += np.einsum("ijk,ijk->ij", c, a) * lb
-        total[start : start + 256] = np.arctan2(numerator, denominator).sum(axis=1) / (2.0 * np.pi)
-    return total

@@ -50,8 +50,16 @@ def mark_loaded(model: Any, state: Any) -> bool:
 
 @kernel
 def spread(model: Any, state: Any) -> None:
-    """Breadth-first hop distances on the surface edges from the loaded nodes, up to HOPS."""
+    """Hop distances on the surface edges from the loaded nodes, up to HOPS: from the table, or breadth first."""
     hop = state.region_hop
+    if len(model.hops) > 0:
+        for node in range(model.n_surface):
+            if hop[node] == 0:
+                for other in range(model.n_surface):
+                    there = model.hops[node, other]
+                    if there <= HOPS and (hop[other] < 0 or hop[other] > there):
+                        hop[other] = there
+        return
     for layer in range(HOPS):
         for node in range(model.n_surface):
             if hop[node] == layer:

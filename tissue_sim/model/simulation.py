@@ -12,6 +12,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.assembly import Model, assemble
 from tissue_sim.model.contact_constraint import MOST_NEAR
+from tissue_sim.model.hops import hop_table
 from tissue_sim.model.inputs import reset_state
 from tissue_sim.model.modal_region import place_outside
 from tissue_sim.model.modes import lowest_modes
@@ -56,6 +57,8 @@ class Simulation:
             raise UserError(f"unknown local region '{local_region}'; choose one of {', '.join(LOCAL_REGIONS)}")
         self.organ = organ
         self.model: Model = assemble(organ, model)
+        if local_region != "off":
+            self.model = self.model._replace(hops=hop_table(self.model))
         if local_region in ("modal", "auto"):
             modes = lowest_modes(self.model)
             self.model = self.model._replace(mode_frequency=modes.frequency, mode_shape=modes.shape)

@@ -3,6 +3,10 @@
 Every boundary point C hangs on its nearest atom B by a spoke BC. With A, a neighbour of B on the skeleton,
 the tuple {x, r, F(V, AB), theta} holds x = B, r = |BC|, the plane F spanned by the orientation vector
 V = AC and AB, and theta, the angle between AB and BC. Then C = x + R_{V,AB}(theta) AB r / |AB|.
+
+When the atoms move, V has to turn with them, which the paper leaves to future work. Here the skeleton
+carries a frame that is transported along it without twist (Bishop 1975; on polylines Bergou et al. 2008):
+from one bone to the next it turns by the smallest rotation that keeps it on the bones.
 """
 
 from __future__ import annotations
@@ -18,12 +22,17 @@ from tissue_sim.errors import UserError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+_SHORTEST = 1e-12  # m
+_UNDECIDED = 1e-12  # weight of "not turned" where the atoms leave a rotation open
+
 
 @dataclass(frozen=True, eq=False)
 class MedialRepresentation:
     """One tuple for each of n spokes: atom B (n,), neighbour A (n,), length r (n,) m, angle theta (n,) rad,
-    orientation V (n, 3) m."""
+    orientation V (n, 3) m; and the skeleton at rest: atoms (a, 3) m, parent (a,)."""
 
+    atoms: Floats
+    parent: Ints
     atom: Ints
     neighbour: Ints
     length: Floats
@@ -56,15 +65,21 @@ def neighbours(parent: ArrayLike) -> Ints:
     return towards
 
 
-def represent(boundary: ArrayLike, atoms: ArrayLike, parent: ArrayLike) -> MedialRepresentation:
-    """The tuples of boundary points (n, 3) m on their nearest atoms (a, 3) m; parent (a,) as in Organ."""
+def represent(
+    boundary: ArrayLike, atoms: ArrayLike, parent: ArrayLike, atom: ArrayLike | None = None
+) -> MedialRepresentation:
+    """The tuples of boundary points (n, 3) m on atoms (a, 3) m; parent (a,) as in Organ.
+
+    atom (n,): the atom B of each spoke; default: the nearest. Raises UserError for an atom without a neighbour.
+    """
     c, x = np.asarray(boundary, dtype=np.float64), np.asarray(atoms, dtype=np.float64)
-    atom = nearest_atoms(c, x, 1)[0][:, 0]
+    atom = nearest_atoms(c, x, 1)[0][:, 0] if atom is None else np.asarray(atom, dtype=np.int32)
     neighbour = neighbours(parent)[atom]
     along, spoke = x[atom] - x[neighbour], c - x[atom]
     sine = np.linalg.norm(np.cross(along, spoke), axis=1)
     theta = np.arctan2(sine, np.einsum("ij,ij->i", along, spoke))
-    return MedialRepresentation(atom, neighbour, np.linalg.norm(spoke, axis=1), theta, c - x[neighbour])
+    length = np.linalg.norm(spoke, axis=1)
+    return MedialRepresentation(x, np.asarray(parent, dtype=np.int32), atom, neighbour, length, theta, c - x[neighbour])
 
 
 def implied_boundary(atoms: ArrayLike, rep: MedialRepresentation, orientation: ArrayLike | None = None) -> Floats:
@@ -75,10 +90,76 @@ def implied_boundary(atoms: ArrayLike, rep: MedialRepresentation, orientation: A
     x = np.asarray(atoms, dtype=np.float64)
     v = rep.orientation if orientation is None else np.asarray(orientation, dtype=np.float64)
     along = x[rep.atom] - x[rep.neighbour]
-    size = np.linalg.norm(along, axis=1, keepdims=True)
-    across = _across(along / size, v)
-    turned = np.cos(rep.theta)[:, None] * along / size + np.sin(rep.theta)[:, None] * across
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), _SHORTEST)
+    across = _across(along, v)
+    turned = np.cos(rep.theta)[:, None] * along + np.sin(rep.theta)[:, None] * across
     return x[rep.atom] + rep.length[:, None] * turned
+
+
+def recalculated_boundary(rep: MedialRepresentation, atoms: ArrayLike) -> Floats:
+    """Boundary points (n, 3) m that the moved atoms (a, 3) m imply, twist-free along the skeleton.
+
+    A rigid motion of the atoms moves the boundary with them (about a straight skeleton's axis, where the
+    atoms cannot tell, it doesn't turn). Usable as the target of the model's return springs.
+    """
+    turn = transported_frames(rep.atoms, atoms, rep.parent)
+    return implied_boundary(atoms, rep, np.einsum("nij,nj->ni", turn[rep.atom], rep.orientation))
+
+
+def transported_frames(rest: ArrayLike, moved: ArrayLike, parent: ArrayLike) -> Floats:
+    """How each atom's frame has turned from rest (a, 3) m to moved (a, 3) m: rotations (a, 3, 3).
+
+    The root turns as the skeleton does as a whole (Kabsch 1976), then each frame by the smallest
+    rotation that takes its bone from where the parent's frame would carry it to where it is.
+    """
+    before, after = np.asarray(rest, dtype=np.float64), np.asarray(moved, dtype=np.float64)
+    towards, up = neighbours(parent), np.asarray(parent)
+    old, new = _directions(before - before[towards]), _directions(after - after[towards])
+    frames = np.empty((len(before), 3, 3))
+    whole = nearest_rotation(before, after)
+    for i in range(len(before)):
+        carried = whole if up[i] < 0 else frames[up[i]]
+        frames[i] = smallest_rotation(carried @ old[i], new[i]) @ carried
+    return frames
+
+
+def nearest_rotation(before: Floats, after: Floats) -> Floats:
+    """The rotation (3, 3) that takes points (a, 3) nearest to others (Kabsch 1976), wary of turning about their axis.
+
+    Points of a rigid motion give that motion's rotation exactly. The more they have moved otherwise, the more
+    counts what takes the axis along without turning about it: a slender skeleton that is bent another
+    way has not been turned about itself. About a straight line it never turns.
+    """
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    spread = b.T @ a
+    u, size, vt = np.linalg.svd(spread)
+    straight = smallest_rotation(vt[0], u[:, 0])
+    turned = _proper(u, vt) if size[1] > _UNDECIDED * size[0] else straight
+    misfit = float(np.sum((b - a @ turned.T) ** 2)) + _UNDECIDED * float(size[0])
+    u, _, vt = np.linalg.svd(spread + misfit * straight)
+    return _proper(u, vt)
+
+
+def _proper(u: Floats, vt: Floats) -> Floats:
+    """The rotation next to u vt, never a reflection."""
+    turned = u * np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    return turned @ vt
+
+
+def smallest_rotation(source: Floats, target: Floats) -> Floats:
+    """The rotation (3, 3) by the smallest angle from one unit vector (3,) to another; half a turn has no one axis."""
+    cosine = float(source @ target)
+    if cosine < -1.0 + 1e-12:
+        axis = _across(source[None], np.eye(3)[[np.argmin(np.abs(source))]])[0]
+        return 2.0 * np.outer(axis, axis) - np.eye(3)
+    x, y, z = np.cross(source, target)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
+
+
+def _directions(bones: Floats) -> Floats:
+    """Unit vectors; a bone of no length keeps none, and its frame is its parent's."""
+    return bones / np.maximum(np.linalg.norm(bones, axis=1, keepdims=True), _SHORTEST)
 
 
 def _across(axis: Floats, v: Floats) -> Floats:
@@ -87,6 +168,6 @@ def _across(axis: Floats, v: Floats) -> Floats:
     size = np.linalg.norm(rest, axis=1, keepdims=True)
     least = np.eye(3)[np.argmin(np.abs(axis), axis=1)]
     other = np.cross(axis, least)
-    other /= np.linalg.norm(other, axis=1, keepdims=True)
+    other /= np.maximum(np.linalg.norm(other, axis=1, keepdims=True), _SHORTEST)
     scale = np.linalg.norm(v, axis=1, keepdims=True)
     return np.where(size > 1e-9 * scale, rest / np.maximum(size, 1e-300), other)

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.errors import UserError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 2: interior_spoke
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -28,8 +28,8 @@ class SpringKind(IntEnum):
     """What an axial spring joins; springs are stored in this order."""
 
     EDGE = 0  # two surface nodes of one triangle edge
-    SPOKE = 1  # a surface node and its nearest medial atom
-    VIRTUAL = 2  # a surface node and the next of its four nearest medial atoms
+    SPOKE = 1  # part of a spoke: a surface node and its nearest inner node, an interior atom and its medial atom
+    VIRTUAL = 2  # a surface node and the next of its four nearest inner nodes; interior atoms and their neighbours
     SKELETON = 3  # two neighbouring medial atoms
 
 
@@ -45,8 +45,8 @@ def _ints(*shape: int | str) -> Any:
 class Organ:
     """An organ ready to be simulated. SI units; every array is read-only.
 
-    Nodes are numbered surface first, then medial atoms, then further interior nodes:
-    `n = n_surface + n_atoms + n_interior`.
+    Nodes are numbered surface first, then medial atoms, then interior atoms:
+    `n = n_surface + n_atoms + n_interior`. The inner nodes are the medial and interior atoms.
 
     Raises UserError (naming the field) when arrays don't fit together, hold non-finite values,
     or the surface isn't one closed outward surface.
@@ -58,7 +58,8 @@ class Organ:
     atom_positions: Floats = _floats("n_atoms", 3)  # m, at rest
     atom_radius: Floats = _floats("n_atoms")  # m, distance to the boundary
     atom_parent: Ints = _ints("n_atoms")  # neighbour towards the root, -1 at the root
-    interior_positions: Floats = _floats("n_interior", 3)  # m, at rest
+    interior_positions: Floats = _floats("n_interior", 3)  # m, at rest: interior atoms
+    interior_spoke: Ints = _ints("n_interior", 2)  # the medial atom and the surface node that its spoke joins
     fixed: Ints = _ints("n_fixed")  # surface nodes that are held
     mass: Floats = _floats("n")  # kg
     damping: Floats = _floats("n")  # kg/s, nodal
@@ -97,8 +98,13 @@ class Organ:
 
     @property
     def n_nodes(self) -> int:
-        """Number of all nodes: surface, medial atoms, interior."""
-        return self.n_surface + self.n_atoms + len(self.interior_positions)
+        """Number of all nodes: surface, medial atoms, interior atoms."""
+        return self.n_surface + self.n_atoms + self.n_interior
+
+    @property
+    def n_interior(self) -> int:
+        """Number of interior atoms."""
+        return len(self.interior_positions)
 
     @property
     def rest_positions(self) -> Floats:
@@ -125,6 +131,9 @@ class Organ:
             array = getattr(self, key)
             if array.size and (array.min() < 0 or array.max() >= limit):
                 raise UserError(f"organ '{self.name}': {key} names a node outside 0..{limit - 1}")
+        spoke = self.interior_spoke
+        if spoke.size and (spoke.min() < 0 or np.any(spoke.max(axis=0) >= [sizes["n_atoms"], sizes["n_surface"]])):
+            raise UserError(f"organ '{self.name}': interior_spoke names an atom or surface node that isn't there")
         parent = self.atom_parent
         if parent.size and (parent.min() < -1 or np.any(parent >= np.arange(len(parent)))):
             raise UserError(f"organ '{self.name}': atom_parent must name an earlier atom, or -1 for the root")
@@ -196,11 +205,14 @@ class Organ:
                 " update tissue_sim"
             )
         expected = {item.name for item in fields(cls) if "dtype" in item.metadata}
+        if version < 2:
+            expected -= {"interior_spoke"}
         if set(content) != expected:
             odd = ", ".join(sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
         if digest != _digest(text, content):
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
+        content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
         scalars = {key: header[key] for key in ("name", "youngs_modulus", "poisson_ratio", "density", "provenance")}
         return cls(**scalars, **content)
 

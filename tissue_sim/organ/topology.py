@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from tissue_sim.errors import UserError
+from tissue_sim.organ.interior import place_interior_atoms
 from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind, check_surface, signed_volume
+from tissue_sim.organ.winding import inside
 
 NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
 SURFACE_MASS_SHARE = 0.8
@@ -28,6 +30,7 @@ def assemble_organ(
     atom_radius: ArrayLike,
     atom_parent: ArrayLike,
     fixed: ArrayLike = (),
+    interior_atoms: int = 0,
     youngs_modulus: float = 10_000.0,
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
@@ -37,17 +40,19 @@ def assemble_organ(
 
     surface_positions (n_surface, 3) m, surface_triangles (n_triangles, 3) outward,
     atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
-    root, fixed (n_fixed,) surface nodes, youngs_modulus Pa, density kg/m^3.
+    root, fixed (n_fixed,) surface nodes, interior_atoms: how many further atoms to spread along the
+    spokes, youngs_modulus Pa, density kg/m^3.
 
     Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
-    0.8 of the mean edge length); from each surface node to its nearest atom (spoke) and the next three of its
+    0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
     four nearest (virtual), sharing the stiffness A sqrt(E M)/L of the tissue column under the node,
     M the oedometric modulus;
-    between neighbouring atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge
+    between neighbouring medial atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge
     with the bending stiffness of a plate, E h^3/(12 (1 - nu^2)), discretised as by
-    Bergou et al. (2006).
-    Masses: density times volume, 80 % on the surface by area, the rest on the atoms by stiffness,
-    so that the skeleton doesn't set the critical step.
+    Bergou et al. (2006). With interior atoms, the tetrahedra between the inner nodes carry the
+    tissue there: k = E sum(V)/l^2 on their edges (Van Gelder 1998), and the skeleton the rest of its section.
+    Masses: density times volume, 80 % on the surface by area, the rest on the inner nodes by stiffness,
+    so that they don't set the critical step.
 
     Raises UserError for an open or inverted surface, no atoms, or tissue out of range.
     """
@@ -69,32 +74,38 @@ def assemble_organ(
     thickness = SHELL_THICKNESS * float(edge_length.mean())
     node_area = np.bincount(triangles.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(surface))
 
+    interior = place_interior_atoms(surface, triangles, atoms, interior_atoms)
+    inner = np.concatenate([atoms, interior.positions])
     # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
     confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-    columns = _columns(surface, atoms, node_area, youngs_modulus * np.sqrt(confined))
+    columns = _columns(surface, inner, node_area, youngs_modulus * np.sqrt(confined))
     bones = np.flatnonzero(parent >= 0)
     bone_length = np.linalg.norm(atoms[bones] - atoms[parent[bones]], axis=1)
     if np.any(bone_length <= 0.0):
         raise UserError(f"organ '{name}': two neighbouring medial atoms coincide; use fewer --atoms")
+    total_volume = signed_volume(surface, triangles)
+    core = _inner_springs(inner, interior.spoke[:, 0], surface, triangles, youngs_modulus)
     bone_section = np.pi * (0.5 * (radius[bones] + radius[parent[bones]])) ** 2
+    bone_section *= max(1.0 - core.volume / total_volume, 0.0)
 
     n_surface = len(surface)
-    nodes = [edges, columns.nodes, np.stack([bones, parent[bones]], axis=1) + n_surface]
-    lengths = [edge_length, columns.length, bone_length]
+    nodes = [edges, columns.nodes, core.nodes + n_surface, np.stack([bones, parent[bones]], axis=1) + n_surface]
+    lengths = [edge_length, columns.length, core.length, bone_length]
     stiffness = [
         youngs_modulus * thickness * edge_area / edge_length**2,
         columns.stiffness,
+        core.stiffness,
         youngs_modulus * bone_section / bone_length,
     ]
-    kinds = [np.full(len(edges), SpringKind.EDGE), columns.kind, np.full(len(bones), SpringKind.SKELETON)]
+    kinds = [np.full(len(edges), SpringKind.EDGE), columns.kind, core.kind, np.full(len(bones), SpringKind.SKELETON)]
     spring_nodes = np.concatenate(nodes)
     spring_stiffness = np.concatenate(stiffness)
     spring_kind = np.concatenate(kinds)
     order = np.argsort(spring_kind, kind="stable")
 
-    n = n_surface + len(atoms)
+    n = n_surface + len(inner)
     stiffness_sum = np.bincount(spring_nodes.ravel(), weights=np.repeat(spring_stiffness, 2), minlength=n)
-    total_mass = density * signed_volume(surface, triangles)
+    total_mass = density * total_volume
     mass = np.empty(n)
     mass[:n_surface] = SURFACE_MASS_SHARE * total_mass * node_area / node_area.sum()
     mass[n_surface:] = (1.0 - SURFACE_MASS_SHARE) * total_mass * _share(stiffness_sum[n_surface:])
@@ -107,7 +118,8 @@ def assemble_organ(
         atom_positions=atoms,
         atom_radius=radius,
         atom_parent=parent,
-        interior_positions=np.empty((0, 3)),
+        interior_positions=interior.positions,
+        interior_spoke=interior.spoke,
         fixed=np.unique(np.asarray(fixed, dtype=np.int32)),
         mass=mass,
         damping=DAMPING_RATE * mass,
@@ -125,18 +137,22 @@ def assemble_organ(
     )
 
 
-class _Columns:
-    """Spokes and virtual springs: the tissue columns between the surface and the skeleton."""
+class _Springs(NamedTuple):
+    """Spokes and virtual springs; volume m^3 of the tissue that they stand for, where it is known."""
 
-    def __init__(self, nodes: Ints, length: Floats, stiffness: Floats, kind: Ints) -> None:
-        self.nodes, self.length, self.stiffness, self.kind = nodes, length, stiffness, kind
+    nodes: Ints
+    length: Floats
+    stiffness: Floats
+    kind: Ints
+    volume: float = 0.0
 
     def node_stiffness(self, n: int) -> Floats:
         """Sum of the column stiffnesses at each of n nodes, (n,) N/m."""
         return np.bincount(self.nodes.ravel(), weights=np.repeat(self.stiffness, 2), minlength=n)
 
 
-def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: float) -> _Columns:
+def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: float) -> _Springs:
+    """Tissue columns between the surface and the inner nodes."""
     k = min(NEAREST_ATOMS, len(atoms))
     length, atom = cKDTree(atoms).query(surface, k=k)
     length, atom = length.reshape(len(surface), k), atom.reshape(len(surface), k)
@@ -148,7 +164,39 @@ def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: 
     kind[:, 0] = SpringKind.SPOKE
     node = np.repeat(np.arange(len(surface)), k)
     nodes = np.stack([node, atom.ravel() + len(surface)], axis=1).astype(np.int32)
-    return _Columns(nodes, length.ravel(), stiffness.ravel(), kind.ravel())
+    return _Springs(nodes, length.ravel(), stiffness.ravel(), kind.ravel())
+
+
+def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints, youngs_modulus: float) -> _Springs:
+    """Springs among the inner nodes, of which the last have their medial atom in owner (m,); none without those.
+
+    On the edges of the Delaunay tetrahedra whose middle lies inside the organ, and from each interior atom
+    to its medial atom, which in a thin place may be no such edge.
+    """
+    n_atoms = len(inner) - len(owner)
+    spokes = np.stack([owner, np.arange(n_atoms, len(inner))], axis=1).astype(np.int64)
+    cells = _tetrahedra(inner) if len(owner) else np.empty((0, 4), dtype=np.int64)
+    cells = cells[inside(inner[cells].mean(axis=1), surface, triangles)]
+    corner = inner[cells]
+    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
+    pairs = np.sort(np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)]), axis=1)
+    bones = np.all(pairs < n_atoms, axis=1)  # the skeleton springs are these
+    unique, inverse = np.unique(np.concatenate([spokes, pairs[~bones]]), axis=0, return_inverse=True)
+    share = np.bincount(inverse.ravel()[len(spokes) :], weights=np.tile(volume, 6)[~bones], minlength=len(unique))
+    kind = np.full(len(unique), SpringKind.VIRTUAL)
+    kind[inverse.ravel()[: len(spokes)]] = SpringKind.SPOKE
+    length = np.linalg.norm(inner[unique[:, 0]] - inner[unique[:, 1]], axis=1)
+    least = 0.05 * np.median(share[share > 0.0]) if np.any(share > 0.0) else 0.0
+    stiffness = youngs_modulus * np.maximum(share, least) / length**2
+    return _Springs(unique.astype(np.int32), length, stiffness, kind.astype(np.int32), float(volume.sum()))
+
+
+def _tetrahedra(points: Floats) -> NDArray[np.int64]:
+    """Delaunay tetrahedra (c, 4) of points (n, 3); none where all lie in a plane."""
+    try:
+        return Delaunay(points).simplices.astype(np.int64)
+    except QhullError:
+        return np.empty((0, 4), dtype=np.int64)
 
 
 def _share(values: Floats) -> Floats:

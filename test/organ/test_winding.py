@@ -1,0 +1,43 @@
+"""The winding number against counted crossings."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.winding import inside, winding_number
+
+from ..scenes import ball, kidney
+
+
+def crossings(points, triangles):
+    """How many triangles lie above each point, along z."""
+    a, b, c = (triangles[None, :, k] - points[:, None] for k in range(3))
+
+    def turn(p, q):
+        return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+
+    parts = np.stack([turn(b, c), turn(c, a), turn(a, b)])
+    hit = np.all(parts > 0.0, axis=0) | np.all(parts < 0.0, axis=0)
+    height = np.einsum("kpt,kpt->pt", parts, np.stack([a[..., 2], b[..., 2], c[..., 2]])) / parts.sum(axis=0)
+    return np.count_nonzero(hit & (height > 0.0), axis=1)
+
+
+def test_winding_number_is_one_inside_and_zero_outside():
+    organ = kidney()
+    mesh = trimesh.Trimesh(organ.surface_positions, organ.surface_triangles, process=False)
+    low, high = mesh.bounds
+    points = np.random.default_rng(0).uniform(low - 0.01, high + 0.01, (700, 3))
+    winding = winding_number(points, organ.surface_positions, organ.surface_triangles)
+    within = inside(points, organ.surface_positions, organ.surface_triangles)
+    np.testing.assert_allclose(winding, within, atol=1e-9)
+    share = within.mean() * np.prod(high - low + 0.02)
+    assert share == pytest.approx(organ.volume, rel=0.15)
+    np.testing.assert_array_equal(within, crossings(points, mesh.triangles) % 2 == 1)
+
+
+def test_winding_number_changes_sign_with_the_triangles():
+    organ = ball()
+    flipped = organ.surface_triangles[:, ::-1]
+    assert signed_volume(organ.surface_positions, flipped) < 0.0
+    assert winding_number(np.zeros((1, 3)), organ.surface_positions, flipped)[0] == pytest.approx(-1.0)
