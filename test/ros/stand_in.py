@@ -32,7 +32,7 @@ def ball(smaller: bool = False) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cloud(columns: np.ndarray) -> PointCloud2:
-    names = ("x", "y", "z", "radius")[: columns.shape[1]]
+    names = ("x", "y", "z", "radius", "parent")[: columns.shape[1]]
     return PointCloud2(
         height=1,
         width=len(columns),
@@ -108,7 +108,9 @@ def main() -> None:
         near = np.exp(-np.sum((vertices - centre) ** 2, axis=1) / (2 * 0.01**2))
         surface.publish(cloud(vertices + near[:, None] * (0.0, 0.012, 0.0)))
         atoms = np.linspace(-0.04, 0.04, 12)
-        skeleton.publish(cloud(np.stack([0 * atoms, 0 * atoms, atoms, 0 * atoms + 0.01], axis=1)))
+        skeleton.publish(
+            cloud(np.stack([0 * atoms, 0 * atoms, atoms, 0 * atoms + 0.01, np.arange(-1, len(atoms) - 1)], axis=1))
+        )
 
     def tell():
         values = {

@@ -41,8 +41,9 @@ class Presenter:
         self._skeleton = node.create_publisher(PointCloud2, "~/skeleton", STREAM)
         self._marker_bytes = MarkersTemplate(frame_id, organ, len(ports))
         self._surface_bytes = CloudTemplate(frame_id, organ.n_surface, ("x", "y", "z"))
-        self._skeleton_bytes = CloudTemplate(frame_id, organ.n_atoms, ("x", "y", "z", "radius"))
+        self._skeleton_bytes = CloudTemplate(frame_id, organ.n_atoms, ("x", "y", "z", "radius", "parent"))
         self._skeleton_bytes.points[:, 3] = organ.atom_radius
+        self._skeleton_bytes.points[:, 4] = organ.atom_parent
         self._positions = organ.rest_positions
         self._sequence: dict[str, int] = {}
         self._had_markers = self._had_surface = 0

@@ -67,7 +67,8 @@ class Viewer:
                 self._organ.show(self._positions)
                 self._positions = None
             if atoms is not None:
-                self._skeleton.show(client.cloud_array(atoms)[:, :3].astype(np.float64))
+                columns = client.cloud_array(atoms)
+                self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
             if self._organ is not None:
                 self._organ.set_opacity(self._panel.opacity.value)
             for tool in self._tools:

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from tissue_sim.ros.bands import Floats, cut_into_bands
+from tissue_sim.ros.bands import Floats, Ints, cut_into_bands
 
 Colour = tuple[int, int, int]
 TISSUE: Colour = (146, 52, 46)
@@ -111,16 +111,18 @@ class OrganView:
 
 
 class SkeletonView:
-    """Medial atoms as small spheres, joined in their order."""
+    """Medial atoms as small spheres, each joined with its parent."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._handles: list[Any] = []
 
-    def show(self, atoms: Floats) -> None:
-        """Draw atoms (n, 3) m; the first call, and one with another number of atoms, makes them."""
-        bones = np.stack([atoms[:-1], atoms[1:]], axis=1)
-        if not self._handles or len(self._handles[1].batched_positions) != len(atoms):
+    def show(self, atoms: Floats, parent: Ints) -> None:
+        """Draw atoms (n, 3) m, each joined with its parent (n,), -1 at a root; another skeleton is made anew."""
+        child = np.flatnonzero(parent >= 0)
+        bones = np.stack([atoms[parent[child]], atoms[child]], axis=1)
+        made = (len(self._handles[1].batched_positions), len(self._handles[0].points)) if self._handles else None
+        if made != (len(atoms), len(bones)):
             self.remove()
             ball = _icosphere(0.0008)
             self._handles = [
