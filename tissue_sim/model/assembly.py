@@ -10,10 +10,13 @@ from scipy.sparse import coo_array
 from scipy.spatial import Delaunay
 
 from tissue_sim.errors import UserError
+from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
 from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind
 from tissue_sim.organ.winding import inside
 
 ModelName = Literal["surface", "volume", "hybrid"]
+ReturnTarget = Literal["rest", "implied"]
+RETURN_TARGETS: tuple[str, ...] = get_args(ReturnTarget)
 LEAST_AREA = 0.1  # of the rest area, below which a pair of triangles counts as collapsed
 MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
@@ -37,6 +40,8 @@ class Model(NamedTuple):
     angular_least_area: Floats  # (h,) m^4
     return_nodes: Ints  # (r,) nodes with a return spring
     return_stiffness: Floats  # (n,) N/m
+    return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
+    spokes: Spokes  # of the M-rep; empty when nothing is implied
     damping_rate: float  # 1/s, nodal damping over mass, the mean
     mode_frequency: Floats  # (m,) rad/s; empty without a modal region
     mode_shape: Floats  # (n, 3, m) 1/sqrt(kg)
@@ -48,7 +53,7 @@ class Model(NamedTuple):
 NO_HOPS = np.zeros((0, 0), dtype=np.uint8)
 
 
-def assemble(organ: Organ, model: str = "hybrid") -> Model:
+def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -> Model:
     """Arrays of one of the paper's three variants.
 
     `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a
@@ -56,10 +61,19 @@ def assemble(organ: Organ, model: str = "hybrid") -> Model:
     `hybrid` the surface with spokes, virtual springs and skeleton (section 3.3). Nodes that a
     variant doesn't use stay at rest.
 
-    Raises UserError for an unknown variant, or `volume` on an organ without interior points.
+    return_target: where return springs pull to, the `rest` position or the boundary that the skeleton has
+    `implied`; medial atoms return to rest in both.
+
+    Raises UserError for an unknown variant or target, `volume` on an organ without interior points, or
+    `implied` on a variant without a skeleton.
     """
     if model not in MODEL_NAMES:
         raise UserError(f"unknown model '{model}'; choose one of {', '.join(MODEL_NAMES)}")
+    if return_target not in RETURN_TARGETS:
+        raise UserError(f"unknown return target '{return_target}'; choose one of {', '.join(RETURN_TARGETS)}")
+    implied = return_target == "implied"
+    if implied and model == "surface":
+        raise UserError("the surface model has no skeleton that could imply a boundary; use return target rest")
     n, n_surface = organ.n_nodes, organ.n_surface
     rest = np.ascontiguousarray(organ.rest_positions)
     mass, damping = organ.mass.copy(), organ.damping.copy()
@@ -104,6 +118,8 @@ def assemble(organ: Organ, model: str = "hybrid") -> Model:
         angular_least_area=(LEAST_AREA * normal) ** 2,
         return_nodes=_ints(returning),
         return_stiffness=organ.return_stiffness.copy(),
+        return_target=rest.copy() if implied else rest,
+        spokes=spokes_of(organ) if implied else NO_SPOKES,
         damping_rate=float(damping[used].sum() / mass[used].sum()),
         mode_frequency=np.zeros(0),
         mode_shape=np.zeros((n, 3, 0)),

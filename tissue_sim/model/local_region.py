@@ -141,4 +141,6 @@ def elastic_forces(model: Any, state: Any, scratch: Any) -> None:
         scratch.region_angular_least_area[:hinges],
         scratch.force,
     )
-    return_forces(state.position, model.rest, scratch.region_node[:nodes], model.return_stiffness, scratch.force)
+    return_forces(
+        state.position, model.return_target, scratch.region_node[:nodes], model.return_stiffness, scratch.force
+    )

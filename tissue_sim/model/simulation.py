@@ -39,7 +39,9 @@ class Simulation:
     organ: the organ; model: surface, volume or hybrid; rate: ticks a second, Hz;
     local_region: off; frozen (the paper's: two layers around a small load move alone); modal (they move,
     the rest follows the organ's modes); auto (modal while the load is small, else the whole model);
-    shapes: the rigid tools that may touch it.
+    shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
+    or the boundary that the skeleton, as it stands, has implied (once a tick; not with a modal region, whose
+    modes are those about rest).
     Raises UserError for a name or rate out of range.
     """
 
@@ -50,13 +52,16 @@ class Simulation:
         rate: float = 1000.0,
         local_region: str = "off",
         shapes: Shapes = NO_TOOLS,
+        return_target: str = "rest",
     ) -> None:
         if not 1.0 <= rate <= 100_000.0:
             raise UserError(f"rate {rate:g} Hz is outside 1..100000")
         if local_region not in LOCAL_REGIONS:
             raise UserError(f"unknown local region '{local_region}'; choose one of {', '.join(LOCAL_REGIONS)}")
         self.organ = organ
-        self.model: Model = assemble(organ, model)
+        if return_target != "rest" and local_region in ("modal", "auto"):
+            raise UserError(f"return target {return_target} goes with local region off or frozen, not {local_region}")
+        self.model: Model = assemble(organ, model, return_target)
         if local_region != "off":
             self.model = self.model._replace(hops=hop_table(self.model))
         if local_region in ("modal", "auto"):

@@ -13,6 +13,7 @@ from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import is_touched, resolve_contacts
 from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
 from tissue_sim.model.guard import guard
+from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.jit import kernel
 from tissue_sim.model.state import (
@@ -121,6 +122,8 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
             state.wrench[:] = 0.0
             return
         count[SNAPPED] = 0
+    if len(model.spokes.parent) > 0:
+        imply_boundary(model.spokes, state.position, model.return_target)
     if count[REGION] == WHOLE:
         count[ACTIVE] = len(model.moving)
     else:
@@ -257,7 +260,7 @@ def elastic_forces(model: Any, position: Any, force: Any) -> None:
         model.angular_least_area,
         force,
     )
-    return_forces(position, model.rest, model.return_nodes, model.return_stiffness, force)
+    return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)
 
 
 @kernel

@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _SHORTEST = 1e-12  # m
+_HALF_TURN = 1e-12  # square of the sum of two unit vectors that counts as none
 _UNDECIDED = 1e-12  # weight of "not turned" where the atoms leave a rotation open
 
 
@@ -119,7 +120,8 @@ def transported_frames(rest: ArrayLike, moved: ArrayLike, parent: ArrayLike) -> 
     whole = nearest_rotation(before, after)
     for i in range(len(before)):
         carried = whole if up[i] < 0 else frames[up[i]]
-        frames[i] = smallest_rotation(carried @ old[i], new[i]) @ carried
+        start = _directions((carried @ old[i])[None])[0]  # rounding would grow from bone to bone
+        frames[i] = smallest_rotation(start, new[i]) @ carried if new[i].any() else carried
     return frames
 
 
@@ -148,13 +150,12 @@ def _proper(u: Floats, vt: Floats) -> Floats:
 
 def smallest_rotation(source: Floats, target: Floats) -> Floats:
     """The rotation (3, 3) by the smallest angle from one unit vector (3,) to another; half a turn has no one axis."""
-    cosine = float(source @ target)
-    if cosine < -1.0 + 1e-12:
+    middle = source + target
+    square = float(middle @ middle)
+    if square < _HALF_TURN:
         axis = _across(source[None], np.eye(3)[[np.argmin(np.abs(source))]])[0]
         return 2.0 * np.outer(axis, axis) - np.eye(3)
-    x, y, z = np.cross(source, target)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1.0 + cosine)
+    return np.eye(3) - 2.0 / square * np.outer(middle, middle) + 2.0 * np.outer(target, source)
 
 
 def _directions(bones: Floats) -> Floats:

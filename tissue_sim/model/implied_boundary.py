@@ -1,0 +1,261 @@
+"""Where the skeleton, as it stands, implies the boundary: a target for the return springs.
+
+The compiled twin of `tissue_sim.organ.medial.recalculated_boundary`, without a singular value decomposition
+and without allocations: rotations are found by their twist in closed form and a few Newton steps.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.model.jit import kernel
+from tissue_sim.organ.medial import neighbours, represent
+from tissue_sim.organ.organ import Floats, Ints, Organ
+
+_POWER_STEPS = 40
+_NEWTON_STEPS = 8
+# As in organ.medial.
+_HALF_TURN = 1e-12
+_UNDECIDED = 1e-12
+_SHORTEST = 1e-12  # m
+
+
+class Spokes(NamedTuple):
+    """The M-rep at rest and room to work in. a atoms, m spokes; no atoms when nothing is implied."""
+
+    first_atom: int  # node number of atom 0
+    towards: Ints  # (a,) neighbour A of each atom
+    parent: Ints  # (a,)
+    bone: Floats  # (a, 3) unit vector from A to the atom
+    offset: Floats  # (a, 3) m, atoms from their middle
+    axis: Floats  # (3,) main direction of the atoms
+    node: Ints  # (m,) surface nodes and interior atoms
+    atom: Ints  # (m,) the atom on which each hangs
+    spoke: Floats  # (m, 3) m, from there to the node
+    frame: Floats  # (a, 3, 3) rotations, written by imply_boundary
+    work: Floats  # (5, 3, 3)
+
+
+_NONE, _NOWHERE = np.zeros(0, dtype=np.int32), np.zeros((0, 3))
+NO_SPOKES = Spokes(
+    first_atom=0,
+    towards=_NONE,
+    parent=_NONE,
+    bone=_NOWHERE,
+    offset=_NOWHERE,
+    axis=np.zeros(3),
+    node=_NONE,
+    atom=_NONE,
+    spoke=_NOWHERE,
+    frame=np.zeros((0, 3, 3)),
+    work=np.zeros((5, 3, 3)),
+)
+
+
+def spokes_of(organ: Organ) -> Spokes:
+    """Spokes of every surface node, from its nearest medial atom, and of every interior atom, from its own.
+
+    Raises UserError when the organ has fewer than two medial atoms.
+    """
+    x = organ.atom_positions
+    rep = represent(organ.surface_positions, x, organ.atom_parent)
+    towards = neighbours(organ.atom_parent)
+    interior = organ.n_surface + organ.n_atoms + np.arange(organ.n_interior)
+    node = np.concatenate([np.arange(organ.n_surface), interior]).astype(np.int32)
+    atom = np.concatenate([rep.atom, organ.interior_spoke[:, 0]]).astype(np.int32)
+    bone = x - x[towards]
+    offset = x - x.mean(axis=0)
+    return Spokes(
+        first_atom=organ.n_surface,
+        towards=towards,
+        parent=np.array(organ.atom_parent),
+        bone=bone / np.maximum(np.linalg.norm(bone, axis=1, keepdims=True), _SHORTEST),
+        offset=offset,
+        axis=np.ascontiguousarray(np.linalg.svd(offset, full_matrices=False)[2][0]),
+        node=node,
+        atom=atom,
+        spoke=organ.rest_positions[node] - x[atom],
+        frame=np.zeros((len(x), 3, 3)),
+        work=np.zeros((5, 3, 3)),
+    )
+
+
+@kernel
+def imply_boundary(spokes: Any, position: Any, target: Any) -> None:
+    """Write where the atoms at position (n, 3) m imply the spokes' ends to target (n, 3) m."""
+    transport_frames(spokes, position)
+    for s in range(len(spokes.node)):
+        turn, spoke = spokes.frame[spokes.atom[s]], spokes.spoke[s]
+        node, atom = spokes.node[s], spokes.first_atom + spokes.atom[s]
+        for i in range(3):
+            end = turn[i, 0] * spoke[0] + turn[i, 1] * spoke[1] + turn[i, 2] * spoke[2]
+            target[node, i] = position[atom, i] + end
+
+
+@kernel
+def transport_frames(spokes: Any, position: Any) -> None:
+    """Rotations of the atoms' frames, twist-free from the root outwards, into spokes.frame."""
+    whole, small, carried, vectors = spokes.work[0], spokes.work[1], spokes.work[2], spokes.work[3]
+    whole_rotation(spokes, position)
+    old, new = vectors[0], vectors[1]
+    for a in range(len(spokes.parent)):
+        up, first = spokes.parent[a], spokes.first_atom
+        for i in range(3):
+            for j in range(3):
+                carried[i, j] = whole[i, j] if up < 0 else spokes.frame[up, i, j]
+        length = 0.0
+        for i in range(3):
+            new[i] = position[first + a, i] - position[first + spokes.towards[a], i]
+            length += new[i] * new[i]
+        length = max(math.sqrt(length), _SHORTEST)
+        for i in range(3):
+            new[i] /= length
+        apply(carried, spokes.bone[a], old, False)
+        if new[0] == 0.0 and new[1] == 0.0 and new[2] == 0.0:
+            spokes.frame[a] = carried
+            continue
+        smallest(old, new, small)
+        for i in range(3):
+            for j in range(3):
+                spokes.frame[a, i, j] = (
+                    small[i, 0] * carried[0, j] + small[i, 1] * carried[1, j] + small[i, 2] * carried[2, j]
+                )
+
+
+@kernel
+def whole_rotation(spokes: Any, position: Any) -> None:
+    """Rotation of the skeleton as a whole, into work[0]; organ.medial.nearest_rotation tells what and why."""
+    whole, straight, spread, vectors = spokes.work[0], spokes.work[1], spokes.work[2], spokes.work[3]
+    middle, axis, image = vectors[0], vectors[1], vectors[2]
+    count, first = len(spokes.offset), spokes.first_atom
+    middle[:] = 0.0
+    for a in range(count):
+        for i in range(3):
+            middle[i] += position[first + a, i] / count
+    spread[:] = 0.0
+    for a in range(count):
+        for i in range(3):
+            for j in range(3):
+                spread[i, j] += (position[first + a, i] - middle[i]) * spokes.offset[a, j]
+    axis[:] = spokes.axis
+    size = 0.0
+    for _ in range(_POWER_STEPS):
+        size = apply(spread, axis, image, False)
+        if size == 0.0:
+            break
+        apply(spread, image, axis, True)
+    if size == 0.0:
+        axis[:] = spokes.axis
+        image[:] = axis
+    else:
+        apply(spread, axis, image, False)
+    smallest(axis, image, straight)
+    turn_best(straight, spread, axis, whole, spokes.work[4])
+    misfit = 0.0
+    for a in range(count):
+        for i in range(3):
+            away = position[first + a, i] - middle[i]
+            for j in range(3):
+                away -= whole[i, j] * spokes.offset[a, j]
+            misfit += away * away
+    misfit += _UNDECIDED * size
+    for i in range(3):
+        for j in range(3):
+            spread[i, j] += misfit * straight[i, j]
+    turn_best(straight, spread, axis, whole, spokes.work[4])
+
+
+@kernel
+def apply(matrix: Any, vector: Any, out: Any, transposed: bool) -> float:
+    """Unit vector of matrix (3, 3) times vector (3,), or of its transpose, into out; returns the length it had."""
+    total = 0.0
+    for i in range(3):
+        out[i] = 0.0
+        for j in range(3):
+            out[i] += (matrix[j, i] if transposed else matrix[i, j]) * vector[j]
+        total += out[i] * out[i]
+    total = math.sqrt(total)
+    if total > 0.0:
+        for i in range(3):
+            out[i] /= total
+    return total
+
+
+@kernel
+def turn_best(start: Any, spread: Any, axis: Any, best: Any, product: Any) -> None:
+    """The rotation R that makes tr(R' spread) largest, from start turned about axis, into best (3, 3).
+
+    The turn about the axis is known in closed form; Newton steps do the rest.
+    """
+    best[:] = start
+    for step in range(_NEWTON_STEPS + 1):
+        for i in range(3):
+            for j in range(3):
+                product[i, j] = best[0, i] * spread[0, j] + best[1, i] * spread[1, j] + best[2, i] * spread[2, j]
+        gx, gy, gz = product[2, 1] - product[1, 2], product[0, 2] - product[2, 0], product[1, 0] - product[0, 1]
+        trace = product[0, 0] + product[1, 1] + product[2, 2]
+        if step == 0:
+            along = 0.0
+            for i in range(3):
+                for j in range(3):
+                    along += axis[i] * product[i, j] * axis[j]
+            angle = math.atan2(gx * axis[0] + gy * axis[1] + gz * axis[2], trace - along)
+            turn_by(best, angle * axis[0], angle * axis[1], angle * axis[2])
+            continue
+        # (tr(A) I - sym(A)) d = g
+        a, b, c = trace - product[0, 0], trace - product[1, 1], trace - product[2, 2]
+        d = -0.5 * (product[0, 1] + product[1, 0])
+        e = -0.5 * (product[0, 2] + product[2, 0])
+        f = -0.5 * (product[1, 2] + product[2, 1])
+        det = a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)
+        if det <= 1e-30 * (trace * trace * trace) or trace <= 0.0:
+            return
+        x = ((b * c - f * f) * gx + (e * f - d * c) * gy + (d * f - b * e) * gz) / det
+        y = ((e * f - d * c) * gx + (a * c - e * e) * gy + (d * e - a * f) * gz) / det
+        z = ((d * f - b * e) * gx + (d * e - a * f) * gy + (a * b - d * d) * gz) / det
+        size = math.sqrt(x * x + y * y + z * z)
+        scale = min(1.0, 0.5 / max(size, 1e-300))
+        turn_by(best, scale * x, scale * y, scale * z)
+
+
+@kernel
+def turn_by(matrix: Any, x: float, y: float, z: float) -> None:
+    """Multiply a rotation (3, 3) from the right by the one about (x, y, z), rad, in place."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-300:
+        return
+    half = math.sin(0.5 * angle) / angle
+    w, x, y, z = math.cos(0.5 * angle), half * x, half * y, half * z
+    for i in range(3):
+        p, q, r = matrix[i, 0], matrix[i, 1], matrix[i, 2]
+        matrix[i, 0] = p * (1.0 - 2.0 * (y * y + z * z)) + q * 2.0 * (x * y + z * w) + r * 2.0 * (x * z - y * w)
+        matrix[i, 1] = p * 2.0 * (x * y - z * w) + q * (1.0 - 2.0 * (x * x + z * z)) + r * 2.0 * (y * z + x * w)
+        matrix[i, 2] = p * 2.0 * (x * z + y * w) + q * 2.0 * (y * z - x * w) + r * (1.0 - 2.0 * (x * x + y * y))
+
+
+@kernel
+def smallest(source: Any, target: Any, out: Any) -> None:
+    """The rotation by the smallest angle from one unit vector (3,) to another into out (3, 3)."""
+    square = 0.0
+    for i in range(3):
+        square += (source[i] + target[i]) ** 2
+    if square >= _HALF_TURN:
+        for i in range(3):
+            for j in range(3):
+                both = (source[i] + target[i]) * (source[j] + target[j])
+                out[i, j] = (1.0 if i == j else 0.0) - 2.0 / square * both + 2.0 * target[i] * source[j]
+        return
+    # Half a turn, about an axis at right angles: the one nearest to the direction of the smallest component.
+    least = 0
+    for i in range(1, 3):
+        if abs(source[i]) < abs(source[least]):
+            least = i
+    total = math.sqrt(1.0 - source[least] * source[least])
+    for i in range(3):
+        for j in range(3):
+            a = ((1.0 if i == least else 0.0) - source[least] * source[i]) / total
+            b = ((1.0 if j == least else 0.0) - source[least] * source[j]) / total
+            out[i, j] = 2.0 * a * b - (1.0 if i == j else 0.0)
