@@ -7,6 +7,8 @@ them into LPS on reading. Lengths are millimetres in headers and here, metres in
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,11 +19,15 @@ import SimpleITK as sitk
 from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.errors import UserError
+from tissue_sim.organ.dicom import read_stack
 
 Floats = NDArray[np.float64]
 
 MM = 1e-3  # metres in a millimetre
-_SLICE_GAP = 0.1  # relative deviation of a slice distance that counts as a gap
+AIR = -1024.0  # HU, for voxels without a value
+_MOST_LABELS = 200
+_LARGEST_SKEW = 1e-3  # cosine between two axes
+_PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"
 _FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # ITK's multi-line warnings; what matters is checked here
@@ -32,7 +38,8 @@ class Volume:
     """A 3-D image in the patient frame.
 
     array (nz, ny, nx): float32 HU, or bool for a mask. spacing (3,) mm along x, y, z voxel axes;
-    origin (3,) mm: centre of voxel (0, 0, 0); direction (3, 3): columns are the voxel axes in LPS.
+    origin (3,) mm: centre of voxel (0, 0, 0); direction (3, 3): columns are the voxel axes in LPS, of either
+    handedness. notes: remarks on how it was read, one line each.
     """
 
     array: NDArray[Any]
@@ -40,6 +47,7 @@ class Volume:
     origin: Floats
     direction: Floats
     name: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def size(self) -> tuple[int, int, int]:
@@ -74,6 +82,26 @@ class Volume:
         part = self.array[low[2] : high[2] + 1, low[1] : high[1] + 1, low[0] : high[0] + 1]
         return replace(self, array=np.ascontiguousarray(part), origin=self.to_points(low))
 
+    def upright(self) -> Volume:
+        """The same image with its voxel axes in the order and sense nearest to x, y, z of the patient; a view, no copy.
+
+        What is computed on voxels then doesn't depend on the order in which the file stored them.
+        """
+        along = max(itertools.permutations(range(3)), key=lambda order: np.abs(self.direction[range(3), order]).sum())
+        axes = list(along)
+        array = self.array.transpose([2 - k for k in axes[::-1]])
+        flipped = np.diag(self.direction[:, axes]) < 0.0
+        array = array[tuple(slice(None, None, -1) if flip else slice(None) for flip in flipped[::-1])]
+        corner = np.zeros(3)
+        corner[axes] = np.where(flipped, np.array(self.size)[axes] - 1.0, 0.0)
+        return replace(
+            self,
+            array=array,
+            spacing=self.spacing[axes],
+            origin=self.to_points(corner),
+            direction=self.direction[:, axes] * np.where(flipped, -1.0, 1.0),
+        )
+
     def with_array(self, array: NDArray[Any]) -> Volume:
         """Another image on the same grid."""
         return replace(self, array=array)
@@ -90,9 +118,9 @@ class Volume:
 
 def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volume:
     """Volume of a 3-D SimpleITK image: float32, or bool (non-zero) for a mask."""
-    array = sitk.GetArrayFromImage(image)
+    view = sitk.GetArrayViewFromImage(image)  # one copy less than an array of its own
     return Volume(
-        array=array != 0 if mask else array.astype(np.float32, copy=False),
+        array=view != 0 if mask else view.astype(np.float32),
         spacing=np.array(image.GetSpacing()),
         origin=np.array(image.GetOrigin()),
         direction=np.array(image.GetDirection()).reshape(3, 3),
@@ -103,18 +131,27 @@ def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volum
 def read_image(path: str | Path, series: str | None = None) -> Volume:
     """Read a CT: a NIfTI, NRRD or MHA file, or a folder that holds one DICOM series.
 
-    series: the series UID to take when a folder holds several. Rescale slope and intercept are
-    applied by ITK, so the values are HU. Raises UserError naming the file when it is
-    missing, unreadable, not 3-D, or when DICOM slices are missing.
+    series: the series to take when a folder holds several, by UID or number. Rescale slope and intercept are
+    applied, so the values are HU. Voxels that are no numbers (outside the scanned field) are read as air and noted.
+    Raises UserError naming the file when it is missing, unreadable, not 3-D, of skewed axes, or holds no finite
+    values, and when DICOM slices are missing.
     """
     source = Path(path)
     if not source.exists():
         raise UserError(f"image {source} does not exist; name a {_FORMATS}")
-    if source.is_dir():
-        return from_sitk(_read_dicom(source, series), source.name)
-    if series is not None:
+    if series is not None and not source.is_dir():
         raise UserError(f"--series chooses a series in a DICOM folder; {source} is a file")
-    return from_sitk(_read_file(source), source.name)
+    volume = _read_folder(source, series) if source.is_dir() else from_sitk(_read_file(source), source.name)
+    bad = 0
+    for layer in volume.array:  # slice by slice: no second volume in memory
+        wrong = ~np.isfinite(layer)
+        if wrong.any():
+            bad += int(np.count_nonzero(wrong))
+            layer[wrong] = AIR
+    if bad == volume.array.size:
+        raise UserError(f"image {source} holds no finite values")
+    note = f"read {bad} voxels without a value (NaN or infinite) as air"
+    return replace(volume, notes=(*volume.notes, note)) if bad else volume
 
 
 def read_mask(path: str | Path, label: int | None = None) -> Volume:
@@ -125,24 +162,72 @@ def read_mask(path: str | Path, label: int | None = None) -> Volume:
     source = Path(path)
     if not source.exists():
         raise UserError(f"mask {source} does not exist; name a {_FORMATS}")
-    image = _read_dicom(source, None) if source.is_dir() else _read_file(source)
-    array = sitk.GetArrayFromImage(image)
-    labels = np.unique(array)
-    labels = labels[labels != 0]
+    image = None if source.is_dir() else _read_file(source)
+    found = _read_folder(source, None) if image is None else from_sitk(image, source.name, mask=True)
+    array = found.array if image is None else sitk.GetArrayViewFromImage(image)
+    labels = _labels(array, str(source))
     if len(labels) == 0:
         raise UserError(f"mask {source} is empty: it holds no value other than 0")
     shown = ", ".join(f"{value:g}" for value in labels[:20])
-    if len(labels) > 200:
-        raise UserError(f"mask {source} holds {len(labels)} different values; it looks like an image, not a mask")
     if label is None and len(labels) > 1:
         raise UserError(f"mask {source} holds several labels ({shown}); choose one with --label")
     if label is not None and label not in labels:
         raise UserError(f"mask {source} has no label {label}; it holds {shown}")
-    chosen = labels[0] if label is None else label
-    return replace(from_sitk(image, source.name, mask=True), array=array == chosen)
+    return replace(found, array=array == (labels[0] if label is None else label))
+
+
+def _labels(array: NDArray[Any], name: str) -> list[float]:
+    """Values other than 0, in order."""
+    found: set[float] = set()
+    for layer in array:
+        found.update(float(value) for value in np.unique(layer) if value != 0 and np.isfinite(value))
+        if len(found) > _MOST_LABELS:
+            raise UserError(
+                f"mask {name} holds over {_MOST_LABELS} different values; it looks like an image, not a mask"
+            )
+    return sorted(found)
+
+
+def _read_folder(folder: Path, series: str | None) -> Volume:
+    stack = read_stack(folder, series)
+    return Volume(stack.array, stack.spacing, stack.origin, stack.direction, folder.name, stack.notes)
 
 
 def _read_file(path: Path) -> sitk.Image:
+    """Read a 3-D image file; its axes are at right angles, to within a thousandth."""
+    try:
+        image = _read_strictly(path)
+    except _SkewedError:
+        # ITK takes a NIfTI header with rounding errors past 1e-5 only when asked to; how skewed it is, is checked here.
+        before = os.environ.get(_PERMISSIVE)
+        os.environ[_PERMISSIVE] = "ON"
+        try:
+            image = _read_strictly(path)
+        finally:
+            if before is None:
+                del os.environ[_PERMISSIVE]
+            else:
+                os.environ[_PERMISSIVE] = before
+    if _skew(image) > _LARGEST_SKEW:
+        raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
+    return image
+
+
+class _SkewedError(Exception):
+    """ITK finds no orthonormal axes in a NIfTI header."""
+
+
+def _skew(image: sitk.Image) -> float:
+    """Largest cosine between two of the axes: the header's own where ITK has straightened a NIfTI's."""
+    axes = np.array(image.GetDirection()).reshape(3, 3)
+    rows = [f"srow_{axis}" for axis in "xyz"]
+    if image.HasMetaDataKey("ITK_sform_corrected") and all(image.HasMetaDataKey(row) for row in rows):
+        axes = np.array([[float(value) for value in image.GetMetaData(row).split()[:3]] for row in rows])
+    length = np.maximum(np.linalg.norm(axes, axis=0), 1e-12)
+    return float(np.abs(np.triu((axes / length).T @ (axes / length), 1)).max())
+
+
+def _read_strictly(path: Path) -> sitk.Image:
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     try:
@@ -150,6 +235,8 @@ def _read_file(path: Path) -> sitk.Image:
         size, dimension = reader.GetSize(), reader.GetDimension()
         components = reader.GetNumberOfComponents()
     except RuntimeError as error:
+        if "orthonormal" in str(error):
+            raise _SkewedError from None
         raise UserError(f"{path} can't be read as an image ({_reason(error)}); name a {_FORMATS}") from None
     if components != 1:
         raise UserError(f"{path} has {components} values a voxel; a CT or mask has one")
@@ -165,65 +252,6 @@ def _read_file(path: Path) -> sitk.Image:
     except (RuntimeError, MemoryError) as error:
         raise UserError(f"{path} is damaged or truncated ({_reason(error)})") from None
     return image if dimension == 3 else image[(slice(None),) * 3 + (0,) * (dimension - 3)]
-
-
-def _read_dicom(folder: Path, series: str | None) -> sitk.Image:
-    found = list(sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(folder)))
-    if not found:
-        raise UserError(f"folder {folder} holds no DICOM series; name the folder that holds the slices")
-    if series is None and len(found) > 1:
-        names = "; ".join(_series_line(folder, uid) for uid in found)
-        raise UserError(f"folder {folder} holds {len(found)} series: {names}; choose one with --series UID")
-    if series is not None and series not in found:
-        raise UserError(f"folder {folder} has no series {series}; it holds {', '.join(found)}")
-    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), series or found[0])
-    if len(files) > 1:
-        _check_slices(folder, files)
-    reader = sitk.ImageSeriesReader()
-    reader.SetFileNames(files)
-    try:
-        image = reader.Execute()
-    except RuntimeError as error:
-        raise UserError(f"DICOM folder {folder} can't be read ({_reason(error)})") from None
-    if image.GetNumberOfComponentsPerPixel() != 1:
-        raise UserError(f"DICOM folder {folder} holds colour pictures, not a CT")
-    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
-        raise UserError(f"DICOM folder {folder} holds a single slice, a 3-D volume is needed")
-    return image
-
-
-def _header(file: str, *tags: str) -> list[str]:
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(file)
-    reader.ReadImageInformation()
-    return [reader.GetMetaData(tag).strip() if reader.HasMetaDataKey(tag) else "" for tag in tags]
-
-
-def _series_line(folder: Path, uid: str) -> str:
-    files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(folder), uid)
-    description = _header(files[0], "0008|103e")[0]
-    return f"{uid} ({description + ', ' if description else ''}{len(files)} slices)"
-
-
-def _check_slices(folder: Path, files: Sequence[str]) -> None:
-    """Refuse a series with missing, doubled or tilted slices: ITK would quietly stretch the organ."""
-    position, normal = [], np.array([0.0, 0.0, 1.0])
-    for file in files:
-        where, axes = _header(file, "0020|0032", "0020|0037")
-        if not where or not axes:
-            return  # no geometry in the header: ITK takes the files in order, one voxel apart
-        position.append([float(v) for v in where.split("\\")])
-        row, column = np.array([float(v) for v in axes.split("\\")]).reshape(2, 3)
-        normal = np.cross(row, column)
-    depth = np.array(position) @ normal
-    step = np.diff(depth)
-    usual = float(np.median(step))
-    if usual <= 0.0 or np.any(np.abs(step) < 1e-4):
-        raise UserError(f"DICOM folder {folder} holds slices at the same position; it mixes several series")
-    odd = np.flatnonzero(np.abs(step - usual) > _SLICE_GAP * usual)
-    if len(odd):
-        where = ", ".join(f"{depth[i]:.1f} and {depth[i + 1]:.1f}" for i in odd[:3])
-        raise UserError(f"DICOM folder {folder} misses slices: spacing is {usual:.2f} mm, but not between {where} mm")
 
 
 def _reason(error: BaseException) -> str:

@@ -1,0 +1,263 @@
+"""DICOM folders: one stack of slices, by the geometry in their headers; refused where it isn't whole or upright.
+
+Slices are ordered by their positions along the normal, whatever their files or numbers say. GDCM (in SimpleITK) decodes
+them and applies rescale slope and intercept, slice by slice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import SimpleITK as sitk
+from numpy.typing import NDArray
+
+from tissue_sim.errors import UserError
+
+Floats = NDArray[np.float64]
+
+_GAP = 0.1  # relative deviation of a slice distance that counts as a gap
+_ALIKE = 1e-3  # difference of direction cosines, relative one of pixel spacings, within a stack
+_TILT = 0.5  # pixels that slices may drift sideways over the whole stack
+_FEW = 3  # slices: fewer beside a stack are localizers or scraps
+_SHOWN = 12  # series named in a message
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """A whole series: array (nz, ny, nx) float32 HU; spacing, origin (3,) mm, direction (3, 3) in LPS; remarks."""
+
+    array: NDArray[np.float32]
+    spacing: Floats
+    origin: Floats
+    direction: Floats
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Slice:
+    file: str
+    series: str
+    description: str
+    kind: str  # DICOM's image type
+    instance: str
+    size: tuple[int, ...]
+    components: int
+    position: Floats | None
+    axes: Floats | None  # (2, 3): along a row, along a column
+    pixel: Floats | None  # (2,) mm: along a row, along a column
+
+    def like(self, other: _Slice) -> bool:
+        """Whether the two can lie in one stack."""
+        if self.size != other.size or self.components != other.components:
+            return False
+        if (self.axes is None) != (other.axes is None) or (self.pixel is None) != (other.pixel is None):
+            return False
+        turned = 0.0 if self.axes is None or other.axes is None else np.abs(self.axes - other.axes).max()
+        scaled = 0.0 if self.pixel is None or other.pixel is None else np.abs(self.pixel / other.pixel - 1.0).max()
+        return float(max(turned, scaled)) < _ALIKE
+
+
+def read_stack(folder: Path, series: str | None = None) -> Stack:
+    """Read the series of a DICOM folder; series: its UID, or its number in the list that a refusal shows.
+
+    Localizers and scraps beside a stack are left out and noted, within a series and beside it. Raises UserError naming
+    the folder when it holds no series or several stacks, when slices are missing, doubled, tilted or without
+    a position, or can't be decoded.
+    """
+    found: dict[str, list[list[_Slice]]] = {}
+    for file in sorted(path for path in folder.iterdir() if path.is_file()):
+        header = _read_header(str(file))
+        if header is not None:
+            _sort_in(found.setdefault(header.series, []), header)
+    if not found:
+        raise UserError(f"folder {folder} holds no DICOM series; name the folder that holds the slices{_below(folder)}")
+    for stacks in found.values():
+        stacks.sort(key=len, reverse=True)
+    uid, notes = _choose_series(folder, found, series)
+    slices, more = _choose_stack(folder, found[uid])
+    notes += more
+    if slices[0].components != 1:
+        raise UserError(f"DICOM folder {folder} holds colour pictures, not a CT")
+    frames = slices[0].size[2] if len(slices[0].size) > 2 else 1
+    if len(slices) == 1 and frames < 2:
+        raise UserError(f"DICOM folder {folder} holds a single slice, a 3-D volume is needed")
+    if frames > 1:
+        if len(slices) > 1:
+            raise UserError(f"DICOM folder {folder} is 4-D: {len(slices)} files of {frames} slices; keep one of them")
+        return _read_frames(folder, slices[0], tuple(notes))
+    slices, more = _without_copies(slices)
+    return _read_slices(folder, slices, tuple(notes + more))
+
+
+def _read_header(file: str) -> _Slice | None:
+    """The header of an image; None for any other file."""
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO("GDCMImageIO")
+    reader.SetFileName(file)
+    try:
+        reader.ReadImageInformation()
+    except RuntimeError:
+        return None
+    size, components = reader.GetSize(), reader.GetNumberOfComponents()
+
+    def text(tag: str) -> str:
+        return str(reader.GetMetaData(tag)).strip().strip("\0") if reader.HasMetaDataKey(tag) else ""
+
+    axes, spacing = _numbers(text("0020|0037"), 6), _numbers(text("0028|0030"), 2)
+    return _Slice(
+        file=file,
+        series=text("0020|000e"),
+        description=text("0008|103e"),
+        kind=text("0008|0008").upper(),
+        instance=text("0008|0018"),
+        size=tuple(int(n) for n in size),
+        components=int(components),
+        position=_numbers(text("0020|0032"), 3),
+        axes=None if axes is None else axes.reshape(2, 3),
+        pixel=None if spacing is None or spacing.min() <= 0.0 else spacing[::-1],
+    )
+
+
+def _numbers(text: str, count: int) -> Floats | None:
+    try:
+        values = np.array([float(part) for part in text.split("\\")])
+    except ValueError:
+        return None
+    return values if len(values) == count and bool(np.all(np.isfinite(values))) else None
+
+
+def _sort_in(stacks: list[list[_Slice]], found: _Slice) -> None:
+    for stack in stacks:
+        if stack[0].like(found):
+            stack.append(found)
+            return
+    stacks.append([found])
+
+
+def _below(folder: Path) -> str:
+    names = sorted(path.name for path in folder.iterdir() if path.is_dir())
+    return f" (it has the folders {', '.join(names[:5])})" if names else ""
+
+
+def _is_scrap(stack: Sequence[_Slice]) -> bool:
+    """Whether it is a localizer or too few slices for a volume."""
+    frames = len(stack) * (stack[0].size[2] if len(stack[0].size) > 2 else 1)
+    return frames < _FEW or "LOCALIZER" in stack[0].kind or stack[0].components != 1
+
+
+def _choose_series(folder: Path, found: dict[str, list[list[_Slice]]], series: str | None) -> tuple[str, list[str]]:
+    uids = list(found)
+    listed = "; ".join(f"{k} {_series_line(uid, found[uid])}" for k, uid in enumerate(uids[:_SHOWN], 1))
+    if series is not None:
+        if series.isdigit() and 1 <= int(series) <= len(uids):
+            return uids[int(series) - 1], []
+        if series in found:
+            return series, []
+        raise UserError(f"folder {folder} has no series {series}; it holds {listed}")
+    if len(uids) == 1:
+        return uids[0], []
+    whole = [uid for uid in uids if not _is_scrap(found[uid][0])]
+    if len(whole) == 1:
+        others = len(uids) - 1
+        return whole[0], [f"left out {others} other series of the folder: localizers or fewer than {_FEW} slices"]
+    raise UserError(f"folder {folder} holds {len(uids)} series: {listed}; choose one with --series UID")
+
+
+def _series_line(uid: str, stacks: list[list[_Slice]]) -> str:
+    count = sum(len(stack) for stack in stacks)
+    description = stacks[0][0].description
+    return f"{uid} ({description + ', ' if description else ''}{count} slice{'s' if count > 1 else ''})"
+
+
+def _choose_stack(folder: Path, stacks: list[list[_Slice]]) -> tuple[list[_Slice], list[str]]:
+    """The only stack of a series; several of different geometry are refused, but for localizers."""
+    whole = [stack for stack in stacks if not _is_scrap(stack)]
+    if len(stacks) == 1 or not whole:
+        return stacks[0], []
+    if len(whole) > 1:
+        sizes = ", ".join(f"{len(stack)} slices of {stack[0].size[0]} x {stack[0].size[1]}" for stack in whole)
+        raise UserError(f"DICOM folder {folder}: one series holds stacks of different geometry ({sizes}); keep one")
+    others = sum(len(stack) for stack in stacks) - len(whole[0])
+    return whole[0], [f"left out {others} pictures of another geometry from the series (localizers)"]
+
+
+def _without_copies(slices: list[_Slice]) -> tuple[list[_Slice], list[str]]:
+    """Each instance once: exports put the same slice into two files."""
+    seen: dict[tuple[str, bytes], _Slice] = {}
+    for k, one in enumerate(slices):
+        place = b"" if one.position is None else one.position.tobytes()
+        seen.setdefault((one.instance or str(k), place), one)
+    copies = len(slices) - len(seen)
+    return list(seen.values()), [f"left out {copies} copies of slices"] if copies else []
+
+
+def _read_slices(folder: Path, slices: Sequence[_Slice], notes: tuple[str, ...]) -> Stack:
+    first = slices[0]
+    if first.axes is None or first.pixel is None or any(one.position is None for one in slices):
+        raise UserError(
+            f"DICOM folder {folder}: slices lack their position, orientation or pixel spacing; export the CT itself,"
+            " not pictures of it"
+        )
+    row, column = first.axes
+    if abs(np.linalg.norm(row) - 1.0) > _ALIKE or abs(float(row @ column)) > _ALIKE:
+        raise UserError(f"DICOM folder {folder}: the slices' axes are not at right angles; export the CT again")
+    normal = np.cross(row, column)
+    position = np.array([one.position for one in slices])
+    order = np.argsort(position @ normal, kind="stable")
+    step = _checked_step(folder, position[order], normal, float(first.pixel.min()))
+    nx, ny = first.size[:2]
+    array = np.empty((len(slices), ny, nx), dtype=np.float32)
+    for k, at in enumerate(order):
+        picture = _decoded(slices[at].file)  # named: a view doesn't keep its image
+        array[k] = sitk.GetArrayViewFromImage(picture).reshape(ny, nx)
+    direction = np.stack([row, column, normal], axis=1)
+    return Stack(array, np.array([*first.pixel, step]), position[order[0]], direction, notes)
+
+
+def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) -> float:
+    """The slice distance, mm, of positions (n, 3) in order; refuses gaps, doubles and a tilted gantry."""
+    depth = position @ normal
+    step = np.diff(depth)
+    doubled = int(np.count_nonzero(np.abs(step) < 1e-4))
+    if doubled:
+        times = len(depth) / (len(depth) - doubled)
+        what = f"is 4-D, {times:.0f} slices at each position" if times.is_integer() else "mixes several series"
+        raise UserError(f"DICOM folder {folder} holds slices at the same position: it {what}; keep one volume")
+    usual = float(np.median(step))
+    odd = np.flatnonzero(np.abs(step - usual) > _GAP * usual)
+    if len(odd):
+        where = ", ".join(f"{depth[i]:.1f} and {depth[i + 1]:.1f}" for i in odd[:3])
+        raise UserError(f"DICOM folder {folder} misses slices: spacing is {usual:.2f} mm, but not between {where} mm")
+    across = position - np.outer(depth, normal)
+    drift = float(np.linalg.norm(across - across[0], axis=1).max())
+    if drift > _TILT * pixel:
+        raise UserError(
+            f"DICOM folder {folder}: slices shift sideways by {drift:.1f} mm over the stack (tilted gantry);"
+            " resample it into an upright one first (dcm2niix does)"
+        )
+    return float(depth[-1] - depth[0]) / len(step)
+
+
+def _decoded(file: str) -> Any:
+    try:
+        return sitk.ReadImage(file, sitk.sitkFloat32, "GDCMImageIO")
+    except RuntimeError:
+        raise UserError(f"DICOM slice {file} can't be decoded; export the series again, uncompressed") from None
+
+
+def _read_frames(folder: Path, found: _Slice, notes: tuple[str, ...]) -> Stack:
+    """A volume in one file of many frames, as GDCM places it."""
+    image = _decoded(found.file)
+    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
+        raise UserError(f"DICOM folder {folder} holds no volume; name the folder that holds the slices")
+    return Stack(
+        sitk.GetArrayFromImage(image),
+        np.array(image.GetSpacing()),
+        np.array(image.GetOrigin()),
+        np.array(image.GetDirection()).reshape(3, 3),
+        notes,
+    )
