@@ -3,7 +3,8 @@
 import numpy as np
 
 from tissue_sim.organ.balloon import fibonacci_sphere
-from tissue_sim.organ.remesh import flip_edges, relax, transport, vertex_normals
+from tissue_sim.organ.remesh import flip_edges, relax, relax_sized, transport, transport_sized, vertex_normals
+from tissue_sim.organ.resample import thicken, thin_out
 from tissue_sim.organ.surface import corner_angles, measure
 
 
@@ -64,3 +65,29 @@ def test_relaxation_evens_and_stays_on_the_sphere():
         flip_edges(positions, triangles)
     assert measure(positions, triangles).edge_variation < 0.6 * before
     assert abs(np.linalg.norm(positions, axis=1) - 1.0).max() < 0.05
+
+
+def test_sized_relaxation_and_transport_draw_points_to_where_edges_shall_be_short():
+    positions, triangles = fibonacci_sphere(800)
+    size = np.where(positions[:, 2] > 0.0, 0.6, 1.2)
+    for _ in range(30):
+        transport_sized(positions, triangles, 1.8, 20, size)
+        flip_edges(positions, triangles)
+        relax_sized(positions, triangles, 0.4, size)
+        positions /= np.linalg.norm(positions, axis=1, keepdims=True)
+        size[:] = np.where(positions[:, 2] > 0.0, 0.6, 1.2)
+    assert closed(positions, triangles)
+    upper = (positions[:, 2] > 0.0).mean()
+    assert 0.65 < upper < 0.9  # densities 4 to 1 would give 0.8
+
+
+def test_a_surface_is_brought_to_any_number_of_points():
+    positions, triangles = fibonacci_sphere(900)
+    fewer = thin_out(positions, triangles, 100)
+    assert (len(fewer[0]), len(fewer[1])) == (800, 1596)
+    more = thicken(*fewer, 150)
+    assert (len(more[0]), len(more[1])) == (950, 1896)
+    for surface in (fewer, more):
+        assert closed(*surface)
+        assert len(np.unique(surface[1])) == len(surface[0])
+    assert len(positions) == 900  # what is given stays as it is

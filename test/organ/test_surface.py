@@ -7,13 +7,16 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.balloon import fibonacci_sphere
 from tissue_sim.organ.surface import (
     closed_wall,
+    compare,
     intersecting_pairs,
     largest_component,
     make_wall,
+    marching_cubes_report,
     marching_cubes_surface,
     measure,
     wall_of_surface,
 )
+from tissue_sim.organ.surface_distance import distance_to_surface
 
 from .shapes import ball, solid
 
@@ -58,7 +61,76 @@ def test_a_handle_is_closed():
 
     wall = make_wall(solid(bridge))
     assert measure(*marching_cubes_surface(wall)).euler == 2
-    assert 0.0 < wall.filled < 1.0
+    assert 0.0 < wall.filled + wall.cut < 0.1  # mL: the bar's or the hole's cross-section, one voxel thick
+
+
+def test_touching_loops_are_parted_and_a_pinhole_is_filled():
+    def horseshoe(x, y, z):
+        """Its ends touch over a neck of 2 mm radius; a pinhole of 2 mm radius goes through the bow."""
+        arc = np.hypot(np.hypot(x, y) - 20.0, z) - 7.0
+        open_end = np.maximum(np.abs(x) - 4.0, y)
+        neck = np.maximum(np.hypot(y + 20.0, z) - 2.0, np.abs(x) - 6.0)
+        pinhole = np.maximum(np.hypot(x, y - 20.0) - 2.0, -10.0 - z)
+        return np.maximum(np.minimum(np.maximum(arc, -open_end), neck), -pinhole)
+
+    mask = solid(horseshoe, size=(60, 60, 22))
+    wall = make_wall(mask)
+    assert measure(*marching_cubes_surface(wall)).euler == 2
+    volume = mask.array.sum() * 1e-3  # mL
+    assert 0.0 < wall.cut < 0.003 * volume
+    assert 0.0 < wall.filled < 0.003 * volume
+
+
+def test_what_marching_cubes_gives_is_counted():
+    def shape(x, y, z):
+        shell = np.maximum(ball(14.0)(x, y, z), -ball(3.0)(x + 6, y, z))
+        bored = np.maximum(shell, 3.0 - np.hypot(x - 4.0, y))
+        return np.minimum(bored, ball(2.5)(x - 21, y, z))
+
+    mask = solid(shape)
+    found = marching_cubes_report(mask)
+    assert (found.islands, found.hollows, found.fragments, found.handles) == (1, 1, 2, 1)
+    assert found.triangles == 2 * found.points
+    assert found.quality.open_edges == 0
+    wall = marching_cubes_report(make_wall(solid(ball(14.0))))
+    assert (wall.fragments, wall.handles) == (0, 0)
+    assert wall.triangles == 2 * wall.points - 4
+    with pytest.raises(UserError, match="is empty"):
+        marching_cubes_report(solid(ball(-1.0)))
+
+
+def test_concentric_spheres_compare_as_they_lie():
+    positions, triangles = fibonacci_sphere(4000)
+    same = compare((positions, triangles), (positions, triangles))
+    assert same.hausdorff == pytest.approx(0.0, abs=1e-9)
+    far = compare((20.0 * positions, triangles), (21.5 * positions, triangles))
+    assert far.mean == pytest.approx(1.5, rel=0.01)
+    assert far.hausdorff == pytest.approx(1.5, rel=0.02)
+    assert far.volume_ratio == pytest.approx(1.075**3, rel=1e-6)
+    assert far.volume_difference == pytest.approx(1.075**3 - 1.0, rel=1e-6)
+
+
+def test_a_spike_counts_in_the_hausdorff_distance_only():
+    positions, triangles = fibonacci_sphere(4000)
+    spiked = positions.copy()
+    spiked[1000] *= 1.5
+    found = compare((positions, triangles), (spiked, triangles))
+    assert found.hausdorff == pytest.approx(0.5, rel=0.01)
+    assert found.mean < 0.002
+
+
+def test_distances_to_a_surface_are_exact():
+    rng = np.random.default_rng(9)
+    box = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 2.0) for x in (0.0, 3.0)])
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], dtype=np.int32)
+    points = rng.uniform(-4.0, 6.0, (2000, 3))
+    low, high = box.min(axis=0), box.max(axis=0)
+    outside = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
+    within = np.minimum(points - low, high - points).min(axis=1)
+    np.testing.assert_allclose(
+        distance_to_surface(points, box, triangles), np.where(within > 0.0, within, outside), atol=1e-9
+    )
 
 
 def test_a_ring_is_refused():
@@ -105,6 +177,15 @@ def test_intersections_are_counted():
     pushed = positions.copy()
     pushed[30] = -1.3 * pushed[30]  # through the far side
     assert len(intersecting_pairs(pushed, triangles)) > 0
+
+
+def test_a_fold_at_a_single_point_is_an_intersection():
+    """Two triangles joined at one point, the far edge of one through the other."""
+    positions = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, -1], [1, 1, 1]])
+    crossing = np.array([[0, 1, 2], [0, 3, 4]], dtype=np.int32)
+    assert len(intersecting_pairs(positions, crossing)) == 1
+    beside = positions + np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [-4, -4, 0], [-4, -4, 0]])
+    assert len(intersecting_pairs(beside, crossing)) == 0
 
 
 def test_the_largest_component_is_kept_and_turned_outward():

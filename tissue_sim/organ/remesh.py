@@ -70,10 +70,10 @@ def _joined(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _normal(p, q, r):  # type: ignore[no-untyped-def]
-    """Twice the area times the unit normal."""
+    """Twice the area times the unit normal, a tuple: small arrays cost more than the arithmetic."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    return np.array([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx])
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
 @njit(cache=True)
@@ -85,13 +85,20 @@ def _agree(m, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _angle(p, q, r):  # type: ignore[no-untyped-def]
-    """Angle at p, rad, of triangle p, q, r."""
-    u = q - p
-    v = r - p
-    c = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-    n = _normal(p, q, r)
-    return np.arctan2(np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2), c)
+def _wider(c, d, a, b):  # type: ignore[no-untyped-def]
+    """Do the angles at c and d towards a and b sum to more than 180 degrees (sine of the sum below zero)?"""
+    ux, uy, uz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
+    vx, vy, vz = b[0] - c[0], b[1] - c[1], b[2] - c[2]
+    sx, sy, sz = a[0] - d[0], a[1] - d[1], a[2] - d[2]
+    tx, ty, tz = b[0] - d[0], b[1] - d[1], b[2] - d[2]
+    cos_c = ux * vx + uy * vy + uz * vz
+    cos_d = sx * tx + sy * ty + sz * tz
+    sin_c = np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+    sin_d = np.sqrt((sy * tz - sz * ty) ** 2 + (sz * tx - sx * tz) ** 2 + (sx * ty - sy * tx) ** 2)
+    scale = np.sqrt((cos_c**2 + sin_c**2) * (cos_d**2 + sin_d**2))
+    if scale == 0.0:
+        return False
+    return sin_c * cos_d + cos_c * sin_d < -1e-6 * scale
 
 
 @njit(cache=True)
@@ -115,11 +122,12 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
             if count[c] >= MOST_NEIGHBOURS - 1 or count[d] >= MOST_NEIGHBOURS - 1:
                 continue
             pa, pb, pc, pd = positions[a], positions[b], positions[c], positions[d]
-            if _angle(pc, pa, pb) + _angle(pd, pb, pa) <= np.pi + 1e-6:
+            if not _wider(pc, pd, pa, pb):
                 continue
             if _joined(triangles, star, count, c, d):
                 continue
-            old = _normal(pa, pb, pc) + _normal(pb, pa, pd)
+            one, other = _normal(pa, pb, pc), _normal(pb, pa, pd)
+            old = (one[0] + other[0], one[1] + other[1], one[2] + other[2])
             if not (_agree(old, _normal(pa, pd, pc)) and _agree(old, _normal(pd, pb, pc))):
                 continue
             triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, d, c
@@ -204,12 +212,20 @@ def _split(positions, triangles, star, count, a, b, free, t_new, s_new):  # type
     _add(star, count, d, s_new)
 
 
-@njit(cache=True)
 def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> int:
     """Move up to `most` points from where edges are short to where they are long.
 
     Pairs the shortest edges with the longest as long as the long one is more than `ratio` times the
     short one; each point takes part once. Returns the number of points moved.
+    """
+    return int(transport_sized(positions, triangles, ratio, most, np.ones(len(positions))))
+
+
+@njit(cache=True)
+def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int, size: Floats) -> int:
+    """`transport` with lengths measured in the mean of the wanted `size` (n,) at an edge's ends.
+
+    A point that moves takes the size of where it goes; `size` changes in place.
     """
     n = positions.shape[0]
     star, count = stars(triangles, n)
@@ -223,7 +239,7 @@ def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> in
             if a < b:
                 edges[e, 0], edges[e, 1] = a, b
                 d = positions[a] - positions[b]
-                length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
+                length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2) / (0.5 * (size[a] + size[b]))
                 e += 1
     order = np.argsort(length)
     used = np.zeros(n, dtype=np.bool_)
@@ -254,6 +270,7 @@ def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> in
         if t < 0:
             continue
         _split(positions, triangles, star, count, c, d, b, t, s)
+        size[b] = 0.5 * (size[c] + size[d])
         used[a] = used[b] = used[c] = used[d] = True
         moved += 1
         long -= 1
@@ -266,37 +283,49 @@ def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
     normal = np.zeros_like(positions)
     for t in range(triangles.shape[0]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        u = positions[j] - positions[i]
-        v = positions[k] - positions[i]
-        cross = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+        cross = _normal(positions[i], positions[j], positions[k])
         for p in (i, j, k):
-            normal[p] += cross
+            for m in range(3):
+                normal[p, m] += cross[m]
     for p in range(positions.shape[0]):
-        length = np.sqrt((normal[p] ** 2).sum())
+        length = np.sqrt(normal[p, 0] ** 2 + normal[p, 1] ** 2 + normal[p, 2] ** 2)
         if length > 0.0:
-            normal[p] /= length
+            for m in range(3):
+                normal[p, m] /= length
     return normal
 
 
-@njit(cache=True)
 def relax(positions: Floats, triangles: Ints, share: float) -> None:
     """Move every point along the surface towards the area-weighted middle of its triangles, in place."""
+    relax_sized(positions, triangles, share, np.ones(len(positions)))
+
+
+@njit(cache=True)
+def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) -> None:
+    """`relax` with areas weighted by size^-4, (n,): points of an even centroidal tessellation come to lie that densely.
+
+    The exponent is that of centroidal Voronoi cells of a density in the plane (Du, Faber and Gunzburger 1999).
+    """
     n = positions.shape[0]
     normal = vertex_normals(positions, triangles)
-    star, count = stars(triangles, n)
-    target = np.empty_like(positions)
+    total = np.zeros(n)
+    middle = np.zeros((n, 3))
+    for t in range(triangles.shape[0]):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        x, y, z = _normal(positions[i], positions[j], positions[k])
+        area = np.sqrt(x * x + y * y + z * z) / ((size[i] + size[j] + size[k]) / 3.0) ** 4
+        for m in range(3):
+            at = area * (positions[i, m] + positions[j, m] + positions[k, m]) / 3.0
+            for p in (i, j, k):
+                middle[p, m] += at
+        for p in (i, j, k):
+            total[p] += area
     for i in range(n):
-        total = 0.0
-        middle = np.zeros(3)
-        for k in range(count[i]):
-            t = star[i, k]
-            a, b, c = positions[triangles[t, 0]], positions[triangles[t, 1]], positions[triangles[t, 2]]
-            u, v = b - a, c - a
-            area = np.sqrt(
-                (u[1] * v[2] - u[2] * v[1]) ** 2 + (u[2] * v[0] - u[0] * v[2]) ** 2 + (u[0] * v[1] - u[1] * v[0]) ** 2
-            )
-            middle += area * (a + b + c) / 3.0
-            total += area
-        shift = middle / total - positions[i] if total > 0.0 else np.zeros(3)
-        target[i] = positions[i] + share * 1.5 * (shift - normal[i] * (shift * normal[i]).sum())
-    positions[:] = target
+        if total[i] <= 0.0:
+            continue
+        along = 0.0
+        for m in range(3):
+            middle[i, m] = middle[i, m] / total[i] - positions[i, m]
+            along += middle[i, m] * normal[i, m]
+        for m in range(3):
+            positions[i, m] += share * 1.5 * (middle[i, m] - normal[i, m] * along)

@@ -13,12 +13,37 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
-from skimage.measure import euler_number, marching_cubes
+from skimage.measure import marching_cubes
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.image import MM, Volume
+from tissue_sim.organ.intersections import intersecting_pairs
+from tissue_sim.organ.solid_ball import as_ball, largest_part
+from tissue_sim.organ.surface_quality import (
+    SurfaceComparison,
+    SurfaceQuality,
+    compare,
+    corner_angles,
+    measure,
+)
 from tissue_sim.organ.voxels import enclosed, off_grid
+
+__all__ = [
+    "MarchingCubesReport",
+    "SurfaceComparison",
+    "SurfaceQuality",
+    "Wall",
+    "closed_wall",
+    "compare",
+    "corner_angles",
+    "intersecting_pairs",
+    "largest_component",
+    "make_wall",
+    "marching_cubes_report",
+    "marching_cubes_surface",
+    "measure",
+    "wall_of_surface",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -26,8 +51,7 @@ Mask = NDArray[np.bool_]
 
 _SMOOTHING = 0.8  # voxels of the mask: takes its steps away, shifts a wall of radius 20 mm by under 0.1 mm
 _MARGIN = 4  # voxels around the organ
-_LARGEST_CLOSING = 0.75  # depths of the organ
-_FILLINGS_TRIED = 20
+_INNER, _OUTER = 0.1, 0.5  # voxels, level beside a cut or membrane; unequal, so that marching cubes parts diagonals
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +59,8 @@ class Wall:
     """Signed distance to the wall on an isotropic grid: negative inside, zero on the wall.
 
     level (nz, ny, nx) mm; spacing mm; origin (3,) mm and direction (3, 3) as in Volume.
-    fragments: separate parts of the mask left out; filled: mL added to close holes and handles.
+    fragments: separate parts of the mask left out; filled, cut: mL added to close holes, and taken away, so that the
+    organ has neither cavities nor handles.
     """
 
     level: NDArray[np.float32]
@@ -44,6 +69,7 @@ class Wall:
     direction: Floats
     fragments: int = 0
     filled: float = 0.0
+    cut: float = 0.0
 
     def sample(self, points: ArrayLike) -> Floats:
         """Signed distance (n,) mm at points (n, 3) mm."""
@@ -98,7 +124,7 @@ class Wall:
 def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     """The smooth wall of a mask's largest part, without cavities or handles (a topological ball).
 
-    Cavities are filled; handles are closed by a closing of growing radius, up to three quarters of the organ's depth.
+    Cavities are filled; handles are cut or filled with the least change (`solid_ball.as_ball`).
     spacing: of the isotropic grid, mm; None: the mask's finest.
     Raises UserError when the mask is empty, a few voxels only, or keeps its handles.
     """
@@ -120,8 +146,10 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     rough = _signed_distance(solid, mask.spacing[::-1])
     smooth = ndimage.gaussian_filter(rough, _SMOOTHING * mask.spacing.min() / mask.spacing[::-1])
     level = _exact_away(_resample(smooth, mask.spacing[::-1], h), h)
-    ball, filled = _as_ball(level < 0.0, h, mask.name)
-    return Wall(_patched(level, ball, h), h, mask.to_points(first), mask.direction, count - 1, filled)
+    solid = level < 0.0
+    ball = as_ball(solid, mask.name)
+    filled, cut = (float(np.count_nonzero(part)) * h**3 * 1e-3 for part in (ball & ~solid, solid & ~ball))
+    return Wall(_patched(level, ball, h), h, mask.to_points(first), mask.direction, count - 1, filled, cut)
 
 
 def _signed_distance(solid: Mask, sampling: Floats) -> NDArray[np.float32]:
@@ -153,47 +181,41 @@ def _resample(level: NDArray[np.float32], sampling: Floats, h: float) -> NDArray
     return ndimage.map_coordinates(level, grid, output=np.float32, order=3, mode="nearest")
 
 
-def _as_ball(solid: Mask, h: float, name: str) -> tuple[Mask, float]:
-    """Fill cavities and close handles until the solid is a topological ball (Euler number 1); and the mL added."""
-    ball = _largest_part(ndimage.binary_fill_holes(solid))
-    start, radius, limit = ball, 0.0, 0.0
-    while euler_number(ball, connectivity=1) != 1:
-        limit = limit or _LARGEST_CLOSING * float(ndimage.distance_transform_edt(start).max())
-        radius = max(1.3 * radius, radius + 1.0)
-        if radius > limit:
-            raise UserError(
-                f"{name or 'the mask'} has a hole through it (like a ring) that can't be closed;"
-                " the balloon needs a solid without one"
-            )
-        ball = _largest_part(ndimage.binary_fill_holes(_close(start, radius)))
-    ball = _without_needless(ball, start) if radius > 0.0 else ball
-    return ball, float(np.count_nonzero(ball & ~solid)) * h**3 * 1e-3
-
-
-def _without_needless(ball: Mask, start: Mask) -> Mask:
-    """Take back, largest first, the fillings of the closing that weren't needed to close a handle."""
-    labels, _ = ndimage.label(ball & ~start)
-    order = np.argsort(np.bincount(labels.ravel())[1:])[::-1][:_FILLINGS_TRIED]
-    for part in order + 1:
-        less = ball & (labels != part)
-        if euler_number(less, connectivity=1) == 1 and ndimage.label(less)[1] == 1:
-            ball = less
-    return ball
-
-
 def _patched(level: NDArray[np.float32], ball: Mask, h: float) -> NDArray[np.float32]:
-    """The level with the changed solid `ball` for its inside; its own near the wall where nothing changed."""
+    """The level with the changed solid `ball` for its inside; its own near the wall where nothing changed.
+
+    Cuts and membranes one voxel thin stay what they are, and parts that meet only across a diagonal stay parted:
+    smoothing and marching cubes could undo both.
+    """
     changed = ball != (level < 0.0)
-    if not changed.any():
+    mixed = _diagonal(ball)
+    if not (changed.any() or mixed.any()):
         return level
-    smooth = _smooth_distance(ball, h)
-    own = ~ndimage.binary_dilation(changed, iterations=3) & (np.abs(smooth) < 1.5 * h)
-    return np.where(own, level, smooth)
+    patched = level.copy()
+    near = mixed
+    if changed.any():
+        smooth = _smooth_distance(ball, h)
+        own = ~ndimage.binary_dilation(changed, iterations=3) & (np.abs(smooth) < 1.5 * h)
+        patched = np.where(own, level, smooth)
+        near = ndimage.binary_dilation(changed, iterations=2) | mixed
+    inner, outer = near & ball, near & ~ball
+    patched[inner] = np.minimum(patched[inner], -_INNER * h)
+    patched[outer] = np.maximum(patched[outer], _OUTER * h)
+    patched[mixed & ball] = -_INNER * h
+    return patched
 
 
-def _largest_part(solid: Mask) -> Mask:
-    labels, count = ndimage.label(solid)
-    return labels == int(np.bincount(labels.ravel())[1:].argmax()) + 1 if count > 1 else solid
+def _diagonal(solid: Mask) -> Mask:
+    """Voxels of square cells whose solid voxels are two, across the diagonal."""
+    found = np.zeros_like(solid)
+    for axis in range(3):
+        s = np.moveaxis(solid, axis, 0)
+        f = np.moveaxis(found, axis, 0)
+        a, b, c, d = s[:, :-1, :-1], s[:, 1:, :-1], s[:, :-1, 1:], s[:, 1:, 1:]
+        hit = (a == d) & (b == c) & (a != b)
+        for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            f[:, j : f.shape[1] - 1 + j, k : f.shape[2] - 1 + k] |= hit
+    return found
 
 
 def _close(solid: Mask, radius: float) -> Mask:
@@ -204,22 +226,27 @@ def _close(solid: Mask, radius: float) -> Mask:
     return closed[inner] | solid
 
 
-def closed_wall(wall: Wall, radius: float) -> Wall | None:
-    """The wall after a closing by a ball of `radius` mm: narrower folds are filled. None where that makes a ring."""
+def closed_wall(wall: Wall, radius: float, smooth: bool = True) -> Wall | None:
+    """The wall after a closing by a ball of `radius` mm: narrower folds are filled. None where that makes a ring.
+
+    smooth: as smooth as the wall itself; otherwise with the voxels' steps, in a fraction of the time.
+    """
     solid = wall.level < 0.0
     if radius < wall.spacing:
         return wall
     try:
-        ball = _as_ball(_close(solid, radius / wall.spacing), wall.spacing, "")[0]
+        ball = as_ball(_close(solid, radius / wall.spacing), "")
     except UserError:
         return None
+    if not smooth:
+        return replace(wall, level=_signed_distance(ball, np.full(3, wall.spacing)))
     return replace(wall, level=_patched(wall.level, ball, wall.spacing))
 
 
 def wall_of_surface(positions: Floats, triangles: Ints, wall: Wall) -> Wall:
     """The wall that a closed surface, positions (n, 3) mm and triangles outward on `wall`'s grid, makes there."""
     size = np.array(wall.level.shape[::-1], dtype=np.int64)
-    solid = _largest_part(enclosed(off_grid(positions / wall.spacing), triangles, size))
+    solid = largest_part(enclosed(off_grid(positions / wall.spacing), triangles, size))
     if not solid.any():
         raise UserError("the surface encloses no voxel; use a finer image")
     return replace(wall, level=_smooth_distance(solid, wall.spacing))
@@ -231,88 +258,71 @@ def marching_cubes_surface(wall: Wall) -> tuple[Floats, Ints]:
     return largest_component(positions[:, ::-1].astype(np.float64), triangles[:, ::-1].astype(np.int32))
 
 
-def largest_component(positions: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """The component with the largest enclosed volume, wound outward; points in no triangle are dropped."""
+@dataclass(frozen=True)
+class MarchingCubesReport:
+    """What marching cubes gives, as the paper counts it; lengths in mm.
+
+    points and triangles of the largest closed component; islands: other closed components that enclose
+    tissue; hollows: those that enclose a cavity; fragments: both together. handles of the largest component.
+    """
+
+    points: int
+    triangles: int
+    islands: int
+    hollows: int
+    handles: int
+    quality: SurfaceQuality
+
+    @property
+    def fragments(self) -> int:
+        """Closed components other than the largest."""
+        return self.islands + self.hollows
+
+
+def marching_cubes_report(source: Wall | Volume) -> MarchingCubesReport:
+    """Marching cubes (Lorensen and Cline 1987) on a wall's level set, or on a mask as segmented: counts and measures.
+
+    Raises UserError when a mask is empty.
+    """
+    if isinstance(source, Wall):
+        level, spacing = source.level, np.full(3, source.spacing)
+    else:
+        if not source.array.any():
+            raise UserError(f"{source.name or 'the mask'} is empty: marching cubes finds no surface")
+        level, spacing = np.pad(0.5 - source.array.astype(np.float32), 1, constant_values=0.5), source.spacing[::-1]
+    found, faces, _, _ = marching_cubes(level, 0.0, spacing=tuple(spacing), allow_degenerate=False)
+    everything = found[:, ::-1].astype(np.float64), faces[:, ::-1].astype(np.int32)
+    _, volume = _components(*everything)
+    positions, triangles = largest_component(*everything)
+    quality = measure(positions, triangles)
+    hollows = int(np.count_nonzero(volume < 0.0))
+    return MarchingCubesReport(
+        points=len(positions),
+        triangles=len(triangles),
+        islands=len(volume) - hollows - 1,
+        hollows=hollows,
+        handles=1 - quality.euler // 2,
+        quality=quality,
+    )
+
+
+def _components(positions: Floats, triangles: Ints) -> tuple[Ints, Floats]:
+    """Component of every point, (n,), and the signed volume that each encloses."""
     n = len(positions)
     links = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(n, n))
     _, label = connected_components(graph, directed=False)
     a, b, c = (positions[triangles[:, k]] for k in range(3))
-    volume = np.bincount(label[triangles[:, 0]], weights=np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
+    signed = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+    return label, np.bincount(label[triangles[:, 0]], weights=signed)
+
+
+def largest_component(positions: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """The component with the largest enclosed volume, wound outward; points in no triangle are dropped."""
+    label, volume = _components(positions, triangles)
     chosen = int(np.abs(volume).argmax())
     triangles = triangles[label[triangles[:, 0]] == chosen]
     if volume[chosen] < 0.0:
         triangles = triangles[:, ::-1]
     used, inverse = np.unique(triangles, return_inverse=True)
     return positions[used], inverse.reshape(-1, 3).astype(np.int32)
-
-
-@dataclass(frozen=True)
-class SurfaceQuality:
-    """Measures of a closed triangle surface; lengths in the unit of its positions."""
-
-    euler: int  # 2 for genus 0
-    open_edges: int
-    edge_mean: float
-    edge_variation: float  # standard deviation over mean
-    least_angle: float  # degrees
-    volume: float
-    self_intersections: int  # pairs of triangles
-
-
-def measure(positions: Floats, triangles: Ints) -> SurfaceQuality:
-    """Measures of the surface positions (n, 3), triangles (t, 3)."""
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    length = np.linalg.norm(positions[unique[:, 0]] - positions[unique[:, 1]], axis=1)
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    return SurfaceQuality(
-        euler=len(np.unique(triangles)) - len(unique) + len(triangles),
-        open_edges=int(np.count_nonzero(count != 2)),
-        edge_mean=float(length.mean()),
-        edge_variation=float(length.std() / length.mean()),
-        least_angle=float(np.rad2deg(corner_angles(positions, triangles).min())),
-        volume=float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0),
-        self_intersections=len(intersecting_pairs(positions, triangles)),
-    )
-
-
-def corner_angles(positions: Floats, triangles: Ints) -> Floats:
-    """The three angles of every triangle, (t, 3) rad."""
-    corner = positions[triangles]
-    u = np.roll(corner, -1, axis=1) - corner
-    v = np.roll(corner, -2, axis=1) - corner
-    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=2), np.einsum("ijk,ijk->ij", u, v))
-
-
-def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
-    """Pairs (k, 2) of triangles without a common point of which an edge of one runs through the other."""
-    corner = positions[triangles]
-    centre = corner.mean(axis=1)
-    radius = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
-    pairs = cKDTree(centre).query_pairs(2.0 * radius.max(), output_type="ndarray")
-    first, second = pairs.T
-    pairs = pairs[np.linalg.norm(centre[first] - centre[second], axis=1) <= radius[first] + radius[second]]
-    shared = (triangles[pairs[:, 0]][:, :, None] == triangles[pairs[:, 1]][:, None, :]).any(axis=(1, 2))
-    pairs = pairs[~shared]
-    hit = np.zeros(len(pairs), dtype=bool)
-    for one, other in ((0, 1), (1, 0)):
-        for k in range(3):
-            start, end = corner[pairs[:, one], k], corner[pairs[:, one], (k + 1) % 3]
-            hit |= _segment_hits(start, end, corner[pairs[:, other]])
-    return pairs[hit].astype(np.int32)
-
-
-def _segment_hits(start: Floats, end: Floats, triangle: Floats) -> Mask:
-    """Moeller-Trumbore, vectorized: does the segment start-end run through the triangle?"""
-    a, u, v = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
-    d = end - start
-    p = np.cross(d, v)
-    det = np.einsum("ij,ij->i", u, p)
-    safe = np.where(np.abs(det) > 1e-18, det, 1.0)
-    s = start - a
-    q = np.cross(s, u)
-    alpha, beta = np.einsum("ij,ij->i", s, p) / safe, np.einsum("ij,ij->i", d, q) / safe
-    t = np.einsum("ij,ij->i", v, q) / safe
-    inside = (alpha >= 0.0) & (beta >= 0.0) & (alpha + beta <= 1.0)
-    return (np.abs(det) > 1e-18) & inside & (t >= 0.0) & (t <= 1.0)
