@@ -48,7 +48,7 @@ setup(
     install_requires=["numpy", "numba", "scipy", "trimesh", "python-fcl", "rosbags", "tqdm"],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "image": ["SimpleITK", "scikit-image"],
+        "image": ["SimpleITK", "scikit-image", "matplotlib"],
         "viewer": ["viser"],
         "calibration": ["scikit-fem", "pytetwild"],
         "bench": ["matplotlib", "mujoco", "pypbd"],

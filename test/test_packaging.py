@@ -30,7 +30,7 @@ PINS = {
     canonicalize_name(name): version
     for name, version in re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
 }
-COMMANDS = ("demo", "build", "solve", "replay", "view", "bridge")
+COMMANDS = ("demo", "build", "info", "export", "solve", "replay", "view", "bridge")
 EXECUTABLES = dict(entry.split(" = ") for entry in SETUP["entry_points"]["console_scripts"])
 
 # Modules whose distribution has another name, and the ROS packages that an extra brings as one.

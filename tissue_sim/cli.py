@@ -14,6 +14,8 @@ from tissue_sim.errors import UserError
 COMMANDS = {
     "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
     "build": ("tissue_sim.organ.build", "make an organ from a CT, a mask or a surface mesh"),
+    "info": ("tissue_sim.organ.reporting.info", "print what an organ file holds"),
+    "export": ("tissue_sim.organ.reporting.export", "write an organ's surface or skeleton for other programs"),
     "solve": ("tissue_sim.model.solve", "settled displacements under given loads"),
     "replay": ("tissue_sim.ros.replay", "run a recorded bag again and compare"),
     "view": ("tissue_sim.ros.viewer", "show a running node in the browser"),

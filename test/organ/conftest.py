@@ -2,9 +2,9 @@
 
 import pytest
 
-from tissue_sim.organ.phantom import make_phantom
-from tissue_sim.organ.segmentation import segment
-from tissue_sim.organ.surface import make_wall
+from tissue_sim.organ.imaging.phantom import make_phantom
+from tissue_sim.organ.segmenting.segmentation import segment
+from tissue_sim.organ.surfaces.surface import make_wall
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from tissue_sim.organ.image import Volume
+from tissue_sim.organ.imaging.image import Volume
 
 
 def solid(shape, spacing=(1.0, 1.0, 1.0), size=(50, 50, 50), direction=None):

@@ -1,6 +1,17 @@
 """`tissue_sim build` from every kind of input, and its one-line refusals."""
 
+import argparse
+import dataclasses
+import hashlib
 import json
+import os
+import pty
+import re
+import subprocess
+import sys
+import termios
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,14 +20,16 @@ import trimesh
 
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.organ.build import Request, organ_from_mask, parse_triple, select_fixed
-from tissue_sim.organ.image import Volume
+from tissue_sim.organ.build import Request, organ_from_mask, parse_triple, report_path, select_fixed
+from tissue_sim.organ.imaging.image import Volume, read_image
+from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.phantom import PhantomParameters, make_phantom
+from tissue_sim.organ.pipeline import Progress
+from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
 from .shapes import write_dicom
 
-FEW = ["--points", "200", "--atoms", "12"]
+FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +53,8 @@ def write(volume, path):
 def build(capsys, *arguments, out):
     code = main(["build", *arguments, *FEW, "--out", str(out)])
     captured = capsys.readouterr()
-    assert code == 0, captured.err
+    assert code == 0
+    assert captured.err == ""  # no bar where standard error is no terminal
     return Organ.load(out), captured.out
 
 
@@ -58,8 +72,13 @@ def test_a_ct_in_any_format_gives_the_same_organ(ct, tmp_path, capsys):
     volume, seed = ct
     write_dicom(tmp_path / "series", volume)
     sources = [write(volume, tmp_path / f"ct.{suffix}") for suffix in ("nii.gz", "nrrd", "mha")]
+    for source in sources[1:]:  # the same image gives the same organ
+        one, other = read_image(sources[0]), read_image(source)
+        np.testing.assert_array_equal(one.array, other.array)
+        for part in ("spacing", "origin", "direction"):
+            np.testing.assert_allclose(getattr(one, part), getattr(other, part), atol=1e-4)
     organs = []
-    for source in [*sources, str(tmp_path / "series")]:
+    for source in [sources[0], str(tmp_path / "series")]:
         organ, text = build(capsys, source, "--seed", seed_text(seed), out=tmp_path / "organ.npz")
         organs.append(organ)
         assert "200 points, 396 triangles, 12 atoms" in text
@@ -148,7 +167,18 @@ def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
         (["--surface", "egg.stl"], "egg.stl does not exist"),
         ([str(tmp_path / "none.nii"), *here], "does not exist"),
         ([image, "--seed", "900,0,0"], "lies outside"),
-        ([image, *here, "--window", "-1"], "--window -1 must be greater than 0"),
+        ([image, *here, "--window", "-1"], "--window -1 must lie within"),
+        (["--mask", image, "--window", "2"], "--window belongs to IMAGE, not to --mask"),
+        (["--mask", image, "--accept"], "--accept belongs to IMAGE"),
+        (["--mask", image, "--length", "0.2"], "--length belongs to --surface"),
+        (["--mask", image, "--part", "2"], "--part belongs to --surface"),
+        (["--mask", image, "--merge-parts"], "--merge-parts belongs to --surface"),
+        ([image, *here, "--organ", "spline"], "--organ spline is not known; choose one of kidney"),
+        ([image, *here, "--interior", "-1"], "--interior -1 is negative"),
+        ([image, *here, "--fixed", str(tmp_path / "none.npy")], "none.npy does not exist"),
+        (["--report", image, *here], "nothing to build from"),
+        ([image, *here, "--report", str(tmp_path / "r.pdf")], "must end in .html"),
+        ([image, *here, "--report", str(tmp_path / "no" / "r.html")], "for the report does not exist"),
         ([image, *here, "--out", str(tmp_path / "no" / "o.npz")], "for the organ file does not exist"),
         ([image, *here, "--points", "10"], "--points 10 is too few"),
         ([image, *here, "--atoms", "0"], "--atoms 0 is too few"),
@@ -204,5 +234,161 @@ def test_help_names_every_option(capsys):
     text = capsys.readouterr().out
     for option in ("--seed ", "--seed-voxel", "--mask", "--label", "--surface", "--keep-points", "--fixed", "--unit"):
         assert option in text
+    for item in dataclasses.fields(SegmentationParameters):
+        assert f"--{item.name.replace('_', '-')} " in text
+        assert " ".join(item.metadata["help"].split()) in " ".join(text.split())
     assert "LPS" in text
     assert "None" not in text
+
+
+def egg(folder):
+    """A mesh of an egg with half axes 20 x 16 x 32 mm, as PLY in mm."""
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
+    mesh.apply_scale([1.0, 0.8, 1.6])
+    mesh.export(folder / "egg.ply")
+    return str(folder / "egg.ply")
+
+
+def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, monkeypatch):
+    volume, seed = ct
+    path = write(volume, tmp_path / "ct.nrrd")
+    seen = {}
+
+    def caught(_ct, _seed, parameters, organ, accept, progress):
+        seen.update(dataclasses.asdict(parameters), organ=organ, accept=accept)
+        raise UserError("far enough")
+
+    monkeypatch.setattr("tissue_sim.organ.segmenting.segmentation.segment", caught)
+    wanted, options = {}, []
+    for item in dataclasses.fields(SegmentationParameters):
+        low, high = item.metadata["range"]
+        wanted[item.name] = round(low + 0.37 * (high - low), 3)
+        options += [f"--{item.name.replace('_', '-')}", f"{wanted[item.name]}"]
+    here = [path, "--seed", seed_text(seed)]
+    assert "far enough" in refused(capsys, *here, *options, "--organ", "spleen", "--accept")
+    assert seen == {**wanted, "organ": "spleen", "accept": True}
+    refused(capsys, *here, "--organ", "any")
+    assert seen == {**dataclasses.asdict(SegmentationParameters()), "organ": None, "accept": False}
+
+
+def test_what_cannot_be_the_organ_passes_only_with_accept(ct, tmp_path, capsys):
+    volume, seed = ct
+    here = [write(volume, tmp_path / "ct.nrrd"), "--seed", seed_text(seed), "--organ", "liver"]
+    assert "is no liver" in refused(capsys, *here)
+    organ, text = build(capsys, *here, "--accept", out=tmp_path / "o.npz")
+    assert "warning: what is found" in text
+    assert organ.provenance["segmentation_parameters"]["organ"] == "liver"
+    assert "is no liver" in organ.provenance["segmentation"]["warnings"][0]
+
+
+def test_interior_atoms_branches_and_provenance(tmp_path, capsys):
+    path = egg(tmp_path)
+    options = ["--interior", "20", "--name", "my egg"]
+    organ, _ = build(capsys, "--surface", path, "--length", "0.08", *options, out=tmp_path / "o.npz")
+    assert len(organ.interior_positions) == 20
+    assert organ.name == "my egg"
+    assert np.ptp(organ.surface_positions, axis=0).max() == pytest.approx(0.08, rel=0.02)
+    told = organ.provenance
+    assert (told["points"], told["atoms"], told["interior_atoms"], told["branches"]) == (200, 12, 20, "none")
+    assert told["source_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    assert told["packages"]["numpy"] == np.__version__
+
+
+def test_options_of_a_mesh_reach_its_reader(tmp_path, capsys, monkeypatch):
+    seen = []
+
+    def caught(*arguments, **options):
+        seen.append((arguments, options))
+        raise UserError("far enough")
+
+    monkeypatch.setattr("tissue_sim.organ.meshes.mesh_input.read_mesh", caught)
+    refused(capsys, "--surface", "a.ply", "--unit", "cm", "--part", "2")
+    refused(capsys, "--surface", "a.ply", "--length", "0.12", "--merge-parts")
+    refused(capsys, "--surface", "a.ply", "--part", "left wall")
+    assert seen == [
+        (("a.ply", "cm"), {"longest": None, "part": 2, "merge_parts": False}),
+        (("a.ply", None), {"longest": 0.12, "part": None, "merge_parts": True}),
+        (("a.ply", None), {"longest": None, "part": "left wall", "merge_parts": False}),
+    ]
+
+
+@pytest.mark.slow
+def test_parts_of_a_mesh(tmp_path, capsys):
+    apart = [trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (20.0, 18.0)]
+    apart[1].apply_translation([60.0, 0.0, 0.0])
+    trimesh.util.concatenate(apart).export(tmp_path / "two.ply")
+    here = ["--surface", str(tmp_path / "two.ply"), "--unit", "mm"]
+    assert "parts" in refused(capsys, *here, *FEW)
+    organ, _ = build(capsys, *here, "--part", "2", out=tmp_path / "o.npz")
+    assert organ.volume == pytest.approx(4 / 3 * np.pi * 18.0**3 * 1e-9, rel=0.05)
+    touching = [trimesh.creation.icosphere(subdivisions=2, radius=20.0) for _ in range(2)]
+    touching[1].apply_translation([25.0, 0.0, 0.0])
+    trimesh.util.concatenate(touching).export(tmp_path / "two.ply")
+    organ, _ = build(capsys, *here, "--merge-parts", out=tmp_path / "o.npz")
+    assert np.ptp(organ.surface_positions, axis=0)[0] == pytest.approx(0.065, rel=0.02)
+
+
+def test_a_report_beside_the_organ_or_where_it_is_wanted(tmp_path, capsys):
+    here = ["--surface", egg(tmp_path), "--unit", "mm", "--keep-points"]
+    _, text = build(capsys, *here, "--report", out=tmp_path / "o.npz")
+    assert f"{tmp_path / 'o.html'}: report" in text
+    assert "<h1>egg</h1>" in (tmp_path / "o.html").read_text()
+    named = argparse.Namespace(report=str(tmp_path / "page.html"))
+    assert report_path(named, tmp_path / "o.npz") == tmp_path / "page.html"
+    assert report_path(argparse.Namespace(report=None), tmp_path / "o.npz") is None
+
+
+def test_stages_are_watched_in_order_and_timed(tmp_path):
+    grid = np.indices((24, 24, 24)) - 11.5
+    mask = Volume((grid**2).sum(axis=0) < 81, np.ones(3), np.zeros(3), np.eye(3), "ball")
+    seen = []
+    progress = Progress(watch=lambda stage, done: seen.append((stage, done)))
+    organ_from_mask(mask, Request(name="ball", points=100, atoms=3), progress=progress)
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["wall", "balloon", "skeleton", "springs"] == list(progress.record.seconds)
+    shares = [done for stage, done in seen if stage == "balloon"]
+    assert len(shares) > 4
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert all(seconds > 0.0 for seconds in progress.record.seconds.values())
+    assert progress.record.wall is not None
+    assert progress.record.organ.n_surface == 100
+
+
+def call(arguments, **streams):
+    code = "import sys\nfrom tissue_sim.cli import main\nsys.exit(main(sys.argv[1:]))"
+    return subprocess.run([sys.executable, "-c", code, "build", *arguments], text=True, check=True, **streams)
+
+
+def test_a_bar_on_a_terminal(tmp_path):
+    here = ["--surface", egg(tmp_path), "--unit", "mm", *FEW, "--out", str(tmp_path / "o.npz")]
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (40, 100))
+    shown = call(here, stdout=subprocess.PIPE, stderr=theirs)
+    os.set_blocking(ours, False)
+    bar = os.read(ours, 1 << 16).decode()
+    os.close(ours)
+    os.close(theirs)
+    assert shown.stdout.startswith("balloon of 200 points")
+    assert "%" not in shown.stdout
+    last = 0
+    for stage in ("wall", "balloon", "skeleton", "springs"):
+        share = int(re.search(rf"{stage} +(\d+)% \|", bar)[1])
+        assert last <= share <= 100
+        last = share
+
+
+@pytest.mark.slow
+def test_from_ct_crop_to_organ_within_a_minute(tmp_path):
+    """994 points and 48 atoms on two cores in at most 60 s, in a process of its own, imports included."""
+    crop = Path(__file__).parents[2].parent / "shared" / "data" / "ct_abdomen" / "crop_left_kidney_ct.nii.gz"
+    if not crop.is_file():
+        pytest.skip("no ct_abdomen in ../shared/data beside the project")
+    started = time.perf_counter()
+    here = [str(crop), "--seed", "85,-110.3,364.3", "--out", str(tmp_path / "o.npz")]
+    print(call(here, stdout=subprocess.PIPE).stdout)
+    seconds = time.perf_counter() - started
+    print(f"CT crop to organ: {seconds:.1f} s")
+    organ = Organ.load(tmp_path / "o.npz")
+    assert (organ.n_surface, len(organ.surface_triangles), organ.n_atoms) == (994, 1984, 48)
+    assert seconds <= 60.0

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.ship import KIDNEY, main
-from tissue_sim.organ.surface import measure
+from tissue_sim.organ.surfaces.surface import measure
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.organ.image import Volume
+from tissue_sim.organ.imaging.image import Volume
 
 
 @dataclass(frozen=True)

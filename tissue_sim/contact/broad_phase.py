@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 from tissue_sim.model.shapes import signed_distance
 
 

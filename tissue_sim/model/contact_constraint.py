@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 from tissue_sim.model.shapes import signed_distance
 from tissue_sim.model.state import ENGAGED, ENTRIES, MODAL, REGION
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 from tissue_sim.model.state import BACKOFF, FAULTS, LAST_GOOD_SPAN, TICK_TIME
 
 MAX_BACKOFF = 8

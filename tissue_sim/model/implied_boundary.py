@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 from tissue_sim.organ.medial import neighbours, represent
 from tissue_sim.organ.organ import Floats, Ints, Organ
 

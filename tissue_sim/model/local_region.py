@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from tissue_sim.jit import kernel
 from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
-from tissue_sim.model.jit import kernel
 from tissue_sim.model.state import (
     ENGAGED,
     ENTRIES,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 from tissue_sim.model.state import DAMPING_SCALE, REGION_BOUNDARY, REGION_NODES, STIFFNESS_SCALE, TICK, TICK_TIME
 
 SHOWN_EVERY = 8  # ticks between two evaluations of the whole organ

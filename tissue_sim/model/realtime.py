@@ -14,8 +14,8 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from tissue_sim.jit import kernel
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
-from tissue_sim.model.jit import kernel
 from tissue_sim.model.state import ASLEEP, MAX_ENTRIES, N_COUNT, N_SETTINGS, TICK, Floats, Longs, StateBuffer
 from tissue_sim.model.tick import tick
 

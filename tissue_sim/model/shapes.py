@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from tissue_sim.model.jit import kernel
+from tissue_sim.jit import kernel
 
 SPHERE, CAPSULE, CONVEX = 0, 1, 2
 

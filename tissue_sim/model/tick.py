@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from tissue_sim.jit import kernel
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import is_touched, resolve_contacts
 from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
 from tissue_sim.model.guard import guard
 from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.integrators import symplectic_euler
-from tissue_sim.model.jit import kernel
 from tissue_sim.model.state import (
     ACTIVE,
     AGE,

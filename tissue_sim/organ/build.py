@@ -1,12 +1,12 @@
-"""`tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
+"""`tissue_sim build`: the command line of the pipeline from a CT, a segmentation or a mesh to an organ file."""
 
 from __future__ import annotations
 
 import argparse
-import re
+import dataclasses
+import hashlib
+import importlib.util
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,194 +14,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.errors import UserError
+from tissue_sim.organ.pipeline import (
+    STAGES,
+    BuildRecord,
+    Progress,
+    Request,
+    organ_from_image,
+    organ_from_mask,
+    organ_from_mesh,
+    select_fixed,
+    wall_distance,
+)
 
 if TYPE_CHECKING:
-    from tissue_sim.organ.image import Volume
-    from tissue_sim.organ.mesh_input import SurfaceMesh
+    from tqdm import tqdm
+
     from tissue_sim.organ.organ import Organ
-    from tissue_sim.organ.segmentation import SegmentationParameters
-    from tissue_sim.organ.surface import Wall
+    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
+
+__all__ = [
+    "BuildRecord",
+    "Progress",
+    "Request",
+    "add_arguments",
+    "organ_from_image",
+    "organ_from_mask",
+    "organ_from_mesh",
+    "parse_triple",
+    "report_path",
+    "run",
+    "select_fixed",
+    "wall_distance",
+]
 
 Floats = NDArray[np.float64]
-Tell = Callable[[str], None]
 
-_FIXED = re.compile(r"([xyz])\s*([<>])\s*([0-9]*\.?[0-9]+)")
-_PACKAGES = ("numpy", "scipy", "SimpleITK", "scikit-image", "trimesh")
-
-
-@dataclass(frozen=True)
-class Request:
-    """What an organ is made with, whatever it is made from."""
-
-    name: str
-    points: int = 994
-    atoms: int = 48
-    fixed: str = "z<0.1"
-    youngs_modulus: float = 10_000.0  # Pa
-    poisson_ratio: float = 0.45
-    density: float = 1060.0  # kg/m^3
-    provenance: dict[str, Any] = field(default_factory=dict)
-
-
-def _quiet(_line: str) -> None:
-    return None
-
-
-def organ_from_image(
-    ct: Volume, seed: Floats, request: Request, parameters: SegmentationParameters | None = None, tell: Tell = _quiet
-) -> Organ:
-    """Segment the organ around `seed`, (3,) mm LPS, and build it. Raises UserError as the stages do."""
-    from tissue_sim.organ.segmentation import segment
-
-    started = time.perf_counter()
-    found = segment(ct, seed, parameters)
-    tell(
-        f"segmented {found.volume:.1f} mL at {found.mean:.0f} HU, eroded {found.erosion:g} mm until separate"
-        f" ({time.perf_counter() - started:.1f} s)"
-    )
-    if found.at_edge:
-        tell("warning: the organ reaches the image's border, so a part of it is missing")
-    provenance = {"seed_mm": [round(float(v), 3) for v in seed], "segmentation": found.figures()}
-    return organ_from_mask(found.mask, _with(request, provenance), tell)
-
-
-def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet) -> Organ:
-    """Build an organ from a bool mask: wall, balloon, skeleton, springs. Raises UserError as the stages do."""
-    from tissue_sim.organ.balloon import inflate
-    from tissue_sim.organ.surface import wall_of_surface
-
-    started = time.perf_counter()
-    wall = _wall(mask, tell)
-    balloon = inflate(wall, request.points)
-    positions, triangles = balloon.positions, balloon.triangles
-    off = wall_distance(wall, positions, triangles)
-    tell(
-        f"balloon of {len(positions)} points, {len(triangles)} triangles, {off:.2f} mm from the wall in the mean"
-        f" ({time.perf_counter() - started:.1f} s)"
-    )
-    if balloon.missed > 2.0 * balloon.edge:
-        tell(f"warning: the balloon left out folds of the wall, up to {balloon.missed:.0f} mm deep; use more --points")
-    figures = {"wall_distance_mm": round(off, 4), "wall_missed_mm": round(balloon.missed, 3), "grid_mm": wall.spacing}
-    solid = wall_of_surface(positions, triangles, wall)
-    return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), tell)
-
-
-def organ_from_mesh(surface: SurfaceMesh, request: Request, keep_points: bool = False, tell: Tell = _quiet) -> Organ:
-    """Build an organ from a closed surface; `keep_points` keeps its points and their order.
-
-    Raises UserError as the stages do.
-    """
-    from tissue_sim.organ.mesh_input import voxelize
-
-    for line in surface.repairs:
-        tell(f"repaired: {line}")
-    mask = voxelize(surface, request.name)
-    request = _with(request, {"repairs": list(surface.repairs), "keep_points": keep_points})
-    if not keep_points:
-        return organ_from_mask(mask, request, tell)
-    return _assemble(_wall(mask, tell), surface.positions, surface.triangles, request, tell)
-
-
-def _wall(mask: Volume, tell: Tell) -> Wall:
-    from tissue_sim.organ.surface import make_wall
-
-    wall = make_wall(mask)
-    if wall.fragments:
-        tell(f"left out {wall.fragments} separate fragment{'s' if wall.fragments > 1 else ''} of the mask")
-    if wall.filled:
-        tell(f"closed handles of the mask with {wall.filled:.2f} mL")
-    return wall
-
-
-def _assemble(wall: Wall, positions: Floats, triangles: NDArray[np.int32], request: Request, tell: Tell) -> Organ:
-    from tissue_sim.organ.skeleton import extract
-    from tissue_sim.organ.topology import assemble_organ
-
-    started = time.perf_counter()
-    skeleton = extract(wall, request.atoms)
-    tell(
-        f"skeleton of {request.atoms} atoms along {skeleton.length:.1f} mm, radius {skeleton.radius.min():.1f} to"
-        f" {skeleton.radius.max():.1f} mm ({time.perf_counter() - started:.1f} s)"
-    )
-    return assemble_organ(
-        name=request.name,
-        surface_positions=positions,
-        surface_triangles=triangles,
-        atom_positions=wall.to_patient(skeleton.positions),
-        atom_radius=skeleton.radius * 1e-3,
-        atom_parent=skeleton.parent,
-        fixed=select_fixed(request.fixed, positions),
-        youngs_modulus=request.youngs_modulus,
-        poisson_ratio=request.poisson_ratio,
-        density=request.density,
-        provenance={**request.provenance, "fixed": Path(request.fixed).name, "packages": _versions()},
-    )
-
-
-def wall_distance(wall: Wall, positions: Floats, triangles: NDArray[np.int32]) -> float:
-    """Mean distance, mm, of the triangles from the wall: at corners, middles of edges and centres, by area."""
-    corner = positions[triangles]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    weights = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=float)
-    weights /= weights.sum(axis=1, keepdims=True)
-    probes = np.einsum("wk,tkd->twd", weights, corner)
-    distance = np.abs(wall.sample(probes.reshape(-1, 3))).reshape(len(triangles), -1).mean(axis=1)
-    return float(np.average(distance, weights=area))
-
-
-def select_fixed(choice: str, positions: Floats) -> NDArray[np.int32]:
-    """Indices of the surface nodes that `choice` names: `none`, `z<0.1` or a .npy file of indices.
-
-    `z<0.1` is the lowest tenth of the extent along z; axes x, y, z, < or >. Raises UserError otherwise.
-    """
-    text = choice.strip()
-    if text.lower() == "none":
-        return np.empty(0, dtype=np.int32)
-    if text.endswith(".npy"):
-        return _fixed_from_file(Path(text), len(positions))
-    match = _FIXED.fullmatch(text)
-    if match is None:
-        raise UserError(f"--fixed '{choice}' is not understood; use 'z<0.1' (axis, < or >, share), a .npy file or none")
-    axis, side, share = "xyz".index(match[1]), match[2], float(match[3])
-    if not 0.0 <= share <= 1.0:
-        raise UserError(f"--fixed '{choice}': the share of the extent must lie within 0..1")
-    along = positions[:, axis]
-    level = along.min() + share * np.ptp(along)
-    chosen = np.flatnonzero(along <= level if side == "<" else along >= level)
-    return chosen.astype(np.int32)
-
-
-def _fixed_from_file(path: Path, count: int) -> NDArray[np.int32]:
-    try:
-        index = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise UserError(f"--fixed file {path} does not exist") from None
-    except (OSError, ValueError, EOFError):
-        raise UserError(f"--fixed file {path} is no .npy file of indices") from None
-    if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer):
-        raise UserError(f"--fixed file {path} must hold a 1-D array of integers, has {index.dtype} {index.shape}")
-    if len(index) and (index.min() < 0 or index.max() >= count):
-        raise UserError(f"--fixed file {path} names nodes outside 0..{count - 1}")
-    return np.unique(index).astype(np.int32)
-
-
-def _with(request: Request, provenance: dict[str, Any]) -> Request:
-    return replace(request, provenance={**request.provenance, **provenance})
-
-
-def _versions() -> dict[str, str]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    found = {}
-    for package in ("tissue_sim", *_PACKAGES):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-# command line ----------------------------------------------------------------------------------
+# Parts of a hundred that a stage takes of a usual build: only the bar's pace depends on them.
+_SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
+_UNITS = ("mm", "cm", "m", "um", "in")
+_EXTRA = "install the extra: pip install 'tissue_sim[image]'"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -220,14 +71,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--series", metavar="UID", help="series to read when the DICOM folder holds several")
     source.add_argument("--mask", metavar="FILE", help="start from a segmentation (same formats) instead of a seed")
     source.add_argument("--label", type=int, metavar="N", help="value of the organ in --mask when it holds several")
-    source.add_argument("--surface", metavar="FILE", help="start from a closed mesh (OBJ, STL, PLY, OFF, GLB)")
+    source.add_argument(
+        "--surface", metavar="FILE", help="start from a closed mesh (OBJ, STL, PLY, OFF, GLB, VTK, MSH, TRIAN)"
+    )
     source.add_argument("--keep-points", action="store_true", help="keep the points of --surface and their order")
-    source.add_argument("--unit", choices=("mm", "m"), help="length unit of --surface where the format doesn't say")
+    source.add_argument("--unit", choices=_UNITS, help="length unit of --surface where the format doesn't say")
+    source.add_argument("--length", type=float, metavar="METRES", help="longest side of --surface, instead of a unit")
+    source.add_argument("--part", metavar="N", help="part of --surface to take, 1 the largest, or its name in the file")
+    source.add_argument("--merge-parts", action="store_true", help="join all that the parts of --surface enclose")
     organ = parser.add_argument_group("the organ")
     organ.add_argument("--out", default="organ.npz", metavar="FILE", help="organ file to write (default: %(default)s)")
+    organ.add_argument(
+        "--report",
+        nargs="?",
+        const="",
+        metavar="FILE.html",
+        help="write a page with pictures and figures of every stage (default: the organ file's name with .html)",
+    )
     organ.add_argument("--name", help="name of the organ (default: the input's file name)")
     organ.add_argument("--points", type=int, default=994, help="points of the balloon (default: %(default)s)")
     organ.add_argument("--atoms", type=int, default=48, help="medial atoms of the skeleton (default: %(default)s)")
+    organ.add_argument(
+        "--branches",
+        choices=("auto", "none"),
+        default="auto",
+        help="auto: the skeleton follows real branches of the organ; none: one line (default: %(default)s)",
+    )
+    organ.add_argument(
+        "--interior",
+        type=int,
+        default=0,
+        metavar="N",
+        help="further atoms spread through the organ, along the spokes (default: %(default)s)",
+    )
     organ.add_argument(
         "--fixed",
         default="z<0.1",
@@ -238,76 +114,127 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     organ.add_argument("--youngs-modulus", type=float, default=10_000.0, metavar="PA", help="Pa (default: %(default)g)")
     organ.add_argument("--poisson-ratio", type=float, default=0.45, metavar="NU", help="default: %(default)g")
     organ.add_argument("--density", type=float, default=1060.0, metavar="KG_M3", help="kg/m^3 (default: %(default)g)")
-    stages = parser.add_argument_group("segmentation from a seed (defaults are worked out from the image)")
-    stages.add_argument(
-        "--smoothing",
-        type=float,
-        default=2.5,
-        metavar="MM",
-        help="standard deviation of the Gaussian before intensities are compared, mm (default: %(default)g)",
-    )
-    stages.add_argument(
-        "--window",
-        type=float,
-        default=3.0,
-        metavar="SD",
-        help="half-width of the intensity window, in standard deviations of the organ (default: %(default)g)",
-    )
-    stages.add_argument(
-        "--erosion", type=float, metavar="MM", help="erosion depth, mm (default: until the organ is separate)"
-    )
-    stages.add_argument(
-        "--grid",
-        type=float,
-        metavar="MM",
-        help="spacing of the working grid, mm (default: half the image's coarsest, within 1..1.5)",
-    )
+    _add_stages(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Build the organ that the arguments describe, print what was done, return 0. Raises UserError."""
+    try:
+        return _run(args)
+    except ModuleNotFoundError as error:
+        raise UserError(f"building organs needs {error.name}; {_EXTRA}") from None
+
+
+def _run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     source = _source(args)
     out = Path(args.out)
     if not out.parent.is_dir():
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
+    report = report_path(args, out)
     _check_counts(args)
     name = args.name or _stem(Path(source))
     request = Request(
         name=name,
         points=args.points,
         atoms=args.atoms,
+        branches=args.branches,
+        interior_atoms=args.interior,
+        organ=None if args.organ == "any" else args.organ,
+        accept=args.accept,
         fixed=args.fixed,
         youngs_modulus=args.youngs_modulus,
         poisson_ratio=args.poisson_ratio,
         density=args.density,
-        provenance={"source": Path(source).name},
+        provenance={"source": Path(source).name, "source_sha256": digest_of(Path(source))},
     )
-    try:
-        organ = _build(args, request)
-    except ModuleNotFoundError as error:
-        raise UserError(
-            f"building organs needs {error.name}; install the extra: pip install 'tissue_sim[image]'"
-        ) from None
-    organ.save(out)
+    with _Bar(_stages_of(args)) as bar:
+        progress = Progress(bar.tell, bar.watch)
+        organ = _build(args, request, progress)
+        organ.save(out)
+        if report:
+            from tissue_sim.organ.reporting.report import write_report
+
+            with progress.stage("report"):
+                write_report(progress.record, report, organ_file=out.name)
     n = organ.n_surface
     print(
         f"{out}: {name}, {organ.volume * 1e6:.1f} mL, {n} points, {len(organ.surface_triangles)} triangles,"
         f" {organ.n_atoms} atoms, {len(organ.fixed)} held, {time.perf_counter() - started:.1f} s"
     )
+    if report:
+        print(f"{report}: report")
     return 0
+
+
+# options of the segmentation, one for each of its parameters ------------------------------------------
+
+
+def _add_stages(parser: argparse.ArgumentParser) -> None:
+    """An option for every field of SegmentationParameters, with its help and unit."""
+    group = parser.add_argument_group("segmentation from a seed")
+    group.add_argument(
+        "--organ",
+        default="any",
+        metavar="NAME",
+        help="what the organ is, so that even a small leak into a neighbour is noticed: kidney, liver, spleen, heart,"
+        " bladder, prostate, or any (default: %(default)s)",
+    )
+    group.add_argument("--accept", action="store_true", help="pass on with a warning what can't be that organ")
+    try:
+        parameters = _parameter_fields()
+    except ModuleNotFoundError as error:
+        group.description = f"the parameters of its stages need {error.name}; {_EXTRA}"
+        return
+    for item in parameters:
+        default = f" (default: {item.default:g})" if item.default is not None else ""
+        text = item.metadata["help"].replace("%", "%%")
+        group.add_argument(
+            _option(item.name), type=float, metavar=item.metadata["unit"].upper(), help=f"{text}{default}"
+        )
+
+
+def _parameter_fields() -> tuple[dataclasses.Field[Any], ...]:
+    """The fields of SegmentationParameters: numbers, with `help` and `unit` in their metadata."""
+    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
+
+    return dataclasses.fields(SegmentationParameters)
+
+
+def _option(field: str) -> str:
+    return "--" + field.replace("_", "-")
+
+
+def _parameters(args: argparse.Namespace) -> SegmentationParameters:
+    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
+
+    given = {item.name: getattr(args, item.name) for item in _parameter_fields()}
+    return SegmentationParameters(**{name: value for name, value in given.items() if value is not None})
+
+
+# checks before the work begins ---------------------------------------------------------------------
 
 
 def _check_counts(args: argparse.Namespace) -> None:
     """Refuse at once what would be refused after the segmentation."""
-    from tissue_sim.organ.balloon import check_points
-    from tissue_sim.organ.skeleton import check_atoms
+    from tissue_sim.organ.skeletons.skeleton import check_atoms
+    from tissue_sim.organ.surfaces.balloon import check_points
+    from tissue_sim.organ.topology import check_tissue
 
     if not args.keep_points:
         check_points(args.points)
     check_atoms(args.atoms)
-    if not args.fixed.strip().endswith(".npy"):
-        select_fixed(args.fixed, np.zeros((1, 3)))
+    check_tissue(args.youngs_modulus, args.poisson_ratio, args.density)
+    if args.interior < 0:
+        raise UserError(f"--interior {args.interior} is negative; use 0 or more")
+    if args.image:
+        from tissue_sim.organ.segmenting.anatomy import anatomy_of
+
+        anatomy_of(None if args.organ == "any" else args.organ)
+        _parameters(args)
+    from_file = args.fixed.strip().endswith(".npy")
+    count = np.iinfo(np.int32).max if args.keep_points else args.points
+    select_fixed(args.fixed, np.broadcast_to(np.zeros((1, 3)), (count if from_file else 1, 3)))
 
 
 def _source(args: argparse.Namespace) -> str:
@@ -324,51 +251,132 @@ def _source(args: argparse.Namespace) -> str:
         raise UserError("an image needs a point inside the organ: --seed X,Y,Z or --seed-voxel I,J,K")
     if args.seed and args.seed_voxel:
         raise UserError("--seed and --seed-voxel were given; choose one")
+    stages = [] if what == "IMAGE" else [item.name for item in _parameter_fields()]
     for option, value, owner in (
         ("--seed", seeded, "IMAGE"),
         ("--series", args.series, "IMAGE"),
         ("--label", args.label is not None, "--mask"),
         ("--unit", args.unit, "--surface"),
+        ("--length", args.length is not None, "--surface"),
+        ("--part", args.part, "--surface"),
+        ("--merge-parts", args.merge_parts, "--surface"),
         ("--keep-points", args.keep_points, "--surface"),
+        ("--accept", args.accept, "IMAGE"),
+        *((_option(name), getattr(args, name) is not None, "IMAGE") for name in stages),
     ):
         if value and owner != what:
             raise UserError(f"{option} belongs to {owner}, not to {what}")
     return str(path)
 
 
+def report_path(args: argparse.Namespace, out: Path) -> Path | None:
+    """Where the report goes: None without --report, beside `out` without a name.
+
+    Raises UserError for what couldn't be written after the build.
+    """
+    if args.report is None:
+        return None
+    path = Path(args.report) if args.report else out.with_suffix(".html")
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"--report {path} must end in .html; without a file name, put --report last")
+    if not path.parent.is_dir():
+        raise UserError(f"folder {path.parent} for the report does not exist; make it first")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise UserError(f"--report needs matplotlib; {_EXTRA}")
+    return path
+
+
 def _stem(path: Path) -> str:
     return path.name.removesuffix(".gz").rsplit(".", 1)[0] if not path.is_dir() else path.resolve().name
 
 
-def _build(args: argparse.Namespace, request: Request) -> Organ:
-    from tqdm import tqdm
+# the work -----------------------------------------------------------------------------------------
 
+
+def _stages_of(args: argparse.Namespace) -> list[str]:
+    """The stages that this input goes through."""
+    left_out = {"segment"} if not args.image else set()
+    left_out |= {"balloon"} if args.keep_points else set()
+    stages = [stage for stage in STAGES if stage not in left_out]
+    return [*stages, "report"] if args.report is not None else stages
+
+
+def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Organ:
     if args.surface:
-        from tissue_sim.organ.mesh_input import read_mesh
+        from tissue_sim.organ.meshes.mesh_input import read_mesh
 
-        return organ_from_mesh(read_mesh(args.surface, args.unit), request, args.keep_points, tqdm.write)
-    from tissue_sim.organ.image import read_image, read_mask
+        with progress.stage("read"):
+            part = int(args.part) if args.part and args.part.isdigit() else args.part
+            mesh = read_mesh(args.surface, args.unit, longest=args.length, part=part, merge_parts=args.merge_parts)
+        return organ_from_mesh(mesh, request, args.keep_points, progress=progress)
+    from tissue_sim.organ.imaging.image import read_image, read_mask
 
     if args.mask:
-        return organ_from_mask(read_mask(args.mask, args.label), request, tqdm.write)
-    from tissue_sim.organ.segmentation import SegmentationParameters
-
-    parameters = SegmentationParameters(
-        smoothing=_positive("--smoothing", args.smoothing),
-        window=_positive("--window", args.window),
-        erosion=None if args.erosion is None else _positive("--erosion", args.erosion),
-        grid=None if args.grid is None else _positive("--grid", args.grid),
-    )
+        with progress.stage("read"):
+            mask = read_mask(args.mask, args.label)
+        for note in mask.notes:
+            progress.say(note)
+        return organ_from_mask(mask, request, progress=progress)
+    parameters = _parameters(args)
     given = parse_triple("--seed", args.seed) if args.seed else parse_triple("--seed-voxel", args.seed_voxel)
-    ct = read_image(args.image, args.series)
+    with progress.stage("read"):
+        ct = read_image(args.image, args.series)
     seed = given if args.seed else ct.to_points(given)
-    return organ_from_image(ct, seed, request, parameters, tqdm.write)
+    return organ_from_image(ct, seed, request, parameters, progress=progress)
 
 
-def _positive(option: str, value: float) -> float:
-    if not (np.isfinite(value) and value > 0.0):
-        raise UserError(f"{option} {value:g} must be greater than 0")
-    return value
+class _Bar:
+    """A bar over the stages on a terminal, with the lines above it; in a pipe the lines alone."""
+
+    def __init__(self, stages: list[str]) -> None:
+        self._start: dict[str, float] = {}
+        total = 0.0
+        for stage in stages:
+            self._start[stage] = total
+            total += _SHARE[stage]
+        self._total = total
+        self._bar: tqdm[Any] | None = None
+
+    def __enter__(self) -> _Bar:
+        from tqdm import tqdm
+
+        shape = "{desc:<9} {percentage:3.0f}% |{bar}| {elapsed}"
+        # disable=None: tqdm stays silent where standard error is no terminal.
+        self._bar = tqdm(total=self._total, bar_format=shape, disable=None, leave=False, dynamic_ncols=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def tell(self, line: str) -> None:
+        """Print a line to standard output, above the bar."""
+        from tqdm import tqdm
+
+        tqdm.write(line)
+
+    def watch(self, stage: str, done: float) -> None:
+        """Move the bar to a share of a stage; never back."""
+        if self._bar is None or stage not in self._start:
+            return
+        self._bar.set_description_str(stage, refresh=False)
+        reached = self._start[stage] + done * _SHARE[stage]
+        self._bar.update(max(reached - self._bar.n, 0.0))
+        if done == 0.0:
+            self._bar.refresh()
+
+
+def digest_of(source: Path) -> str:
+    """SHA-256 (hex) of a file, or of the names and contents of a folder's files in order; empty if there is none."""
+    if source.is_file():
+        with source.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    if not source.is_dir():
+        return ""
+    whole = hashlib.sha256()
+    for path in sorted(path for path in source.iterdir() if path.is_file()):
+        whole.update(f"{path.name} {digest_of(path)}\n".encode())
+    return whole.hexdigest()
 
 
 def parse_triple(option: str, text: str) -> Floats:

@@ -61,7 +61,7 @@ def assemble_organ(
     atoms = np.asarray(atom_positions, dtype=np.float64)
     radius = np.asarray(atom_radius, dtype=np.float64)
     parent = np.asarray(atom_parent, dtype=np.int32)
-    _check_tissue(name, youngs_modulus, poisson_ratio, density)
+    check_tissue(youngs_modulus, poisson_ratio, density)
     if len(atoms) == 0:
         raise UserError(f"organ '{name}' has no medial atoms; build it with --atoms 1 or more")
     check_surface(surface, triangles, f"organ '{name}'")
@@ -203,13 +203,14 @@ def _share(values: Floats) -> Floats:
     return values / values.sum()
 
 
-def _check_tissue(name: str, youngs_modulus: float, poisson_ratio: float, density: float) -> None:
+def check_tissue(youngs_modulus: float, poisson_ratio: float, density: float) -> None:
+    """Raise UserError unless Young's modulus Pa, Poisson's ratio and density kg/m^3 are those of a tissue."""
     if not 1.0 <= youngs_modulus <= 1e9:
-        raise UserError(f"organ '{name}': Young's modulus {youngs_modulus:g} Pa is outside 1..1e9")
+        raise UserError(f"Young's modulus {youngs_modulus:g} Pa is outside 1..1e9")
     if not 0.0 <= poisson_ratio < 0.5:
-        raise UserError(f"organ '{name}': Poisson's ratio {poisson_ratio:g} is outside 0..0.5")
+        raise UserError(f"Poisson's ratio {poisson_ratio:g} is outside 0..0.5")
     if not 1.0 <= density <= 1e5:
-        raise UserError(f"organ '{name}': density {density:g} kg/m^3 is outside 1..1e5")
+        raise UserError(f"density {density:g} kg/m^3 is outside 1..1e5")
 
 
 def triangle_area(positions: Floats, triangles: Ints) -> Floats:

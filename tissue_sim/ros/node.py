@@ -26,8 +26,8 @@ import tissue_sim
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
+from tissue_sim.jit import is_compiled
 from tissue_sim.model import state as st
-from tissue_sim.model.jit import is_compiled
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ

@@ -1,0 +1,61 @@
+"""Where compiled kernels are kept."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import tissue_sim
+from tissue_sim.jit import cache_folder, folder_of
+
+LOAD = "from tissue_sim.jit import folder_of; print(folder_of('model'))"
+
+
+def test_kernels_are_kept_outside_the_package(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = cache_folder("model")
+    assert folder.is_relative_to(tmp_path)
+    assert not folder.is_relative_to(Path(tissue_sim.__file__).parent)
+    assert folder == cache_folder("model"), "the same sources, the same folder"
+
+
+def test_home_that_cannot_be_written_leaves_the_temporary_folder(monkeypatch, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    assert cache_folder("model").is_relative_to(tmp_path)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_numba_cache_dir_of_the_user_comes_first(tmp_path, given):
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "home")}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    if given:
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "mine")
+    words = [sys.executable, "-c", LOAD]
+    shown = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+    assert Path(shown).is_relative_to(tmp_path / ("mine" if given else "home"))
+
+
+def test_second_process_finds_the_first_ones_kernels(tmp_path):
+    """Compiled once, loaded after: no new index file appears."""
+    code = "from tissue_sim.model.shapes import rotation_matrix as r; import numpy as np; r(np.ones(4), np.zeros(9))"
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+
+    def kernels():
+        subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+        return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
+
+    first = kernels()
+    assert first
+    assert kernels() == first
+
+
+def test_each_layer_has_a_folder_of_its_own():
+    """A change in the organ's pipeline doesn't compile the tick again."""
+    assert folder_of("organ") != folder_of("model") or os.environ.get("NUMBA_CACHE_DIR")

@@ -1,0 +1,1 @@
+"""Images: CT volumes and masks of any header, DICOM folders, and the phantom."""

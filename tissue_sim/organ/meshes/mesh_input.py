@@ -1,0 +1,191 @@
+"""Organs from triangle meshes: reading, refusing or repairing, and voxels of what they enclose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.image import MM, Volume
+from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, read_pieces
+from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
+from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, longest_side
+from tissue_sim.organ.meshes.mesh_union import merged
+from tissue_sim.organ.meshes.voxels import enclosed, off_grid
+from tissue_sim.organ.organ import signed_volume
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+UNITS = {"mm": MM, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
+ORGAN_SIZE = (0.005, 1.0)  # m, longest side
+_METRES = (".glb", ".gltf")  # the format fixes the unit
+_LONGEST_AXIS = 128  # voxels along the longest side
+_MOST_VOXELS = 3e5  # inside
+_THIN = 0.1  # relative volume that voxels may miss
+_FEW_TRIANGLES = 2000  # of about 1000 points: walls thinner than their edges are more than such a model can follow
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceMesh:
+    """A closed outward surface: positions (n, 3) m, triangles (t, 3); what was repaired and remarks, one line each."""
+
+    positions: Floats
+    triangles: Ints
+    repairs: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def genus(self) -> int:
+        """Handles of the surface: 0 for a ball, 1 for a ring."""
+        edges = len(self.triangles) * 3 // 2
+        return (2 - len(np.unique(self.triangles)) + edges - len(self.triangles)) // 2
+
+
+def read_mesh(
+    path: str | Path,
+    unit: str | None = None,
+    *,
+    longest: float | None = None,
+    part: int | str | None = None,
+    merge_parts: bool = False,
+) -> SurfaceMesh:
+    """Read the closed surface of one organ from OBJ, STL, PLY, OFF, glTF, VTK (legacy), Gmsh or SOFA's .trian.
+
+    unit: one of `UNITS`, needed for every format but glTF, which is in metres; or longest: the longest side in metres,
+    for files without a unit. part: the part to take where the mesh falls into several, by number (1 is the
+    largest) or by its name in the file; merge_parts: join all that the parts enclose, with new points.
+
+    The points keep their order. Coinciding points and narrow seams are merged where the surface is open, doubled
+    triangles and scraps left out, holes up to a tenth of the longest side filled, inward or mixed winding turned: told
+    in `repairs`. glTF is turned from y up into the patient frame.
+    Raises UserError naming the file when it is missing, unreadable, wider open (with the width), of several parts
+    none of which dominates (with their volumes), a hollow shell, or no organ in size.
+    """
+    source = Path(path)
+    scale = _scale(source, unit, longest)
+    found = _load(source)
+    name = str(source)
+    if scale is None:
+        assert longest is not None
+        scale = longest / longest_side(np.concatenate([piece.positions for piece in found.pieces]))
+    parts = split(found.pieces, scale)
+    if not parts:
+        raise UserError(f"surface {name} holds no triangles with an area")
+    if merge_parts and part is not None:
+        raise UserError("--part and --merge-parts were given; choose one")
+    chosen = merged(parts, name) if merge_parts else closed_part(choose(parts, name, part), name)
+    repairs, triangles = chosen.repairs, chosen.triangles
+    volume = capped_volume(chosen.positions, triangles, ())
+    if volume < 0.0:
+        triangles = triangles[:, ::-1]
+        repairs = (*repairs, "turned inward triangles outward")
+    size = longest_side(chosen.positions)
+    if abs(volume) <= 1e-9 * size**3:
+        raise UserError(f"surface {name} encloses no volume; it must be closed around the organ")
+    positions = chosen.positions
+    notes = list(found.notes)
+    if longest is not None:
+        positions = positions * (longest / size)
+        notes.append(f"scaled: the longest side is {longest * 100.0:.3g} cm")
+        size = longest
+    _check_size(name, size, unit)
+    surface = SurfaceMesh(positions, np.ascontiguousarray(triangles, dtype=np.int32), repairs)
+    if surface.genus:
+        handles = f"{surface.genus} handle{'s' if surface.genus > 1 else ''}"
+        notes.append(f"the surface has {handles} (genus {surface.genus}); kept points keep them, the wall closes them")
+    return replace(surface, notes=tuple(notes))
+
+
+def _scale(source: Path, unit: str | None, longest: float | None) -> float | None:
+    """Metres in the file's unit; None where the longest side is given instead. Refuses what can't be read."""
+    if not source.is_file():
+        raise UserError(f"surface {source} does not exist; name a mesh file ({', '.join(FORMATS)})")
+    suffix = source.suffix.lower()
+    if suffix not in FORMATS:
+        raise UserError(f"surface {source} has no known mesh format; use one of {', '.join(FORMATS)}")
+    if unit is not None and unit not in UNITS:
+        raise UserError(f"unit {unit} is not known; use one of {', '.join(UNITS)}")
+    if longest is not None:
+        if unit is not None:
+            raise UserError("--unit and --length were given; choose one")
+        if not (np.isfinite(longest) and ORGAN_SIZE[0] <= longest <= ORGAN_SIZE[1]):
+            raise UserError(f"--length {longest:g} m is no organ's longest side; give metres, 0.005 to 1")
+        return None
+    if unit is None and suffix not in _METRES:
+        raise UserError(
+            f"surface {source}: {suffix[1:].upper()} doesn't say its length unit; give --unit mm or --unit m"
+            " (or cm, um, in), or the organ's longest side with --length METRES"
+        )
+    return UNITS[unit or "m"]
+
+
+def _load(source: Path) -> MeshFile:
+    try:
+        found = read_pieces(source)
+    except ValueError as error:
+        raise UserError(f"surface {source} can't be read as a mesh ({_reason(error)}); export it again") from None
+    except Exception as error:  # trimesh and its loaders raise anything on damaged files
+        raise UserError(f"surface {source} can't be read as a mesh ({type(error).__name__}); export it again") from None
+    if not any(len(piece.triangles) for piece in found.pieces):
+        raise UserError(f"surface {source} holds no triangles")
+    for piece in found.pieces:
+        if not np.all(np.isfinite(piece.positions)):
+            raise UserError(f"surface {source} has points that are not finite")
+        if piece.triangles.size and not 0 <= piece.triangles.min() <= piece.triangles.max() < len(piece.positions):
+            raise UserError(f"surface {source} is damaged: a triangle names a point that isn't there")
+    return found
+
+
+def _reason(error: ValueError) -> str:
+    return " ".join(str(error).split())[:120] or "ValueError"
+
+
+def _check_size(name: str, size: float, unit: str | None) -> None:
+    low, high = ORGAN_SIZE
+    if low <= size <= high:
+        return
+    fits = [other for other, scale in UNITS.items() if low <= size / UNITS[unit or "m"] * scale <= high]
+    units = f"--unit {' or '.join(fits)}, or " if fits else ""
+    raise UserError(
+        f"surface {name} is {size:.3g} m long{f' with --unit {unit}' if unit else ''}, an organ is 5 mm to 1 m;"
+        f" give {units}its longest side with --length METRES"
+    )
+
+
+def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS) -> Volume:
+    """Bool Volume of the voxels whose centre the surface encloses, on an isotropic grid in the mesh's frame.
+
+    Raises UserError for a thin shell: when the mean thickness of its walls is less than the distance between about 1000
+    points on it, or when the grid misses more than a tenth of the volume.
+    """
+    points = surface.positions / MM
+    low, high = points.min(axis=0), points.max(axis=0)
+    exact = signed_volume(points, surface.triangles)
+    pitch = max(float((high - low).max()) / longest_axis, float(np.cbrt(exact / _MOST_VOXELS)))
+    size = np.ceil((high - low) / pitch).astype(int) + 3
+    origin = low - pitch
+    solid = enclosed(off_grid((points - origin) / pitch), surface.triangles, size.astype(np.int64))
+    found = float(solid.sum()) * pitch**3
+    if abs(found - exact) > _THIN * exact:
+        raise UserError(
+            f"surface {name} is too thin, or folds through itself: {found * 1e-3:.1f} mL of voxels for"
+            f" {exact * 1e-3:.1f} mL of solid"
+        )
+    area = area_of(points, surface.triangles.astype(np.int64))
+    thickness, edge = _wall_thickness(solid) * pitch, float(np.sqrt(area / _FEW_TRIANGLES * 4.0 / np.sqrt(3.0)))
+    if thickness < edge:
+        raise UserError(
+            f"surface {name} is a thin shell: walls of {thickness:.2g} mm in the mean, {area * 1e-2:.3g} cm2 in all,"
+            f" whose points lie {edge:.2g} mm apart when there are 1000; an organ is solid here: fill its hollow first"
+        )
+    return Volume(solid, np.full(3, pitch), origin, np.eye(3), name)
+
+
+def _wall_thickness(solid: NDArray[np.bool_]) -> float:
+    """Four times the mean depth, voxels: the thickness of a sheet, two thirds of a tube's, half of a ball's."""
+    return 4.0 * (float(ndimage.distance_transform_edt(solid)[solid].mean()) - 0.5)

@@ -1,0 +1,211 @@
+"""The parts that a mesh falls into: finding them, choosing the organ among them, joining them into one solid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.meshes.mesh_formats import Piece
+from tissue_sim.organ.meshes.mesh_repair import (
+    WIDEST_HOLE,
+    Hole,
+    capped_volume,
+    close_seams,
+    components,
+    crowded_edges,
+    fill,
+    holes,
+    longest_side,
+    once_used_edges,
+    winds_around,
+    without_doubles,
+    wound_alike,
+)
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_DOMINANT = 0.9  # of the volume of all parts: the largest is meant, the others are scraps
+_HOLLOW = 0.5  # of the outer surface's volume: an inner surface that takes more makes a shell
+_MERGE_AXIS = 160  # voxels along the longest side of joined parts
+_MERGE_SMOOTHING = 0.7  # voxels
+_SHOWN = 8  # parts named in a message
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a mesh: positions (n, 3) m, triangles (t, 3) wound alike, holes, enclosed volume m^3 (holes capped).
+
+    flaw: why it can't be an organ whatever is filled, or empty. repairs: what was done to it. number: place among the
+    file's parts, 1 is the largest.
+    """
+
+    name: str
+    positions: Floats
+    triangles: Index
+    gaps: tuple[Hole, ...]
+    volume: float
+    flaw: str
+    repairs: tuple[str, ...]
+    number: int = 1
+
+
+def split(pieces: Sequence[Piece], scale: float) -> list[Part]:
+    """The parts of a file's pieces, largest volume first; coinciding points and seams are closed where it is open.
+
+    scale: metres in the file's unit. Pieces that meet in the same points (a surface cut into regions) are one part.
+    """
+    first = np.cumsum([0, *(len(piece.positions) for piece in pieces)])
+    positions = np.concatenate([piece.positions for piece in pieces]) * scale
+    triangles = np.concatenate([piece.triangles + n for piece, n in zip(pieces, first, strict=False)])
+    owner = np.searchsorted(first, np.arange(len(positions)), side="right") - 1
+    closed, told = close_seams(positions, triangles, across=True)
+    if len(once_used_edges(closed)):  # the gaps between separate parts are no seams
+        closed, told = close_seams(positions, triangles, across=False)
+    closed, doubles = without_doubles(closed)
+    if doubles:
+        told = (*told, f"left out {doubles} doubled triangles")
+    if not len(closed):
+        return []
+    unused = len(positions) - len(np.unique(closed))
+    if unused and not told:
+        told = (f"dropped {unused} points that no triangle uses",)
+    crowd = crowded_edges(closed)
+    groups = components(closed)
+    parts = []
+    for group in groups:
+        names = tuple(pieces[k].name for k in np.unique(owner[closed[group]]) if pieces[k].name)
+        used, inverse = np.unique(closed[group], return_inverse=True)
+        part = _part(names, positions[used], inverse.reshape(-1, 3).astype(np.int64), crowd, told)
+        parts.append(part if len(groups) == 1 else _seamless(part))
+    ordered = sorted(parts, key=lambda part: -part.volume)
+    return [replace(part, number=k) for k, part in enumerate(ordered, 1)]
+
+
+def _part(names: Sequence[str], positions: Floats, triangles: Index, crowd: int, told: tuple[str, ...]) -> Part:
+    name = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "") if names else ""
+    wound = wound_alike(positions, triangles)
+    if wound is None:
+        return Part(name, positions, triangles, (), 0.0, "can't be wound consistently (like a Moebius strip)", told)
+    if wound is not triangles:
+        told = (*told, "made the winding consistent")
+    gaps = tuple(holes(positions, wound))
+    own = crowded_edges(wound)
+    crowd = own if own or not gaps else crowd
+    flaw = f"has {crowd} edges with more than two triangles" if own or (crowd and gaps) else ""
+    return Part(name, positions, wound, gaps, abs(capped_volume(positions, wound, gaps)), flaw, told)
+
+
+def _seamless(part: Part) -> Part:
+    """One part of several, with the seams in itself closed."""
+    if not part.gaps or part.flaw:
+        return part
+    closed, told = close_seams(part.positions, part.triangles, across=True)
+    if not told or not len(closed):
+        return part
+    again = wound_alike(part.positions, closed)
+    if again is None or crowded_edges(again):
+        return part
+    used, inverse = np.unique(again, return_inverse=True)
+    positions, triangles = part.positions[used], inverse.reshape(-1, 3).astype(np.int64)
+    gaps = tuple(holes(positions, triangles))
+    volume = abs(capped_volume(positions, triangles, gaps))
+    return replace(
+        part, positions=positions, triangles=triangles, gaps=gaps, volume=volume, repairs=(*part.repairs, *told)
+    )
+
+
+def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
+    """The part that is the organ: the one of the given number or name, else the one that clearly dominates.
+
+    Small parts beside it and cavities inside it are left out and told in its repairs. Raises UserError naming the parts
+    where none dominates, and for a hollow shell.
+    """
+    if isinstance(wanted, str) and wanted.isdigit():
+        wanted = int(wanted)
+    if isinstance(wanted, int):
+        if not 1 <= wanted <= len(parts):
+            raise UserError(f"surface {name} has no part {wanted}; it holds {_listed(parts)}")
+        return parts[wanted - 1]
+    if wanted is not None:
+        named = [part for part in parts if part.name == wanted]
+        if not named:
+            raise UserError(f"surface {name} has no part '{wanted}'; it holds {_listed(parts)}")
+        parts = named
+    main, others = parts[0], parts[1:]
+    if not others or main.flaw:
+        return main
+    within = [_inside(main, other) for other in others]
+    cavities = [other for other, inner in zip(others, within, strict=True) if inner]
+    beside = [other for other, inner in zip(others, within, strict=True) if not inner]
+    aside = sum(other.volume for other in beside)
+    if aside > (1.0 - _DOMINANT) * (main.volume + aside):
+        raise UserError(
+            f"surface {name} has {len(parts)} separate parts: {_listed(parts)};"
+            " choose one with --part N, or join them with --merge-parts"
+        )
+    empty = sum(other.volume for other in cavities)
+    if empty > _HOLLOW * main.volume:
+        raise UserError(
+            f"surface {name} is a hollow shell: inner walls take {100.0 * empty / main.volume:.0f} % of its volume;"
+            f" an organ is solid here: give --part {main.number} to fill it"
+        )
+    told = list(main.repairs)
+    if beside:
+        told.append(f"left out {_count(beside, 'separate part')} of {_volume(aside)} beside {_volume(main.volume)}")
+    if cavities:
+        told.append(f"filled {_count(cavities, 'cavity', 'cavities')} of {_volume(empty)}")
+    return replace(main, repairs=tuple(told))
+
+
+def _inside(outer: Part, other: Part) -> bool:
+    few = other.positions[np.linspace(0, len(other.positions) - 1, 5).astype(int)]
+    filled = fill(outer.positions, outer.triangles, outer.gaps) if outer.gaps else None
+    triangles = outer.triangles if filled is None else filled
+    return bool(np.all(winds_around(outer.positions, triangles, few)))
+
+
+def _volume(volume: float) -> str:
+    return f"{volume * 1e6:.3g} mL"
+
+
+def _count(parts: Sequence[Part], one: str, many: str = "") -> str:
+    return f"{len(parts)} {one if len(parts) == 1 else many or one + 's'}"
+
+
+def _listed(parts: Sequence[Part]) -> str:
+    shown = [f"{part.number} {part.name + ' ' if part.name else ''}{_volume(part.volume)}" for part in parts]
+    more = [f"{len(shown) - _SHOWN} smaller"] if len(shown) > _SHOWN else []
+    return ", ".join(shown[:_SHOWN] + more)
+
+
+def closed_part(part: Part, name: str) -> Part:
+    """The part without holes: those up to a tenth of its longest side are filled, without new points, and told.
+
+    Raises UserError naming what can't be repaired and the widest hole's width.
+    """
+    if part.flaw:
+        raise UserError(f"surface {name} {part.flaw}; make it a simple closed surface first")
+    if not part.gaps:
+        return part
+    size = longest_side(part.positions)
+    widest = part.gaps[0].width
+    if widest > WIDEST_HOLE * size:
+        raise UserError(
+            f"surface {name} is open: {_holes(part)}, the widest {widest * 1e3:.3g} mm; up to a tenth of its longest"
+            f" side ({WIDEST_HOLE * size * 1e3:.3g} mm) is filled, close wider ones first"
+        )
+    filled = fill(part.positions, part.triangles, part.gaps)
+    if filled is None or len(once_used_edges(filled)) or crowded_edges(filled):
+        raise UserError(f"surface {name} is open: {_holes(part)} with rims that touch themselves; close them first")
+    told = f"filled {_holes(part)}, up to {widest * 1e3:.3g} mm wide"
+    volume = abs(capped_volume(part.positions, filled, []))
+    return replace(part, triangles=filled, gaps=(), volume=volume, repairs=(*part.repairs, told))
+
+
+def _holes(part: Part) -> str:
+    return f"{len(part.gaps)} hole{'s' if len(part.gaps) > 1 else ''}"

@@ -1,0 +1,353 @@
+"""From a CT, a mask or a mesh to an organ: the stages in their order, what each found and how long it took."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.errors import UserError
+
+if TYPE_CHECKING:
+    from tissue_sim.organ.imaging.image import Volume
+    from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
+    from tissue_sim.organ.organ import Organ
+    from tissue_sim.organ.segmenting.segmentation import Segmentation, SegmentationParameters
+    from tissue_sim.organ.skeletons.skeleton import Skeleton
+    from tissue_sim.organ.surfaces.balloon import Balloon
+    from tissue_sim.organ.surfaces.surface import Wall
+
+Floats = NDArray[np.float64]
+Tell = Callable[[str], None]
+Watch = Callable[[str, float], None]  # stage, share of it that is done
+
+STAGES = ("read", "segment", "wall", "balloon", "skeleton", "springs")
+
+_FIXED = re.compile(r"([xyz])\s*([<>])\s*([0-9]*\.?[0-9]+)")
+_PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What an organ is made with, whatever it is made from.
+
+    branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a segmentation must keep, None for any
+    organ's; accept: pass it on when it doesn't keep them. interior_atoms: further atoms along the spokes.
+    """
+
+    name: str
+    points: int = 994
+    atoms: int = 48
+    branches: str = "auto"
+    interior_atoms: int = 0
+    organ: str | None = None
+    accept: bool = False
+    fixed: str = "z<0.1"
+    youngs_modulus: float = 10_000.0  # Pa
+    poisson_ratio: float = 0.45
+    density: float = 1060.0  # kg/m^3
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class BuildRecord:
+    """What the stages made on the way, for the report; references only, nothing is copied.
+
+    frame: `LPS` for an image's patient frame, `mesh` for the frame of a mesh file. seconds: of each stage, in order.
+    lines: what was told; warnings: those of them that warn.
+    """
+
+    frame: str = "LPS"
+    ct: Volume | None = None
+    seed: Floats | None = None  # (3,) mm
+    segmentation: Segmentation | None = None
+    mask: Volume | None = None
+    wall: Wall | None = None
+    balloon: Balloon | None = None
+    skeleton: Skeleton | None = None
+    organ: Organ | None = None
+    request: Request | None = None
+    repairs: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def warnings(self) -> list[str]:
+        """The lines that warn, without the word."""
+        return [line.removeprefix("warning: ") for line in self.lines if line.startswith("warning: ")]
+
+
+def _quiet(_line: str) -> None:
+    return None
+
+
+def _unwatched(_stage: str, _done: float) -> None:
+    return None
+
+
+@dataclass
+class Progress:
+    """Where the stages tell what they found, how far they are and what they made."""
+
+    tell: Tell = _quiet
+    watch: Watch = _unwatched
+    record: BuildRecord = field(default_factory=BuildRecord)
+
+    def say(self, line: str) -> None:
+        """Tell a line and keep it."""
+        self.record.lines.append(line)
+        self.tell(line)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage and watch its beginning and end."""
+        self.watch(name, 0.0)
+        started = time.perf_counter()
+        yield
+        seconds = self.record.seconds
+        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - started
+        self.watch(name, 1.0)
+
+    def at(self, stage: str, done: float) -> None:
+        """Tell the share of a stage that is done, 0..1."""
+        self.watch(stage, min(max(done, 0.0), 1.0))
+
+    def took(self, name: str) -> str:
+        """The stage's time as text."""
+        return f"({self.record.seconds[name]:.1f} s)"
+
+
+def organ_from_image(
+    ct: Volume,
+    seed: Floats,
+    request: Request,
+    parameters: SegmentationParameters | None = None,
+    tell: Tell = _quiet,
+    progress: Progress | None = None,
+) -> Organ:
+    """Segment the organ around `seed`, (3,) mm LPS, and build it; `progress` replaces `tell`.
+
+    Raises UserError as the stages do.
+    """
+    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters, segment
+
+    progress = progress or Progress(tell)
+    parameters = parameters or SegmentationParameters()
+    ct = ct.upright()
+    for note in ct.notes:
+        progress.say(note)
+    with progress.stage("segment"):
+        found = segment(
+            ct,
+            seed,
+            parameters,
+            request.organ,
+            request.accept,
+            progress=lambda _part, done: progress.at("segment", done),
+        )
+    progress.say(
+        f"segmented {found.volume:.1f} mL at {found.mean:.0f} HU, eroded {found.erosion:.1f} mm until separate"
+        f" {progress.took('segment')}"
+    )
+    if request.organ is None:
+        progress.say("checked against the bounds of any organ; --organ kidney, liver, ... notices smaller leaks")
+    for line in found.warnings:
+        progress.say(f"warning: {line}")
+    record = progress.record
+    record.ct, record.seed, record.segmentation = ct, seed, found
+    provenance = {
+        "seed_mm": [round(float(v), 3) for v in seed],
+        "segmentation": found.figures(),
+        "segmentation_parameters": asdict(parameters) | {"organ": request.organ or "any", "accept": request.accept},
+    }
+    return organ_from_mask(found.mask, _with(request, provenance), progress=progress)
+
+
+def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet, progress: Progress | None = None) -> Organ:
+    """Build an organ from a bool mask: wall, balloon, skeleton, springs. Raises UserError as the stages do."""
+    from tissue_sim.organ.surfaces.balloon import inflate
+    from tissue_sim.organ.surfaces.surface import wall_of_surface
+
+    progress = progress or Progress(tell)
+    wall = _wall(mask.upright(), progress)
+    with progress.stage("balloon"):
+        balloon = inflate(wall, request.points, progress=lambda done: progress.at("balloon", done))
+        positions, triangles = balloon.positions, balloon.triangles
+        off = wall_distance(wall, positions, triangles)
+    progress.say(
+        f"balloon of {len(positions)} points, {len(triangles)} triangles, {off:.2f} mm from the wall in the mean"
+        f" {progress.took('balloon')}"
+    )
+    if not balloon.expanded:
+        progress.say("the balloon met itself in a fold; its points were thinned from the wall's own surface instead")
+    for line in balloon.warnings:
+        progress.say(f"warning: {line}")
+    if balloon.missed > max(1.5 * wall.spacing, 0.5 * balloon.edge):
+        progress.say(
+            f"warning: the balloon left out folds of the wall, up to {balloon.missed:.0f} mm deep; use more --points"
+        )
+    progress.record.balloon = balloon
+    figures = {
+        "wall_distance_mm": round(off, 4),
+        "wall_missed_mm": round(balloon.missed, 3),
+        "expanded": balloon.expanded,
+        "grid_mm": wall.spacing,
+        "points": request.points,
+    }
+    with progress.stage("skeleton"):
+        solid = wall_of_surface(positions, triangles, wall)
+    return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), progress)
+
+
+def organ_from_mesh(
+    surface: SurfaceMesh,
+    request: Request,
+    keep_points: bool = False,
+    tell: Tell = _quiet,
+    progress: Progress | None = None,
+) -> Organ:
+    """Build an organ from a closed surface; `keep_points` keeps its points and their order.
+
+    Raises UserError as the stages do.
+    """
+    from tissue_sim.organ.meshes.mesh_input import voxelize
+
+    progress = progress or Progress(tell)
+    for line in surface.repairs:
+        progress.say(f"repaired: {line}")
+    for line in surface.notes:
+        progress.say(line)
+    progress.record.frame, progress.record.repairs = "mesh", tuple(surface.repairs)
+    with progress.stage("wall"):
+        mask = voxelize(surface, request.name)
+    request = _with(
+        request, {"repairs": list(surface.repairs), "notes": list(surface.notes), "keep_points": keep_points}
+    )
+    if not keep_points:
+        return organ_from_mask(mask, request, progress=progress)
+    return _assemble(_wall(mask, progress), surface.positions, surface.triangles, request, progress)
+
+
+def _wall(mask: Volume, progress: Progress) -> Wall:
+    from tissue_sim.organ.surfaces.surface import make_wall
+
+    with progress.stage("wall"):
+        wall = make_wall(mask)
+    progress.record.mask, progress.record.wall = mask, wall
+    if wall.fragments:
+        progress.say(f"left out {wall.fragments} separate fragment{'s' if wall.fragments > 1 else ''} of the mask")
+    if wall.filled or wall.cut:
+        progress.say(f"closed cavities and handles of the mask: {wall.filled:.2f} mL filled, {wall.cut:.2f} mL cut")
+    return wall
+
+
+def _assemble(
+    wall: Wall, positions: Floats, triangles: NDArray[np.int32], request: Request, progress: Progress
+) -> Organ:
+    from tissue_sim.organ.skeletons.skeleton import extract
+    from tissue_sim.organ.topology import assemble_organ
+
+    with progress.stage("skeleton"):
+        skeleton = extract(wall, request.atoms, request.branches)
+    branches = f" in {skeleton.branches} branches" if skeleton.branches > 1 else ""
+    low, high = skeleton.radius.min(), skeleton.radius.max()
+    progress.say(
+        f"skeleton of {request.atoms} atoms{branches} along {skeleton.length:.1f} mm, radius {low:.1f} to"
+        f" {high:.1f} mm {progress.took('skeleton')}"
+    )
+    figures = {
+        "atoms": request.atoms,
+        "branches": request.branches,
+        "interior_atoms": request.interior_atoms,
+        "skeleton_length_mm": round(skeleton.length, 3),
+        "fixed": Path(request.fixed).name,
+        "packages": _versions(),
+    }
+    with progress.stage("springs"):
+        organ = assemble_organ(
+            name=request.name,
+            surface_positions=positions,
+            surface_triangles=triangles,
+            atom_positions=wall.to_patient(skeleton.positions),
+            atom_radius=skeleton.radius * 1e-3,
+            atom_parent=skeleton.parent,
+            interior_atoms=request.interior_atoms,
+            fixed=select_fixed(request.fixed, positions),
+            youngs_modulus=request.youngs_modulus,
+            poisson_ratio=request.poisson_ratio,
+            density=request.density,
+            provenance={**request.provenance, **figures},
+        )
+    record = progress.record
+    record.skeleton, record.organ, record.request = skeleton, organ, request
+    return organ
+
+
+def wall_distance(wall: Wall, positions: Floats, triangles: NDArray[np.int32]) -> float:
+    """Mean distance, mm, of the triangles from the wall: at corners, middles of edges and centres, by area."""
+    corner = positions[triangles]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    weights = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=float)
+    weights /= weights.sum(axis=1, keepdims=True)
+    probes = np.einsum("wk,tkd->twd", weights, corner)
+    distance = np.abs(wall.sample(probes.reshape(-1, 3))).reshape(len(triangles), -1).mean(axis=1)
+    return float(np.average(distance, weights=area))
+
+
+def select_fixed(choice: str, positions: Floats) -> NDArray[np.int32]:
+    """Indices of the surface nodes that `choice` names: `none`, `z<0.1` or a .npy file of indices.
+
+    `z<0.1` is the lowest tenth of the extent along z; axes x, y, z, < or >. Raises UserError otherwise.
+    """
+    text = choice.strip()
+    if text.lower() == "none":
+        return np.empty(0, dtype=np.int32)
+    if text.endswith(".npy"):
+        return _fixed_from_file(Path(text), len(positions))
+    match = _FIXED.fullmatch(text)
+    if match is None:
+        raise UserError(f"--fixed '{choice}' is not understood; use 'z<0.1' (axis, < or >, share), a .npy file or none")
+    axis, side, share = "xyz".index(match[1]), match[2], float(match[3])
+    if not 0.0 <= share <= 1.0:
+        raise UserError(f"--fixed '{choice}': the share of the extent must lie within 0..1")
+    along = positions[:, axis]
+    level = along.min() + share * np.ptp(along)
+    chosen = np.flatnonzero(along <= level if side == "<" else along >= level)
+    return chosen.astype(np.int32)
+
+
+def _fixed_from_file(path: Path, count: int) -> NDArray[np.int32]:
+    try:
+        index = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise UserError(f"--fixed file {path} does not exist") from None
+    except (OSError, ValueError, EOFError):
+        raise UserError(f"--fixed file {path} is no .npy file of indices") from None
+    if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer):
+        raise UserError(f"--fixed file {path} must hold a 1-D array of integers, has {index.dtype} {index.shape}")
+    if len(index) and (index.min() < 0 or index.max() >= count):
+        raise UserError(f"--fixed file {path} names nodes outside 0..{count - 1}")
+    return np.unique(index).astype(np.int32)
+
+
+def _with(request: Request, provenance: dict[str, Any]) -> Request:
+    return replace(request, provenance={**request.provenance, **provenance})
+
+
+def _versions() -> dict[str, str]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {}
+    for package in ("tissue_sim", *_PACKAGES):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,180 @@
+"""`tissue_sim export`: an organ's surface, and its skeleton, for other programs.
+
+Positions stand in the frame and order of the organ file, in metres or millimetres; no format here has a field for
+the unit, so every file names it in a comment. OBJ and VTP keep double precision, PLY and STL surfaces single.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.reporting.vtp import polydata
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+UNITS = {"m": 1.0, "mm": 1e3}
+_OBJ_DIGITS = 12  # after the point: a millionth of a micrometre
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
+    parser.add_argument("out", metavar="OUT", help=f"surface to write, by its ending: {', '.join(SURFACES)}")
+    parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
+    parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="length unit (default: %(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the surface, and the skeleton where asked; returns 0. Raises UserError."""
+    surface = _writer(args.out, SURFACES, "surface")
+    lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
+    if args.skeleton and Path(args.skeleton).resolve() == Path(args.out).resolve():
+        raise UserError(f"--skeleton and the surface are both {args.out}; name two files")
+    organ = Organ.load(args.organ)
+    scale = UNITS[args.unit]
+    _write(args.out, surface(organ, args.unit))
+    low, high = (getattr(organ.surface_positions, side)(axis=0) * scale for side in ("min", "max"))
+    spans = ", ".join(f"{axis} {a:.4g}..{b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    print(f"{args.out}: {organ.n_surface} points, {len(organ.surface_triangles)} triangles, {args.unit}, {spans}")
+    if lines is not None:
+        _write(args.skeleton, lines(organ, args.unit))
+        print(f"{args.skeleton}: {organ.n_atoms} atoms, {len(bones(organ))} lines, {args.unit}")
+    return 0
+
+
+def bones(organ: Organ) -> Ints:
+    """Pairs (m, 2) of neighbouring atoms: each and its neighbour towards the root."""
+    child = np.flatnonzero(organ.atom_parent >= 0)
+    return np.stack([child, organ.atom_parent[child]], axis=1).astype(np.int32)
+
+
+def _writer(
+    path: str, formats: Mapping[str, Callable[[Organ, str], bytes]], what: str
+) -> Callable[[Organ, str], bytes]:
+    suffix = Path(path).suffix.lower()
+    if suffix not in formats:
+        raise UserError(f"{path}: no format for the {what}; let its name end in {', '.join(formats)}")
+    if not Path(path).parent.is_dir():
+        raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
+    return formats[suffix]
+
+
+def _write(path: str, content: bytes) -> None:
+    try:
+        Path(path).write_bytes(content)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _comment(organ: Organ, unit: str, what: str = "surface") -> str:
+    """One line of plain ASCII; without the word that some readers of PLY take for the header's end wherever it is."""
+    name = " ".join(organ.name.encode("ascii", "replace").decode().replace("end_header", "end header").split())
+    words = {"m": "metres", "mm": "millimetres"}[unit]
+    return f"tissue_sim organ {name}: {what}, positions in {words}"
+
+
+# surfaces ------------------------------------------------------------------------------------------
+
+
+def surface_obj(organ: Organ, unit: str) -> bytes:
+    """The surface as Wavefront OBJ."""
+    from trimesh.exchange.obj import export_obj
+
+    text = export_obj(
+        _mesh(organ, unit),
+        include_normals=False,
+        include_color=False,
+        include_texture=False,
+        digits=_OBJ_DIGITS,
+        header=_comment(organ, unit),
+    )
+    return (text.rstrip("\n") + "\n").encode()
+
+
+def surface_ply(organ: Organ, unit: str) -> bytes:
+    """The surface as binary PLY."""
+    from trimesh.exchange.ply import export_ply
+
+    content = export_ply(_mesh(organ, unit), vertex_normal=False)
+    comment = f"comment {_comment(organ, unit)}\n".encode()
+    return content.replace(b"end_header\n", comment + b"end_header\n", 1)
+
+
+def surface_stl(organ: Organ, unit: str) -> bytes:
+    """The surface as binary STL; the order of the points is lost, as STL has only triangles."""
+    from trimesh.exchange.stl import export_stl
+
+    return _comment(organ, unit).encode()[:80].ljust(80) + export_stl(_mesh(organ, unit))[80:]
+
+
+def surface_vtp(organ: Organ, unit: str) -> bytes:
+    """The surface as VTK XML PolyData with what the model knows of each point."""
+    n = organ.n_surface
+    held = np.zeros(n, dtype=np.uint8)
+    held[organ.fixed] = 1
+    data: dict[str, NDArray[Any]] = {
+        "held": held,
+        "mass_kg": organ.mass[:n],
+        "damping_kg_per_s": organ.damping[:n],
+        "return_stiffness_N_per_m": organ.return_stiffness[:n],
+        "nearest_atom": cKDTree(organ.atom_positions).query(organ.surface_positions)[1].astype(np.int32),
+    }
+    positions = organ.surface_positions * UNITS[unit]
+    return polydata(positions, data, polygons=organ.surface_triangles, comment=_comment(organ, unit))
+
+
+def _mesh(organ: Organ, unit: str) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(organ.surface_positions * UNITS[unit], organ.surface_triangles, process=False)
+
+
+# skeletons -----------------------------------------------------------------------------------------
+
+
+def skeleton_obj(organ: Organ, unit: str) -> bytes:
+    """The skeleton as Wavefront OBJ lines."""
+    points = organ.atom_positions * UNITS[unit]
+    rows = [f"# {_comment(organ, unit, 'skeleton')}"]
+    rows += [f"v {x:.{_OBJ_DIGITS}f} {y:.{_OBJ_DIGITS}f} {z:.{_OBJ_DIGITS}f}" for x, y, z in points]
+    rows += [f"l {i + 1} {j + 1}" for i, j in bones(organ)]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def skeleton_ply(organ: Organ, unit: str) -> bytes:
+    """The skeleton as ASCII PLY with edges; each point has its radius, in the same unit."""
+    scale, links = UNITS[unit], bones(organ)
+    rows = ["ply", "format ascii 1.0", f"comment {_comment(organ, unit, 'skeleton')}"]
+    rows += [f"element vertex {organ.n_atoms}"]
+    rows += [f"property double {name}" for name in ("x", "y", "z", "radius")]
+    rows += [f"element edge {len(links)}", "property int vertex1", "property int vertex2", "end_header"]
+    values = np.column_stack([organ.atom_positions, organ.atom_radius]) * scale
+    rows += [" ".join(repr(float(v)) for v in row) for row in values]
+    rows += [f"{i} {j}" for i, j in links]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def skeleton_vtp(organ: Organ, unit: str) -> bytes:
+    """The skeleton as VTK XML PolyData lines, with radius (in the same unit), mass and parent of each atom."""
+    first = organ.n_surface
+    data: dict[str, NDArray[Any]] = {
+        f"radius_{unit}": organ.atom_radius * UNITS[unit],
+        "mass_kg": organ.mass[first : first + organ.n_atoms],
+        "parent": organ.atom_parent,
+    }
+    positions = organ.atom_positions * UNITS[unit]
+    return polydata(positions, data, lines=bones(organ), comment=_comment(organ, unit, "skeleton"))
+
+
+SURFACES = {".ply": surface_ply, ".obj": surface_obj, ".stl": surface_stl, ".vtp": surface_vtp}
+LINES = {".ply": skeleton_ply, ".obj": skeleton_obj, ".vtp": skeleton_vtp}

@@ -1,0 +1,205 @@
+"""`tissue_sim info`: what an organ file holds, for people or as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, SpringKind
+from tissue_sim.organ.surfaces.surface_quality import measure
+
+Floats = NDArray[np.float64]
+
+UNITS = "SI: m, kg, s, N, Pa"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the organ; returns 0. Raises UserError for a file that is missing, damaged or no organ."""
+    organ = Organ.load(args.organ)
+    found = describe(organ) | _header(args.organ)
+    if args.json:
+        print(json.dumps(found, indent=2, ensure_ascii=False))
+    else:
+        for line in text_lines(found):
+            print(line)
+    return 0
+
+
+def describe(organ: Organ) -> dict[str, Any]:
+    """All figures of an organ, nested, ready for JSON; units stand in the names: mm, mL, g, N/m, Pa, kg/m^3, degrees.
+
+    A range is an object of `least`, `median` and `largest`. `variation` is the standard deviation over the mean.
+    """
+    surface = organ.surface_positions
+    quality = measure(surface, organ.surface_triangles)
+    return {
+        "name": organ.name,
+        "schema_version": SCHEMA_VERSION,
+        "units": UNITS,
+        "digest": organ.digest(),
+        "volume_ml": organ.volume * 1e6,
+        "extent_mm": [float(v) * 1e3 for v in np.ptp(surface, axis=0)],
+        "lower_corner_mm": [float(v) * 1e3 for v in surface.min(axis=0)],
+        "upper_corner_mm": [float(v) * 1e3 for v in surface.max(axis=0)],
+        "surface": {
+            "points": organ.n_surface,
+            "triangles": len(organ.surface_triangles),
+            "edges": organ.n_surface + len(organ.surface_triangles) - quality.euler,
+            "held_points": len(organ.fixed),
+            "euler_number": quality.euler,
+            "edge_mean_mm": quality.edge_mean * 1e3,
+            "edge_variation": quality.edge_variation,
+            "least_angle_deg": quality.least_angle,
+            "self_intersections": quality.self_intersections,
+        },
+        "skeleton": _skeleton(organ),
+        "interior_points": len(organ.interior_positions),
+        "springs": _springs(organ),
+        "mass_g": _masses(organ),
+        "tissue": {
+            "youngs_modulus_pa": organ.youngs_modulus,
+            "poisson_ratio": organ.poisson_ratio,
+            "density_kg_m3": organ.density,
+        },
+        "provenance": dict(organ.provenance),
+    }
+
+
+def _skeleton(organ: Organ) -> dict[str, Any]:
+    parent = organ.atom_parent
+    child = np.flatnonzero(parent >= 0)
+    links = organ.atom_positions[child] - organ.atom_positions[parent[child]]
+    length = np.linalg.norm(links, axis=1) * 1e3
+    neighbours = np.bincount(np.concatenate([child, parent[child]]), minlength=len(parent))
+    found: dict[str, Any] = {
+        "atoms": organ.n_atoms,
+        "branches": _branches(neighbours),
+        "tips": int(np.count_nonzero(neighbours <= 1)),
+        "junctions": int(np.count_nonzero(neighbours > 2)),
+        "length_mm": float(length.sum()),
+        "radius_mm": _range(organ.atom_radius * 1e3),
+    }
+    return found | ({"spacing_mm": _range(length)} if len(length) else {})
+
+
+def _branches(neighbours: NDArray[np.int64]) -> int:
+    """Lines between tips and junctions of a tree, from every atom's number of neighbours."""
+    return int(neighbours[neighbours != 2].sum()) // 2
+
+
+def _springs(organ: Organ) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for kind in SpringKind:
+        chosen = organ.spring_kind == kind
+        if chosen.any():
+            found[kind.name.lower()] = {
+                "count": int(np.count_nonzero(chosen)),
+                "stiffness_n_per_m": _range(organ.spring_stiffness[chosen]),
+                "rest_length_mm": _range(organ.spring_rest_length[chosen] * 1e3),
+            }
+    if len(organ.angular_stiffness):
+        found["angular"] = {
+            "count": len(organ.angular_stiffness),
+            "stiffness_n_per_m": _range(organ.angular_stiffness),
+        }
+    held_back = organ.return_stiffness > 0.0
+    if held_back.any():
+        found["return"] = {
+            "count": int(np.count_nonzero(held_back)),
+            "stiffness_n_per_m": _range(organ.return_stiffness[held_back]),
+        }
+    return found
+
+
+def _masses(organ: Organ) -> dict[str, Any]:
+    grams = organ.mass * 1e3
+    surface, atoms, interior = np.split(grams, [organ.n_surface, organ.n_surface + organ.n_atoms])
+    parts = {"total": grams, "surface": surface, "atoms": atoms, "interior": interior}
+    return {name: float(part.sum()) for name, part in parts.items() if len(part)} | {"per_point": _range(grams)}
+
+
+def _range(values: Floats) -> dict[str, float]:
+    return {"least": float(values.min()), "median": float(np.median(values)), "largest": float(values.max())}
+
+
+def _header(path: str | Path) -> dict[str, Any]:
+    """Schema version and units as the file states them; the file has been checked by Organ.load."""
+    try:
+        with np.load(Path(path), allow_pickle=False) as stored:
+            header = json.loads(str(stored["header"]))
+    except (OSError, ValueError, KeyError):
+        raise UserError(f"organ file {path} changed while it was read; try again") from None
+    return {key: header[key] for key in ("schema_version", "units") if key in header}
+
+
+# text ----------------------------------------------------------------------------------------------
+
+_UNITS = {"mm": "mm", "ml": "mL", "g": "g", "pa": "Pa", "deg": "degrees", "kg_m3": "kg/m^3", "n_per_m": "N/m"}
+_NAMES = {
+    "tissue_sim": "tissue_sim",
+    "youngs_modulus_pa": "Young's modulus (Pa)",
+    "poisson_ratio": "Poisson's ratio",
+    "source_sha256": "source's SHA-256",
+}
+
+
+def text_lines(found: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
+    """The figures of `describe`, or a provenance, as lines of text, nested by indentation."""
+    pad = "  " * indent
+    for key, value in found.items():
+        if is_nested(value):
+            yield f"{pad}{label(key)}:"
+            inner = value.items() if isinstance(value, Mapping) else enumerate(value, start=1)
+            yield from text_lines({str(name): item for name, item in inner}, indent + 1)
+        else:
+            yield f"{pad}{label(key)}: {shown(value)}"
+
+
+def is_nested(value: Any) -> bool:
+    """Whether a value needs lines of its own: a mapping that is no range, or a list that holds one or a list."""
+    if isinstance(value, Mapping):
+        return not is_range(value)
+    return isinstance(value, list | tuple) and any(isinstance(item, Mapping | list | tuple) for item in value)
+
+
+def is_range(value: Any) -> bool:
+    """Whether a value is a range as `describe` makes it."""
+    return isinstance(value, Mapping) and value.keys() == {"least", "median", "largest"}
+
+
+def label(key: str) -> str:
+    """A key as words, its unit in parentheses: `edge_mean_mm` reads `edge mean (mm)`; `tissue_sim` keeps its name."""
+    if key in _NAMES:
+        return _NAMES[key]
+    for suffix, unit in _UNITS.items():
+        if key.endswith(f"_{suffix}"):
+            return f"{key[: -len(suffix) - 1].replace('_', ' ')} ({unit})"
+    return key.replace("_", " ")
+
+
+def shown(value: Any) -> str:
+    """A plain value as text: numbers to four digits that count, `least to largest, median m` for a range."""
+    if is_range(value):
+        return f"{shown(value['least'])} to {shown(value['largest'])}, median {shown(value['median'])}"
+    if isinstance(value, list | tuple):
+        return ", ".join(shown(item) for item in value) if value else "none"
+    if value is None:
+        return "not given"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.0f}" if 1e3 <= abs(value) < 1e15 else f"{value:.4g}"
+    return str(value)

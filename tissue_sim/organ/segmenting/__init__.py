@@ -1,0 +1,1 @@
+"""From a CT and one seed to the mask of an organ."""

@@ -1,0 +1,1 @@
+"""The medial skeleton: a centreline with branches, and the atoms along it."""

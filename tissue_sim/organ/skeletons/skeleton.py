@@ -1,0 +1,278 @@
+"""Centreline by distance mapping (Wan & Liang 2002), and medial atoms spaced evenly along it and its branches.
+
+Every inner voxel knows its exact distance from the boundary (DFB). A tree grows from the voxel of largest
+DFB over the 26-neighbour graph, always on to the reachable voxel of largest DFB, keeping each voxel's
+parent; where loops of the organ touch, a thin cut keeps it from closing a ring. The tips are the two inner
+voxels farthest from each other, as the way inside goes, unless a branch's tip makes a longer centreline. Between
+them the way that prefers large DFB is trimmed at the tips, centred between voxels, smoothed and resampled by arc
+length. Branches: `skeleton_tree`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_smoothing_spline
+from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d, map_coordinates
+from scipy.spatial import cKDTree
+from skimage.measure import euler_number
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.skeletons.skeleton_tree import (
+    Limb,
+    Line,
+    arc_length,
+    find_limbs,
+    join,
+    longest_chain,
+    path_between,
+    place_atoms,
+)
+from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_way
+from tissue_sim.organ.surfaces.solid_ball import flip_simple
+from tissue_sim.organ.surfaces.surface import Wall
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+
+BRANCHES = ("auto", "none")
+
+_MOST_VOXELS = 6e5  # inside that the tree is grown over; of more, every second (third ...) along each axis
+_GROWTH = 0.4  # the centreline starts where its radius grows by less than this per length: 1 on a tip's own axis
+_THINNEST = 0.35  # and where the radius is this share of the side's median
+_FINGER = 4.0  # radii along which a finger, thinner than that, grows by less than
+_FINGER_GROWTH = 1.5
+_LONGEST_TRIM = 0.75  # share of either side that may be trimmed: a ball keeps a short centreline
+_CENTRING_STEPS = 8
+_WINDOW = 0.5  # radii that a centring step looks around
+_DISC = 9  # samples across that window
+_PLATEAU = 0.05  # radii of distance to the wall by which a place counts e times less
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Medial atoms as a chain, or a tree where the organ branches.
+
+    positions (a, 3) mm on the wall's grid; radius (a,) mm: distance to the wall; parent (a,): the neighbour
+    towards the root, an earlier atom, -1 at the root (the first); in a chain i - 1. length mm: of all centrelines.
+    branch (a,): the segment between junctions and tips that each atom belongs to, a junction's atom to the one
+    towards the root; branches: their number, 1 for a chain.
+    """
+
+    positions: Floats
+    radius: Floats
+    parent: Ints
+    length: float
+    branch: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    branches: int = 1
+
+
+def check_atoms(atoms: int) -> None:
+    """Raise UserError for fewer than 1 atom."""
+    if atoms < 1:
+        raise UserError(f"--atoms {atoms} is too few; use 1 or more")
+
+
+def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
+    """`atoms` medial atoms, evenly spaced by arc length, inside the wall: a chain, or a tree.
+
+    branches: `auto` follows branches that are long and round enough (`skeleton_tree`), `none` gives a chain.
+    Raises UserError for an unknown choice, fewer atoms than 1 or than the branches need, or an organ too small for
+    its grid.
+    """
+    check_atoms(atoms)
+    if branches not in BRANCHES:
+        raise UserError(f"--branches {branches} is not known; use {' or '.join(BRANCHES)}")
+    wall, corner = _cropped(wall)
+    inside = wall.level < 0.0
+    depth = distance_transform_edt(inside) - 0.5
+    if depth.max() < 1.5:
+        raise UserError("the organ is under four voxels thick, too thin for a skeleton; use a finer image")
+    stride = int(np.ceil(np.cbrt(np.count_nonzero(inside) / _MOST_VOXELS)))
+    ways = _without_handles(_thinned_out(depth, stride))
+    parent, order = grow_tree(ways.ravel(), np.array(ways.shape))
+    chain = _chain(ways, parent, order)
+    limbs = find_limbs(ways, parent, order, chain, _inner_end)
+    if limbs:
+        chain = _longest(ways, parent, chain, limbs)
+        limbs = find_limbs(ways, parent, order, chain, _inner_end) if branches == "auto" else []
+    h, step = wall.spacing, wall.spacing * stride
+    deep = gaussian_filter(np.where(inside, depth, 0.0), 0.7).astype(np.float32) * np.float32(h)
+    path = _places(middle_way(ways.ravel(), np.array(ways.shape), chain[0], chain[-1]), ways.shape) * step
+    first, last = _trimmed(path, _sample(deep, path, h))
+    path = path[first:last]
+    lines = [Line(_middle(path, deep, h))]
+    for limb in limbs:
+        own = float(np.median(limb.thickness[-8:])) * step
+        line = join(lines, _middle(limb.path * step, deep, h), own, limb.centre * step, limb.reach * step)
+        lines.append(_kept_inside(line, wall, ways, step))
+    if atoms == 1 and not limbs:
+        positions, length = path[[int(_sample(deep, path, h).argmax())]], float(arc_length(lines[0].points)[-1])
+        above, branch, count = np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.int32), 1
+    else:
+        tree = place_atoms(lines, atoms)
+        positions, above, branch, count, length = tree.positions, tree.parent, tree.branch, tree.branches, tree.length
+    if np.any(wall.sample(positions) >= 0.0):
+        raise UserError("the skeleton leaves the organ; use a finer image or a smoother mask")
+    radius, _ = cKDTree(wall.points()).query(positions)
+    return Skeleton(positions + corner, radius, above, length, branch, count)
+
+
+def _kept_inside(line: Line, wall: Wall, ways: Floats, step: float) -> Line:
+    """The line, led to its junction inside where the straight way from its limb leaves the organ."""
+    first, second = line.points[:2]
+    if np.all(wall.sample(first + np.linspace(0.0, 1.0, 16)[:, None] * (second - first)) < 0.0):
+        return line
+    shape = np.array(ways.shape)
+    index = np.clip(np.rint(line.points[:2] / step).astype(np.int64)[:, ::-1], 0, shape - 1)
+    ends = np.ravel_multi_index((index[:, 0], index[:, 1], index[:, 2]), ways.shape)
+    way = _places(middle_way(ways.ravel(), shape, int(ends[0]), int(ends[1])), ways.shape) * step
+    return replace(line, points=np.concatenate([first[None], way[1:-1], line.points[1:]]))
+
+
+def _cropped(wall: Wall) -> tuple[Wall, Floats]:
+    """The wall with little more of its grid than the organ, and the new grid's first voxel (3,) mm."""
+    box = []
+    for axis in range(3):
+        used = np.flatnonzero((wall.level < 0.0).any(axis=tuple({0, 1, 2} - {axis})))
+        if not len(used):
+            raise UserError("the wall encloses no voxel; use a finer image")
+        box.append(slice(max(int(used[0]) - 2, 0), int(used[-1]) + 3))
+    corner = np.array([s.start for s in box[::-1]], dtype=np.float64) * wall.spacing
+    level = np.ascontiguousarray(wall.level[tuple(box)])
+    return replace(wall, level=level, origin=wall.origin + wall.direction @ corner), corner
+
+
+def _thinned_out(depth: Floats, stride: int) -> Floats:
+    """The depth at every stride-th voxel, in voxels of that coarser grid."""
+    if stride == 1:
+        return depth
+    return np.ascontiguousarray((depth[::stride, ::stride, ::stride] + 0.5) / stride - 0.5)
+
+
+def _without_handles(depth: Floats) -> Floats:
+    """The depth (nz, ny, nx) voxels, zero in one thin cut through each handle, at its thinnest place.
+
+    Ways inside then don't take a short cut where neighbouring loops of an organ touch.
+    """
+    inside = depth > 0.0
+    if euler_number(inside, connectivity=1) == 1:
+        return np.ascontiguousarray(depth, dtype=np.float64)
+    grown = np.zeros(depth.shape, dtype=np.uint8)
+    grown[np.unravel_index(int(depth.argmax()), depth.shape)] = 1
+    flip_simple(grown, inside, depth, 1)
+    return np.where(grown == 1, depth, 0.0)
+
+
+def _chain(ways: Floats, parent: Longs, order: Longs) -> Longs:
+    """The tree's path between the two voxels farthest from each other inside: indices, from one tip to the other."""
+    reached = order[order >= 0]
+    first = _farthest(ways, reached, int(order[0]))
+    return path_between(parent, first, _farthest(ways, reached, first))
+
+
+def _longest(ways: Floats, parent: Longs, chain: Longs, limbs: list[Limb]) -> Longs:
+    """The tree's path between the two tips, of the chain and its branches, with the longest centreline between them.
+
+    A wide pocket's far corner can be farther than the tip of a branch with the longer centreline.
+    """
+    first, last = _trimmed(_places(chain, ways.shape), ways.ravel()[chain])
+    tips = [chain[0], chain[-1], *(limb.tip for limb in limbs)]
+    starts = [chain[first], chain[last - 1], *(limb.start for limb in limbs)]
+    return longest_chain(parent, ways.shape, np.array(tips), np.array(starts))
+
+
+def _farthest(ways: Floats, reached: Longs, source: int) -> int:
+    """The reached voxel with the longest way inside from the source."""
+    distance = np.full(ways.size, np.inf)
+    nearest = np.full(ways.size, -1, dtype=np.int64)
+    approach(ways.ravel(), np.array(ways.shape), np.array([source]), distance, nearest)
+    return int(reached[distance[reached].argmax()])
+
+
+def _places(chain: Longs, shape: tuple[int, ...]) -> Floats:
+    """Voxel coordinates (m, 3), order x, y, z, of indices."""
+    return np.stack(np.unravel_index(chain, shape), axis=1)[:, ::-1].astype(np.float64)
+
+
+def _middle(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
+    """The path smooth and in the middle between voxels."""
+    return _smooth(_centre(_smooth(path, field, h), field, h), field, h)
+
+
+def _sample(field: NDArray[np.float32], points: Floats, h: float) -> Floats:
+    return map_coordinates(field, points.T[::-1] / h, output=np.float64, order=1, mode="nearest")
+
+
+def _trimmed(path: Floats, radius: Floats) -> tuple[int, int]:
+    """First and one past last point where the path runs along the organ, not from a corner of its tip to the middle."""
+    root = int(radius.argmax())
+    first = _inner_end(path[: root + 1], radius[: root + 1])
+    last = _inner_end(path[root:][::-1], radius[root:][::-1])
+    return first, len(path) - last
+
+
+def _inner_end(side: Floats, radius: Floats) -> int:
+    """First point of a side, from its tip, from which the radius grows slowly and that is thick enough, or a finger's.
+
+    A finger is thin, but stays as thin along several radii.
+    """
+    arc = arc_length(side)
+    voxel = arc[-1] / max(len(arc), 2)
+    ahead = arc + np.maximum(0.5 * radius, voxel)
+    growth = (np.interp(ahead, arc, radius) - radius) / (ahead - arc)
+    finger = (np.interp(arc + _FINGER * radius, arc, radius) < _FINGER_GROWTH * radius) & (radius >= 0.8 * voxel)
+    fit = (growth < _GROWTH) & ((radius >= _THINNEST * np.median(radius)) | finger)
+    return int(np.flatnonzero(fit | (arc > _LONGEST_TRIM * arc[-1]))[0]) if arc[-1] > 0.0 else 0
+
+
+def _smooth(path: Floats, field: NDArray[np.float32], h: float) -> Floats:
+    """Smoothing spline along the path; stiffer for a thick organ, softer where that would leave it."""
+    if len(path) < 8:
+        return path
+    arc = arc_length(path)
+    keep = np.concatenate([[True], np.diff(arc) > 1e-9])
+    arc, path = arc[keep], path[keep]
+    scale = max(float(np.median(_sample(field, path, h))), 2.0 * h)
+    t = np.linspace(0.0, arc[-1], max(int(2.0 * arc[-1] / h), 16))
+    even = np.stack([np.interp(t, arc, path[:, k]) for k in range(3)], axis=1)
+    least = 0.9 * min(float(_sample(field, even, h).min()), h)
+    for share in (0.35, 0.2, 0.1, 0.05):
+        stiffness = (share * scale) ** 4 / (t[1] - t[0])
+        line = np.stack([make_smoothing_spline(t, even[:, k], lam=stiffness)(t) for k in range(3)], axis=1)
+        if np.all(_sample(field, line, h) > least):
+            return line
+    return even
+
+
+def _centre(line: Floats, field: NDArray[np.float32], h: float) -> Floats:
+    """Move the line across its direction to the middle of where the distance to the wall is largest.
+
+    Over a small disc across the line, the mean place with weights that fall with the distance to the wall: on a sharp
+    ridge that is the ridge, on a flat one its middle.
+    """
+    line = line.copy()
+    grid = np.linspace(-1.0, 1.0, _DISC)
+    u, v = (g.ravel() for g in np.meshgrid(grid, grid))
+    u, v = u[u * u + v * v <= 1.01], v[u * u + v * v <= 1.01]
+    for _ in range(_CENTRING_STEPS):
+        along = np.gradient(line, axis=0)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        first = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)])
+        first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+        second = np.cross(along, first)
+        radius = np.maximum(_sample(field, line, h), h)
+        offset = _WINDOW * radius[:, None, None] * (first[:, None] * u[:, None] + second[:, None] * v[:, None])
+        depth = _sample(field, (line[:, None] + offset).reshape(-1, 3), h).reshape(len(line), -1)
+        weight = np.exp((depth - depth.max(axis=1, keepdims=True)) / (_PLATEAU * radius[:, None]))
+        move = np.einsum("ij,ijk->ik", weight, offset) / weight.sum(axis=1, keepdims=True)
+        # Neighbours move together: where the line turns off into a branch it would fold otherwise.
+        apart = float(arc_length(line)[-1]) / max(len(line) - 1, 1)
+        if apart > 0.0:
+            move = gaussian_filter1d(move, 0.5 * float(np.median(radius)) / apart, axis=0, mode="nearest")
+        length = np.linalg.norm(move, axis=1, keepdims=True)
+        line += move * np.minimum(1.0, h / np.maximum(length, 1e-12))
+    return line

@@ -1,0 +1,325 @@
+"""Branches of a skeleton: found in the distance-mapping tree, judged, and joined into a tree of evenly spaced atoms.
+
+Wan & Liang (2002) take the farthest descendants off the centreline as branches and drop the short ones. Here the
+voxel farthest past the surface of the skeleton so far (the balls around its voxels) is a candidate's tip, its path in
+the distance-mapping tree the candidate. It is a branch where it is long past that surface, long against its own
+radius, and round: the ridges that lead from the middle of a flat organ to its rim are none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label, map_coordinates, uniform_filter1d
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.skeletons.voxel_tree import approach
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+InnerEnd = Callable[[Floats, Floats], int]
+
+_PAST = 1.5  # radii of the parent: least length past its surface, to the branch's own tip
+_SLENDER = 2.0  # own radii: least length past the parent's surface, trimmed
+_FLAT = 2.5  # largest area of the cross-section, in circles of the branch's radius: 1 is round, an ellipse its aspect
+_THINNEST = 1.0  # voxels between middle and wall; thinner is roughness
+_PREFILTER = 0.8  # share of _PAST from which a candidate is looked at: ways over voxels are a little too long or short
+_TIP = 0.5  # of the median radius: what the thin end of a line counts as
+_TRIED = 200  # candidates
+_SECTIONS = 9  # cross-sections that judge a branch
+_MERGED = 0.5  # radii: junctions nearer than this are one
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A branch in voxels: path (m, 3), order x, y, z, from its trimmed tip to its parent's surface; thickness (m,).
+
+    tip and start: indices of the voxels at the tip before and after trimming; centre (3,) and reach: the parent's ball
+    that the path runs into.
+    """
+
+    tip: int
+    start: int
+    path: Floats
+    thickness: Floats
+    centre: Floats
+    reach: float
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A smooth centreline (m, 3) mm, from its junction (or the root) to its tip.
+
+    on: the line that it starts from, -1 for the first; at: where along that one, mm; radius at the junction, mm.
+    """
+
+    points: Floats
+    on: int = -1
+    at: float = 0.0
+    radius: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Atoms: positions (a, 3) mm, parent (a,) earlier atom or -1, branch (a,); branches; length mm of all lines."""
+
+    positions: Floats
+    parent: Ints
+    branch: Ints
+    branches: int
+    length: float
+
+
+# Finding and judging, in voxels -----------------------------------------------------------------------
+
+
+def find_limbs(depth: Floats, parent: Longs, order: Longs, chain: Longs, inner_end: InnerEnd) -> list[Limb]:
+    """Branches off the chain of voxels, longest first.
+
+    depth (nz, ny, nx) voxels, positive inside; parent and order: of `grow_tree`; chain (m,): voxels of the centreline;
+    inner_end(path, thickness): first point of a path, from its tip, that runs along the organ.
+    """
+    shape = np.array(depth.shape)
+    flat = np.ascontiguousarray(depth, dtype=np.float64).ravel()
+    reached = order[order >= 0]
+    up = _rerooted(parent, chain)
+    skeleton = np.zeros(flat.size, dtype=bool)
+    skeleton[chain] = True
+    distance = np.full(flat.size, np.inf)
+    nearest = np.full(flat.size, -1, dtype=np.int64)
+    approach(flat, shape, np.asarray(chain), distance, nearest)
+    # What a candidate must go past: the radius where it starts, on thin tips and on paths that were no branches the
+    # radius behind them, so that what is left beside such a path isn't taken for a branch of it.
+    behind = np.maximum(flat, _THINNEST)
+    behind[chain] = np.maximum(flat[chain], _TIP * np.median(flat[chain]))
+    limbs = []
+    for _ in range(_TRIED):
+        start = nearest[reached]
+        past = distance[reached] - flat[start]
+        past[past < _PREFILTER * _PAST * behind[start]] = 0.0
+        if not past.any():
+            break
+        path = [int(reached[past.argmax()])]
+        while not skeleton[path[-1]]:
+            path.append(int(up[path[-1]]))
+        ids = np.array(path)
+        limb = _judged(depth, ids, np.flatnonzero(skeleton), inner_end)
+        if limb is None:
+            behind[ids] = np.maximum(flat[ids], behind[ids[-1]])
+        else:
+            behind[ids] = np.maximum(flat[ids], _TIP * np.median(limb.thickness))
+            skeleton[ids] = True
+            limbs.append(limb)
+        approach(flat, shape, ids, distance, nearest)
+    return limbs
+
+
+def _rerooted(parent: Longs, chain: Longs) -> Longs:
+    """The tree's parents with the chain for its root: from every voxel up to the chain."""
+    top = int(chain[np.flatnonzero(~np.isin(parent[chain], chain))[0]])
+    up = parent.copy()
+    below, above = top, int(parent[top])
+    while above >= 0:
+        up[above], below, above = below, above, int(parent[above])
+    up[top] = -1
+    return up
+
+
+def _judged(depth: Floats, ids: Longs, skeleton: Longs, inner_end: InnerEnd) -> Limb | None:
+    """The branch along a path of voxels from a tip to the skeleton; None where it is none."""
+    path, thickness = _places(ids, depth.shape), depth.ravel()[ids]
+    middle, reach = _places(skeleton, depth.shape), depth.ravel()[skeleton]
+    gap = np.linalg.norm(path[:, None] - middle, axis=2) - reach
+    base = int(np.argmax(gap.min(axis=1) <= 0.0))
+    if base < 2:
+        return None
+    ball = int(gap[base].argmin())
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path[: base + 1], axis=0), axis=1))])
+    tip = inner_end(path[:base], thickness[:base])
+    own = float(np.median(thickness[tip:base]))
+    length = float(arc[-1] - arc[tip])
+    if own < _THINNEST or length < _SLENDER * own or length + thickness[tip] < _PAST * reach[ball]:
+        return None
+    if _flatness(depth, path[tip:base], thickness[tip:base]) > _FLAT:
+        return None
+    return Limb(int(ids[0]), int(ids[tip]), path[tip:base], thickness[tip:base], middle[ball], float(reach[ball]))
+
+
+def _flatness(depth: Floats, path: Floats, thickness: Floats) -> float:
+    """Median area of cross-sections, in circles of the path's radius there."""
+    found = []
+    for k in np.unique(np.linspace(0, len(path) - 1, _SECTIONS).round().astype(int)):
+        r = float(thickness[k]) + 0.5  # voxels are counted from their centres
+        away = int(r) + 2
+        along = path[min(k + away, len(path) - 1)] - path[max(k - away, 0)]
+        if not along.any():
+            continue
+        along /= np.linalg.norm(along)
+        u = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+        u /= np.linalg.norm(u)
+        step = max(0.25 * r, 0.5)
+        reach = int(5.0 * r / step)
+        a, b = np.meshgrid(*(step * np.arange(-reach, reach + 1),) * 2)
+        places = path[k] + a[..., None] * u + b[..., None] * np.cross(along, u)
+        inside = map_coordinates(depth, np.moveaxis(places, -1, 0)[::-1], order=1, mode="constant") > 0.25
+        parts, _ = label(inside)
+        own = parts[reach, reach]
+        if own:
+            found.append(np.count_nonzero(parts == own) * step**2 / (np.pi * r**2))
+    return float(np.median(found)) if found else np.inf
+
+
+def longest_chain(parent: Longs, shape: tuple[int, ...], tips: Longs, starts: Longs) -> Longs:
+    """The tree's longest path between two of the tips, measured from their trimmed starts: indices of voxels.
+
+    tips and starts (k,), k >= 2. The first two are kept unless others are longer.
+    """
+    best, chosen = -1.0, (0, 1)
+    for i in range(len(tips)):
+        for j in range(i + 1, len(tips)):
+            places = uniform_filter1d(_places(path_between(parent, starts[i], starts[j]), shape), 5, axis=0)
+            length = float(arc_length(places)[-1])
+            if length > best + 1e-9:
+                best, chosen = length, (i, j)
+    return path_between(parent, tips[chosen[0]], tips[chosen[1]])
+
+
+def path_between(parent: Longs, first: int, last: int) -> Longs:
+    """The tree's path between two voxels: indices, ends included."""
+    side, other = path_up(parent, int(first)), path_up(parent, int(last))
+    while len(side) > 1 and len(other) > 1 and side[-2] == other[-2]:
+        side.pop()
+        other.pop()
+    return np.array(side + other[-2::-1], dtype=np.int64)
+
+
+def path_up(parent: Longs, tip: int) -> list[int]:
+    """Voxels from a tip to the tree's root."""
+    path = [tip]
+    while parent[path[-1]] >= 0:
+        path.append(int(parent[path[-1]]))
+    return path
+
+
+def _places(ids: Longs, shape: tuple[int, ...]) -> Floats:
+    return np.stack(np.unravel_index(ids, shape), axis=1)[:, ::-1].astype(np.float64)
+
+
+# Joining, in mm ---------------------------------------------------------------------------------------
+
+
+def join(lines: list[Line], limb: Floats, own: float, centre: Floats, reach: float) -> Line:
+    """A limb (m, 3) mm, from its tip to its parent's surface, led straight on to a junction on one of the lines.
+
+    own: its radius near its base; centre (3,) and reach: of the parent's ball at its base. The junction is where the
+    limb, led on in its own direction, comes nearest to a line inside that ball. All mm.
+    """
+    base = limb[-1]
+    arc = arc_length(limb)
+    behind = np.array([np.interp(max(arc[-1] - 2.0 * own, 0.0), arc, limb[:, k]) for k in range(3)])
+    way = base - behind if np.any(base != behind) else centre - base
+    way = way / np.linalg.norm(way)
+    best: tuple[float, int, int] | None = None
+    for k, line in enumerate(lines):
+        ahead = np.maximum((line.points - base) @ way, 0.0)
+        miss = np.linalg.norm(line.points - base - ahead[:, None] * way, axis=1)
+        far = np.linalg.norm(line.points - centre, axis=1)
+        # Outside the ball the nearest point counts, so that a junction is found wherever the line was moved.
+        miss += np.where(far <= 0.9 * reach, 0.0, 1e3 * reach + far)
+        m = int(miss.argmin())
+        if best is None or miss[m] < best[0]:
+            best = float(miss[m]), k, m
+    assert best is not None
+    _, k, m = best
+    points = np.concatenate([lines[k].points[m][None], limb[::-1]])
+    return Line(points, k, float(arc_length(lines[k].points)[m]), reach)
+
+
+def arc_length(points: Floats) -> Floats:
+    """Length along a polyline (m, 3) up to each of its points, (m,)."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def place_atoms(lines: list[Line], atoms: int) -> Tree:
+    """`atoms` atoms, evenly spaced over all lines, of which every end and every junction is one.
+
+    A branch is a segment between junctions and tips; a junction's atom belongs to the branch towards the root.
+    Raises UserError when the branches need more atoms.
+    """
+    lines = _merged(lines)
+    segments = _segments(lines)
+    count = len(segments)
+    if count == 0:
+        raise UserError("the organ is too small for a skeleton of several atoms; use --atoms 1 or a finer image")
+    if atoms < count + 1:
+        raise UserError(
+            f"--atoms {atoms} is too few for a skeleton of {count} branches;"
+            f" use {count + 1} or more, or --branches none"
+        )
+    length = np.array([stop - start for _, start, stop in segments])
+    shares = np.ones(count, dtype=np.int64)
+    for _ in range(atoms - 1 - count):
+        shares[(length / shares).argmax()] += 1
+    positions = [lines[0].points[0][None]]
+    parent, branch = [-1], [0]
+    node = {(0, 0.0): 0}
+    for number, (k, start, stop) in enumerate(segments):
+        line = lines[k]
+        last = node[_junction(lines, k, start)]
+        positions.append(points_at(line.points, np.linspace(start, stop, shares[number] + 1)[1:]))
+        for _ in range(shares[number]):
+            parent.append(last)
+            branch.append(number)
+            last = len(parent) - 1
+        node[(k, stop)] = last
+    return Tree(
+        np.concatenate(positions), np.array(parent, np.int32), np.array(branch, np.int32), count, float(length.sum())
+    )
+
+
+def _junction(lines: list[Line], k: int, at: float) -> tuple[int, float]:
+    """Line and length along it of the same place: a line's start lies on the line that it starts from."""
+    while at <= 0.0 and k > 0:
+        k, at = lines[k].on, lines[k].at
+    return k, at
+
+
+def points_at(points: Floats, arc: Floats) -> Floats:
+    """Points (n, 3) at lengths (n,) along a polyline (m, 3)."""
+    own = arc_length(points)
+    return np.stack([np.interp(arc, own, points[:, k]) for k in range(3)], axis=1)
+
+
+def _merged(lines: list[Line]) -> list[Line]:
+    """Junctions of a line that lie nearer to each other than half a radius put on one place."""
+    merged = [lines[0]]
+    moved: dict[int, float] = {}
+    for k in range(len(lines)):
+        group: list[int] = []
+        for j in sorted((j for j, line in enumerate(lines) if line.on == k), key=lambda j: lines[j].at):
+            if group and lines[j].at - lines[group[-1]].at >= _MERGED * lines[j].radius:
+                group = []
+            group.append(j)
+            moved.update(dict.fromkeys(group, float(np.mean([lines[i].at for i in group]))))
+    for j, line in enumerate(lines[1:], start=1):
+        mother = merged[line.on].points
+        # A child's own start moves with its junction; lengths along it stay, to within that small move.
+        at = min(moved[j], float(arc_length(mother)[-1]))
+        points = np.concatenate([points_at(mother, np.array([at])), line.points[1:]])
+        merged.append(Line(points, line.on, at, line.radius))
+    return merged
+
+
+def _segments(lines: list[Line]) -> list[tuple[int, float, float]]:
+    """Line, start and stop of every piece between junctions, parents first."""
+    found = []
+    for k, line in enumerate(lines):
+        cuts = sorted({child.at for child in lines if child.on == k} - {0.0})
+        ends = [0.0, *cuts, float(arc_length(line.points)[-1])]
+        found += [(k, a, b) for a, b in pairwise(ends) if b > a]
+    return found

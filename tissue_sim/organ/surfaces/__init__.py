@@ -1,0 +1,1 @@
+"""The organ's wall, marching cubes and the balloon on it, and how good they are."""

@@ -1,0 +1,245 @@
+"""A triangle surface laid evenly and closely on an organ's wall: relaxation, flips, point transport, least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tissue_sim.jit import kernel
+from tissue_sim.organ.surfaces.remesh import flip_edges, relax, relax_sized, transport, transport_sized, vertex_normals
+from tissue_sim.organ.surfaces.resample import thicken, thin_out
+from tissue_sim.organ.surfaces.surface import Wall, corner_angles, intersecting_pairs
+from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+RATIO = 2.0  # a long edge is split when it is this many times a short one
+VARIATION = 0.25  # standard deviation of the edge lengths over their mean, at most
+LEAST_ANGLE = 20.0  # degrees
+_SHARE = 0.12  # of the points that a pass of thinning removes, or adds
+_CLOSEST = 12  # steps of least squares
+_ROUNDS = 8  # of refinement
+_VAIN = 4  # rounds without a better surface after which refinement ends
+_CLOSE = 1.25  # voxels: Hausdorff distance at which refinement ends
+_REACH = 1.25  # edge lengths: a surface further away than this has left out a fold
+_AIM = 0.3  # voxels: distance from the wall at which refinement leaves the edges as they are
+_SIZES = (0.5, 1.3)  # least and largest edge length wanted, of the mean
+# Places in a triangle where its distance from the wall is looked at, with weights of a composite rule by area.
+_PLACES = np.array(
+    [[i / 4.0, j / 4.0, (4 - i - j) / 4.0] for i in range(5) for j in range(5 - i) if max(i, j, 4 - i - j) < 4]
+)
+
+
+def flip(positions: Floats, triangles: Ints) -> None:
+    """Flip edges towards Delaunay until nothing changes, five passes at most. In place."""
+    for _ in range(5):
+        if flip_edges(positions, triangles) == 0:
+            return
+
+
+def fit(positions: Floats, triangles: Ints, wall: Wall, steps: int) -> None:
+    """Lay the points on the wall, evenly: relax along the surface, project, flip, move points. In place."""
+    n = len(positions)
+    for step in range(steps):
+        if step < steps // 2 and step % 4 == 0:
+            transport(positions, triangles, RATIO, max(n // 50, 1))
+        flip(positions, triangles)
+        relax(positions, triangles, 0.4)
+        positions[:] = wall.project(positions, 1 if step < steps - 1 else 4)
+
+
+def settle(positions: Floats, triangles: Ints, wall: Wall, steps: int = _CLOSEST, size: Floats | None = None) -> None:
+    """Shift the points along the normals so that the flat triangles, not the points, lie on the wall. In place.
+
+    Least squares of the triangles' signed distances, by area, with lumped weights; between two shifts
+    the points relax along the surface. Points on a round wall would make a polyhedron inside it.
+    """
+    size = np.ones(len(positions)) if size is None else size
+    reach = 1.5 * float(np.sqrt(4.0 / np.sqrt(3.0) * wall.area() / len(triangles)))
+    for step in range(steps):
+        if step < steps // 2:
+            relax_sized(positions, triangles, 0.2, size)
+            flip(positions, triangles)
+        normal = vertex_normals(positions, triangles)
+        positions += normal * _shift(positions, triangles, wall.level, wall.spacing, _PLACES, reach)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """A surface on the wall, (n, 3) mm and (2 n - 4, 3); missed: largest distance from the wall to it, hausdorff:
+    either way, mm; warnings: regularity that wasn't reached."""
+
+    positions: Floats
+    triangles: Ints
+    missed: float
+    hausdorff: float
+    warnings: tuple[str, ...]
+
+    def better_than(self, other: Finished, share: float = 1.0) -> bool:
+        """Without warnings where the other has some, or as good and nearer: within `share` of its distance."""
+        if bool(self.warnings) != bool(other.warnings):
+            return not self.warnings
+        return self.hausdorff < share * other.hausdorff
+
+
+def finish(
+    positions: Floats, triangles: Ints, wall: Wall, reference: tuple[Floats, Ints], fitting: int = 60
+) -> Finished | None:
+    """The surface laid on the wall as closely as even triangles allow; None if it cuts through itself.
+
+    reference: marching cubes surface that distances are taken from; fitting: steps of relaxation on the wall. Where the
+    surface stays further away than a voxel or so, points move there from flat places, as long as the edges'
+    variation allows. The arguments stay as they are.
+    """
+    p, t, size = positions.copy(), triangles.copy(), np.ones(len(positions))
+    fit(p, t, wall, fitting)
+    best: Finished | None = None
+    vain = 0
+    for attempt in range(_ROUNDS + 1):
+        if attempt > 0:
+            refine(p, t, size, wall, reference)
+        laid = p.copy(), t.copy()
+        settle(*laid, wall, size=size.copy())
+        # In a slit the shift to the mean can push one side through the other; points on the wall don't.
+        found = _judged(*laid, reference) or _judged(p.copy(), t.copy(), reference)
+        much_better = found is not None and (best is None or found.better_than(best, 0.97))
+        vain = 0 if much_better else vain + 1
+        if found is not None and (best is None or found.better_than(best)):
+            best = found
+        if vain == _VAIN or (best is not None and not best.warnings and best.hausdorff <= _CLOSE * wall.spacing):
+            break
+        if attempt == 0 and found is not None and found.hausdorff > max(_REACH * mean_edge(p, t), 2.0 * wall.spacing):
+            break  # a fold is left out, and points that travel can't enter it
+        if attempt == 1 and best is None:
+            break
+        if attempt > 0 and found is not None and found.warnings:
+            size[:] = np.sqrt(size)
+    return best
+
+
+def mean_edge(positions: Floats, triangles: Ints) -> float:
+    """Mean edge length of a closed surface, in the unit of its positions."""
+    edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
+    return float(np.linalg.norm(edges, axis=2).mean())
+
+
+def _judged(positions: Floats, triangles: Ints, reference: tuple[Floats, Ints]) -> Finished | None:
+    """The surface with its distances and warnings; None if it cuts through itself."""
+    if len(intersecting_pairs(positions, triangles)):
+        return None
+    edges = positions[triangles] - positions[np.roll(triangles, 1, axis=1)]
+    length = np.linalg.norm(edges, axis=2)
+    variation = float(length.std() / length.mean())
+    angle = float(np.rad2deg(corner_angles(positions, triangles).min()))
+    warnings = []
+    if variation > VARIATION:
+        warnings.append(f"edge lengths vary by {variation:.2f} of their mean, more than {VARIATION:g}")
+    if angle < LEAST_ANGLE:
+        warnings.append(f"a triangle has an angle of {angle:.0f} degrees, less than {LEAST_ANGLE:g}")
+    missed = float(distance_to_surface(reference[0], positions, triangles).max())
+    corner = positions[triangles]
+    probes = np.concatenate([corner.mean(axis=1), (0.5 * (corner + np.roll(corner, 1, axis=1))).reshape(-1, 3)])
+    beyond = float(distance_to_surface(np.concatenate([positions, probes]), *reference).max())
+    return Finished(positions, triangles, missed, max(missed, beyond), tuple(warnings))
+
+
+def refine(positions: Floats, triangles: Ints, size: Floats, wall: Wall, reference: tuple[Floats, Ints]) -> None:
+    """Draw the points to where the surface is far from the wall; `size` (n,) are the edge lengths wanted, relative.
+
+    reference: the wall's marching cubes surface. Changes all three arrays in place.
+    """
+    n = len(positions)
+    aim = _AIM * wall.spacing
+    far = distance_to_surface(reference[0], positions, triangles)
+    _, nearest = cKDTree(positions).query(reference[0])
+    worst = np.zeros(n)
+    np.maximum.at(worst, nearest, far)
+    size *= np.clip(np.sqrt(aim / np.maximum(worst, 1e-9)), 0.75, 1.1)
+    size[:] = np.clip(spread(size, triangles, 3), *_SIZES)
+    size /= size.mean()
+    for step in range(16):
+        if step % 2 == 0:
+            transport_sized(positions, triangles, 1.8, max(n // 50, 1), size)
+        flip(positions, triangles)
+        relax_sized(positions, triangles, 0.4, size)
+        positions[:] = wall.project(positions, 1)
+
+
+def spread(values: Floats, triangles: Ints, times: int) -> Floats:
+    """Values (n,) at points, averaged `times` times over the triangles around them."""
+    n = len(values)
+    count = np.bincount(triangles.ravel(), minlength=n)
+    for _ in range(times):
+        mean = values[triangles].mean(axis=1)
+        values = np.bincount(triangles.ravel(), weights=np.repeat(mean, 3), minlength=n) / count
+    return values
+
+
+def bring_to(positions: Floats, triangles: Ints, wall: Wall, points: int) -> tuple[Floats, Ints] | None:
+    """A closed surface near the wall brought to `points` points on it, by collapses or splits a few at a time.
+
+    None where the surface isn't a sphere or can't be brought to that number.
+    """
+    if len(triangles) != 2 * len(positions) - 4:
+        return None
+    positions, triangles = positions.copy(), np.ascontiguousarray(triangles)
+    while len(positions) != points:
+        n = len(positions)
+        if n > points:
+            positions, triangles = thin_out(positions, triangles, min(n - points, max(int(_SHARE * n), 1)))
+        else:
+            positions, triangles = thicken(positions, triangles, min(points - n, max(int(_SHARE * n), 1)))
+        if len(positions) == n:
+            return None
+        for _ in range(2):
+            flip(positions, triangles)
+            relax(positions, triangles, 0.4)
+            positions[:] = wall.project(positions, 1)
+    return positions, triangles
+
+
+@kernel
+def sample(level, h, x, y, z):  # type: ignore[no-untyped-def]
+    """Trilinear level at a point, mm; far outside counts as outside."""
+    nz, ny, nx = level.shape
+    u, v, w = x / h, y / h, z / h
+    if u < 0.0 or v < 0.0 or w < 0.0 or u > nx - 1.0 or v > ny - 1.0 or w > nz - 1.0:
+        return 1e9
+    i, j, k = min(int(u), nx - 2), min(int(v), ny - 2), min(int(w), nz - 2)
+    u, v, w = u - i, v - j, w - k
+    low = (level[k, j, i] * (1 - u) + level[k, j, i + 1] * u) * (1 - v)
+    low += (level[k, j + 1, i] * (1 - u) + level[k, j + 1, i + 1] * u) * v
+    high = (level[k + 1, j, i] * (1 - u) + level[k + 1, j, i + 1] * u) * (1 - v)
+    high += (level[k + 1, j + 1, i] * (1 - u) + level[k + 1, j + 1, i + 1] * u) * v
+    return low * (1 - w) + high * w
+
+
+@kernel
+def _shift(positions, triangles, level, h, places, reach):  # type: ignore[no-untyped-def]
+    """Step (n,) along the normals: minus the mean distance, within `reach`, of the triangles around each point."""
+    total = np.zeros(positions.shape[0])
+    weight = np.zeros(positions.shape[0])
+    for t in range(triangles.shape[0]):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        a, b, c = positions[i], positions[j], positions[k]
+        u, v = b - a, c - a
+        area = np.sqrt(
+            (u[1] * v[2] - u[2] * v[1]) ** 2 + (u[2] * v[0] - u[0] * v[2]) ** 2 + (u[0] * v[1] - u[1] * v[0]) ** 2
+        )
+        for m in range(places.shape[0]):
+            p, q, r = places[m, 0], places[m, 1], places[m, 2]
+            x = p * a + q * b + r * c
+            d = min(max(sample(level, h, x[0], x[1], x[2]), -reach), reach) * area
+            total[i] += p * d
+            total[j] += q * d
+            total[k] += r * d
+            weight[i] += p * area
+            weight[j] += q * area
+            weight[k] += r * area
+    for i in range(total.shape[0]):
+        total[i] = -total[i] / weight[i] if weight[i] > 0.0 else 0.0
+    return total

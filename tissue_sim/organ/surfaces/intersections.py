@@ -1,0 +1,102 @@
+"""Places where a triangle surface cuts through itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.jit import kernel
+from tissue_sim.organ.surfaces.remesh import _normal
+from tissue_sim.organ.surfaces.surface_distance import _cells, _dot, _span, cells_of
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
+    """Pairs (k, 2) of triangles of which an edge of one runs through the other, other than where they are joined.
+
+    Triangles with one common point are tested by the edges opposite to it; those with a common edge are not.
+    Moeller and Trumbore (1997) for each edge; candidates share a cell of a grid and overlap in their boxes.
+    """
+    corner = positions[triangles]
+    low, cell, shape = cells_of(corner)
+    start, member = _cells(corner, low, cell, shape)
+    return _pairs(corner, np.ascontiguousarray(triangles), low, cell, shape, start, member)
+
+
+@kernel
+def _pairs(corner, triangles, low, cell, shape, start, member):  # type: ignore[no-untyped-def]
+    faces = triangles.shape[0]
+    found = np.empty((64, 2), dtype=np.int32)
+    count = 0
+    seen = np.full(faces, -1, dtype=np.int32)
+    for t in range(faces):
+        i0, i1 = _span(corner, t, 0, low, cell, shape)
+        j0, j1 = _span(corner, t, 1, low, cell, shape)
+        k0, k1 = _span(corner, t, 2, low, cell, shape)
+        for k in range(k0, k1 + 1):
+            for j in range(j0, j1 + 1):
+                for i in range(i0, i1 + 1):
+                    c = (k * shape[1] + j) * shape[0] + i
+                    for m in range(start[c], start[c + 1]):
+                        q = member[m]
+                        if q <= t or seen[q] == t:
+                            continue
+                        seen[q] = t
+                        if not _overlap(corner, t, q) or not _cross(corner, triangles, t, q):
+                            continue
+                        if count == found.shape[0]:
+                            found = np.concatenate((found, np.empty_like(found)))
+                        found[count, 0], found[count, 1] = t, q
+                        count += 1
+    return found[:count].copy()
+
+
+@kernel
+def _overlap(corner, t, q):  # type: ignore[no-untyped-def]
+    """Do the boxes around two triangles touch?"""
+    for m in range(3):
+        a = min(corner[t, 0, m], corner[t, 1, m], corner[t, 2, m])
+        b = max(corner[t, 0, m], corner[t, 1, m], corner[t, 2, m])
+        c = min(corner[q, 0, m], corner[q, 1, m], corner[q, 2, m])
+        d = max(corner[q, 0, m], corner[q, 1, m], corner[q, 2, m])
+        if a > d or c > b:
+            return False
+    return True
+
+
+@kernel
+def _cross(corner, triangles, t, q):  # type: ignore[no-untyped-def]
+    common, in_t, in_q = 0, -1, -1
+    for a in range(3):
+        for b in range(3):
+            if triangles[t, a] == triangles[q, b]:
+                common += 1
+                in_t, in_q = a, b
+    if common > 1:
+        return False
+    for k in range(3):
+        if (common == 0 or in_t == (k + 2) % 3) and _hits(corner[t, k], corner[t, (k + 1) % 3], corner[q]):
+            return True
+        if (common == 0 or in_q == (k + 2) % 3) and _hits(corner[q, k], corner[q, (k + 1) % 3], corner[t]):
+            return True
+    return False
+
+
+@kernel
+def _hits(start, end, triangle):  # type: ignore[no-untyped-def]
+    """Does the segment start - end run through the triangle (3, 3)?"""
+    a = triangle[0]
+    u = (triangle[1, 0] - a[0], triangle[1, 1] - a[1], triangle[1, 2] - a[2])
+    v = (triangle[2, 0] - a[0], triangle[2, 1] - a[1], triangle[2, 2] - a[2])
+    d = (end[0] - start[0], end[1] - start[1], end[2] - start[2])
+    nothing = (0.0, 0.0, 0.0)
+    p = _normal(nothing, d, v)
+    det = _dot(u, p)
+    if abs(det) <= 1e-18:
+        return False
+    s = (start[0] - a[0], start[1] - a[1], start[2] - a[2])
+    q = _normal(nothing, s, u)
+    alpha, beta, t = _dot(s, p) / det, _dot(d, q) / det, _dot(v, q) / det
+    return alpha >= 0.0 and beta >= 0.0 and alpha + beta <= 1.0 and t >= 0.0 and t <= 1.0

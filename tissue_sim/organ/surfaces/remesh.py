@@ -1,0 +1,332 @@
+"""Changes of a closed triangle surface that keep its point count and genus: flips, point transport, relaxation.
+
+A flip turns the edge between two triangles; a transport collapses a short edge and splits a long one with
+the point that became free. Compiled; arrays are changed in place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.jit import kernel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+MOST_NEIGHBOURS = 32  # triangles at a point; the changes below never exceed it
+_KEEP_NORMAL = 0.3  # cosine: a change that turns a triangle further than this is refused
+
+
+@kernel
+def stars(triangles: Ints, n: int) -> tuple[Ints, Ints]:
+    """Triangles around each of n points: star (n, MOST_NEIGHBOURS), count (n,)."""
+    star = np.full((n, MOST_NEIGHBOURS), -1, dtype=np.int32)
+    count = np.zeros(n, dtype=np.int32)
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            v = triangles[t, k]
+            if count[v] >= MOST_NEIGHBOURS:
+                raise ValueError("too many triangles at a point")
+            star[v, count[v]] = t
+            count[v] += 1
+    return star, count
+
+
+@kernel
+def _remove(star, count, v, t):  # type: ignore[no-untyped-def]
+    for k in range(count[v]):
+        if star[v, k] == t:
+            count[v] -= 1
+            star[v, k] = star[v, count[v]]
+            star[v, count[v]] = -1
+            return
+
+
+@kernel
+def _add(star, count, v, t):  # type: ignore[no-untyped-def]
+    star[v, count[v]] = t
+    count[v] += 1
+
+
+@kernel
+def _along(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
+    """Triangle that runs along the directed edge a -> b, and its third corner; -1, -1 if there is none."""
+    for k in range(count[a]):
+        t = star[a, k]
+        for c in range(3):
+            if triangles[t, c] == a and triangles[t, (c + 1) % 3] == b:
+                return t, triangles[t, (c + 2) % 3]
+    return -1, -1
+
+
+@kernel
+def _joined(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
+    for k in range(count[a]):
+        t = star[a, k]
+        if triangles[t, 0] == b or triangles[t, 1] == b or triangles[t, 2] == b:
+            return True
+    return False
+
+
+@kernel
+def _normal(p, q, r):  # type: ignore[no-untyped-def]
+    """Twice the area times the unit normal, a tuple: small arrays cost more than the arithmetic."""
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@kernel
+def _agree(m, n):  # type: ignore[no-untyped-def]
+    dot = m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
+    mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+    nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+    return nn > 1e-24 and dot > _KEEP_NORMAL * np.sqrt(mm * nn)
+
+
+@kernel
+def _wider(c, d, a, b):  # type: ignore[no-untyped-def]
+    """Do the angles at c and d towards a and b sum to more than 180 degrees (sine of the sum below zero)?"""
+    ux, uy, uz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
+    vx, vy, vz = b[0] - c[0], b[1] - c[1], b[2] - c[2]
+    sx, sy, sz = a[0] - d[0], a[1] - d[1], a[2] - d[2]
+    tx, ty, tz = b[0] - d[0], b[1] - d[1], b[2] - d[2]
+    cos_c = ux * vx + uy * vy + uz * vz
+    cos_d = sx * tx + sy * ty + sz * tz
+    sin_c = np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+    sin_d = np.sqrt((sy * tz - sz * ty) ** 2 + (sz * tx - sx * tz) ** 2 + (sx * ty - sy * tx) ** 2)
+    scale = np.sqrt((cos_c**2 + sin_c**2) * (cos_d**2 + sin_d**2))
+    if scale == 0.0:
+        return False
+    return sin_c * cos_d + cos_c * sin_d < -1e-6 * scale
+
+
+@kernel
+def flip_edges(positions: Floats, triangles: Ints) -> int:
+    """One pass of flips towards the Delaunay condition (opposite angles sum to at most 180 degrees).
+
+    Returns the number of flips. Flips that would double an edge or fold the surface are left out.
+    """
+    n = positions.shape[0]
+    star, count = stars(triangles, n)
+    flips = 0
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            if a > b:
+                continue
+            c = triangles[t, (k + 2) % 3]
+            s, d = _along(triangles, star, count, b, a)
+            if s < 0 or c == d or count[a] <= 3 or count[b] <= 3:
+                continue
+            if count[c] >= MOST_NEIGHBOURS - 1 or count[d] >= MOST_NEIGHBOURS - 1:
+                continue
+            pa, pb, pc, pd = positions[a], positions[b], positions[c], positions[d]
+            if not _wider(pc, pd, pa, pb):
+                continue
+            if _joined(triangles, star, count, c, d):
+                continue
+            one, other = _normal(pa, pb, pc), _normal(pb, pa, pd)
+            old = (one[0] + other[0], one[1] + other[1], one[2] + other[2])
+            if not (_agree(old, _normal(pa, pd, pc)) and _agree(old, _normal(pd, pb, pc))):
+                continue
+            triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, d, c
+            triangles[s, 0], triangles[s, 1], triangles[s, 2] = d, b, c
+            _remove(star, count, a, s)
+            _remove(star, count, b, t)
+            _add(star, count, d, t)
+            _add(star, count, c, s)
+            flips += 1
+            break
+    return flips
+
+
+@kernel
+def _collapse(positions, triangles, star, count, a, b):  # type: ignore[no-untyped-def]
+    """Collapse b into a at their middle. Returns the two freed triangles, or -1, -1 if it isn't allowed."""
+    t, c = _along(triangles, star, count, a, b)
+    s, d = _along(triangles, star, count, b, a)
+    if t < 0 or s < 0 or c == d or count[c] <= 3 or count[d] <= 3:
+        return -1, -1
+    if count[a] + count[b] - 4 >= MOST_NEIGHBOURS - 1 or count[a] + count[b] - 4 < 4:
+        return -1, -1
+    common = 0
+    for k in range(count[a]):
+        q = star[a, k]
+        for m in range(3):
+            if triangles[q, m] == a:
+                v = triangles[q, (m + 1) % 3]
+                if v != b and _joined(triangles, star, count, b, v):
+                    common += 1
+    if common != 2:
+        return -1, -1
+    middle = 0.5 * (positions[a] + positions[b])
+    for v in (a, b):
+        for k in range(count[v]):
+            q = star[v, k]
+            if q == t or q == s:
+                continue
+            old = _normal(positions[triangles[q, 0]], positions[triangles[q, 1]], positions[triangles[q, 2]])
+            corners = np.empty((3, 3))
+            for m in range(3):
+                w = triangles[q, m]
+                corners[m] = middle if w == v else positions[w]
+            if not _agree(old, _normal(corners[0], corners[1], corners[2])):
+                return -1, -1
+    _remove(star, count, a, t)
+    _remove(star, count, b, t)
+    _remove(star, count, c, t)
+    _remove(star, count, a, s)
+    _remove(star, count, b, s)
+    _remove(star, count, d, s)
+    while count[b] > 0:
+        q = star[b, count[b] - 1]
+        for m in range(3):
+            if triangles[q, m] == b:
+                triangles[q, m] = a
+        _remove(star, count, b, q)
+        _add(star, count, a, q)
+    positions[a] = middle
+    return t, s
+
+
+@kernel
+def _split(positions, triangles, star, count, a, b, free, t_new, s_new):  # type: ignore[no-untyped-def]
+    """Split edge a - b in its middle with the free point and two free triangles."""
+    t, c = _along(triangles, star, count, a, b)
+    s, d = _along(triangles, star, count, b, a)
+    positions[free] = 0.5 * (positions[a] + positions[b])
+    triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, free, c
+    triangles[t_new, 0], triangles[t_new, 1], triangles[t_new, 2] = free, b, c
+    triangles[s, 0], triangles[s, 1], triangles[s, 2] = free, a, d
+    triangles[s_new, 0], triangles[s_new, 1], triangles[s_new, 2] = b, free, d
+    _remove(star, count, b, t)
+    _remove(star, count, b, s)
+    _add(star, count, b, t_new)
+    _add(star, count, b, s_new)
+    _add(star, count, free, t)
+    _add(star, count, free, s)
+    _add(star, count, free, t_new)
+    _add(star, count, free, s_new)
+    _add(star, count, c, t_new)
+    _add(star, count, d, s_new)
+
+
+def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> int:
+    """Move up to `most` points from where edges are short to where they are long.
+
+    Pairs the shortest edges with the longest as long as the long one is more than `ratio` times the
+    short one; each point takes part once. Returns the number of points moved.
+    """
+    return int(transport_sized(positions, triangles, ratio, most, np.ones(len(positions))))
+
+
+@kernel
+def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int, size: Floats) -> int:
+    """`transport` with lengths measured in the mean of the wanted `size` (n,) at an edge's ends.
+
+    A point that moves takes the size of where it goes; `size` changes in place.
+    """
+    n = positions.shape[0]
+    star, count = stars(triangles, n)
+    m = 3 * triangles.shape[0] // 2
+    edges = np.empty((m, 2), dtype=np.int32)
+    length = np.empty(m)
+    e = 0
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            if a < b:
+                edges[e, 0], edges[e, 1] = a, b
+                d = positions[a] - positions[b]
+                length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2) / (0.5 * (size[a] + size[b]))
+                e += 1
+    order = np.argsort(length)
+    used = np.zeros(n, dtype=np.bool_)
+    long = m - 1
+    moved = 0
+    for short in order:
+        if moved >= most:
+            break
+        a, b = edges[short, 0], edges[short, 1]
+        if used[a] or used[b]:
+            continue
+        while long >= 0:
+            c, d = edges[order[long], 0], edges[order[long], 1]
+            ready = not (used[c] or used[d]) and c != a and c != b and d != a and d != b
+            if ready and _along(triangles, star, count, c, d)[0] >= 0:
+                break
+            long -= 1
+        if long < 0 or length[order[long]] < ratio * length[short]:
+            break
+        c, d = edges[order[long], 0], edges[order[long], 1]
+        _, left = _along(triangles, star, count, c, d)
+        _, right = _along(triangles, star, count, d, c)
+        if left == a or left == b or right == a or right == b:
+            continue
+        if count[left] >= MOST_NEIGHBOURS - 2 or count[right] >= MOST_NEIGHBOURS - 2:
+            continue
+        t, s = _collapse(positions, triangles, star, count, a, b)
+        if t < 0:
+            continue
+        _split(positions, triangles, star, count, c, d, b, t, s)
+        size[b] = 0.5 * (size[c] + size[d])
+        used[a] = used[b] = used[c] = used[d] = True
+        moved += 1
+        long -= 1
+    return moved
+
+
+@kernel
+def vertex_normals(positions: Floats, triangles: Ints) -> Floats:
+    """Unit normals (n, 3), the area-weighted mean of the triangles around each point."""
+    normal = np.zeros_like(positions)
+    for t in range(triangles.shape[0]):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        cross = _normal(positions[i], positions[j], positions[k])
+        for p in (i, j, k):
+            for m in range(3):
+                normal[p, m] += cross[m]
+    for p in range(positions.shape[0]):
+        length = np.sqrt(normal[p, 0] ** 2 + normal[p, 1] ** 2 + normal[p, 2] ** 2)
+        if length > 0.0:
+            for m in range(3):
+                normal[p, m] /= length
+    return normal
+
+
+def relax(positions: Floats, triangles: Ints, share: float) -> None:
+    """Move every point along the surface towards the area-weighted middle of its triangles, in place."""
+    relax_sized(positions, triangles, share, np.ones(len(positions)))
+
+
+@kernel
+def relax_sized(positions: Floats, triangles: Ints, share: float, size: Floats) -> None:
+    """`relax` with areas weighted by size^-4, (n,): points of an even centroidal tessellation come to lie that densely.
+
+    The exponent is that of centroidal Voronoi cells of a density in the plane (Du, Faber and Gunzburger 1999).
+    """
+    n = positions.shape[0]
+    normal = vertex_normals(positions, triangles)
+    total = np.zeros(n)
+    middle = np.zeros((n, 3))
+    for t in range(triangles.shape[0]):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        x, y, z = _normal(positions[i], positions[j], positions[k])
+        area = np.sqrt(x * x + y * y + z * z) / ((size[i] + size[j] + size[k]) / 3.0) ** 4
+        for m in range(3):
+            at = area * (positions[i, m] + positions[j, m] + positions[k, m]) / 3.0
+            for p in (i, j, k):
+                middle[p, m] += at
+        for p in (i, j, k):
+            total[p] += area
+    for i in range(n):
+        if total[i] <= 0.0:
+            continue
+        along = 0.0
+        for m in range(3):
+            middle[i, m] = middle[i, m] / total[i] - positions[i, m]
+            along += middle[i, m] * normal[i, m]
+        for m in range(3):
+            positions[i, m] += share * 1.5 * (middle[i, m] - normal[i, m] * along)

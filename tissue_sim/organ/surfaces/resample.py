@@ -1,0 +1,98 @@
+"""A fine closed surface brought to an exact number of points: short edges collapse, or long ones split.
+
+Both keep the surface closed and of its genus, so a sphere of N points always has 2 N - 4 triangles. Compiled.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.jit import kernel
+from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, _along, _collapse, _split, stars
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+@kernel
+def _edges_by_length(positions, triangles):  # type: ignore[no-untyped-def]
+    """Edges (m, 2), shortest first, and their lengths (m,)."""
+    m = 3 * triangles.shape[0] // 2
+    edges = np.empty((m, 2), dtype=np.int32)
+    length = np.empty(m)
+    e = 0
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            if a < b:
+                edges[e, 0], edges[e, 1] = a, b
+                d = positions[a] - positions[b]
+                length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
+                e += 1
+    order = np.argsort(length)
+    return edges[order], length[order]
+
+
+@kernel
+def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints]:
+    """The surface after collapsing up to `most` of its shortest edges, each away from the others."""
+    n = positions.shape[0]
+    positions, triangles = positions.copy(), triangles.copy()
+    star, count = stars(triangles, n)
+    edges, _ = _edges_by_length(positions, triangles)
+    used = np.zeros(n, dtype=np.bool_)
+    gone = np.zeros(n, dtype=np.bool_)
+    dead = np.zeros(triangles.shape[0], dtype=np.bool_)
+    removed = 0
+    for e in range(edges.shape[0]):
+        if removed >= most:
+            break
+        a, b = edges[e, 0], edges[e, 1]
+        if used[a] or used[b]:
+            continue
+        t, s = _collapse(positions, triangles, star, count, a, b)
+        if t < 0:
+            continue
+        dead[t] = dead[s] = True
+        gone[b] = True
+        removed += 1
+        for k in range(count[a]):
+            for m in range(3):
+                used[triangles[star[a, k], m]] = True
+        used[b] = True
+    new = np.cumsum(~gone) - 1
+    left = triangles[~dead]
+    for t in range(left.shape[0]):
+        for k in range(3):
+            left[t, k] = new[left[t, k]]
+    return positions[~gone], left
+
+
+@kernel
+def thicken(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints]:
+    """The surface after splitting up to `most` of its longest edges, no two in one triangle."""
+    n, faces = positions.shape[0], triangles.shape[0]
+    larger = np.zeros((n + most, 3))
+    larger[:n] = positions
+    more = np.zeros((faces + 2 * most, 3), dtype=np.int32)
+    more[:faces] = triangles
+    star = np.full((n + most, MOST_NEIGHBOURS), -1, dtype=np.int32)
+    count = np.zeros(n + most, dtype=np.int32)
+    star[:n], count[:n] = stars(triangles, n)
+    edges, _ = _edges_by_length(positions, triangles)
+    used = np.zeros(faces + 2 * most, dtype=np.bool_)
+    added = 0
+    for e in range(edges.shape[0] - 1, -1, -1):
+        if added >= most:
+            break
+        a, b = edges[e, 0], edges[e, 1]
+        t, c = _along(more, star, count, a, b)
+        s, d = _along(more, star, count, b, a)
+        if used[t] or used[s] or count[c] >= MOST_NEIGHBOURS - 2 or count[d] >= MOST_NEIGHBOURS - 2:
+            continue
+        t_new, s_new = faces + 2 * added, faces + 2 * added + 1
+        _split(larger, more, star, count, a, b, n + added, t_new, s_new)
+        used[t] = used[s] = used[t_new] = used[s_new] = True
+        added += 1
+    return larger[: n + added], more[: faces + 2 * added]
