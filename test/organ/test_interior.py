@@ -71,8 +71,8 @@ def test_they_spread_through_the_volume():
 
 def test_a_spoke_that_leaves_the_organ_carries_none_beyond():
     """Two balls apart, all atoms in one: the spokes to the other run through air."""
-    first = trimesh.creation.icosphere(3, 0.02)
-    second = trimesh.creation.icosphere(3, 0.02).apply_translation([0.034, 0.034, 0.0])
+    first = trimesh.creation.icosphere(2, 0.02)
+    second = trimesh.creation.icosphere(2, 0.02).apply_translation([0.034, 0.034, 0.0])
     surface = np.concatenate([first.vertices, second.vertices])
     triangles = np.concatenate([first.faces, second.faces + len(first.vertices)]).astype(np.int32)
     atoms = np.array([[0.0, -0.005, 0.0], [0.0, 0.005, 0.0]])

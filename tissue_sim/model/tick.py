@@ -59,7 +59,7 @@ from tissue_sim.model.tool_motion import (
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
-TREMBLING = 0.1  # 1/s, speed over displacement
+TREMBLING = 1.0  # 1/s, speed over displacement; a sound organ goes back at 20 or so
 SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
 WAY_BACK = 0.02  # share of the way to rest in a tick
 CONTACT_ITERATIONS = 8

@@ -63,6 +63,9 @@ def place_interior_atoms(surface: Floats, triangles: Ints, atoms: Floats, count:
         if np.all(inside(way, surface, triangles)):
             chosen.append(best)
             room = np.minimum(room, np.linalg.norm(places - places[best], axis=1))
-        room[best] = 0.0
+            room[best] = 0.0
+        else:
+            last = (best // len(_SHARES) + 1) * len(_SHARES)
+            room[best:last] = 0.0  # beyond it on its spoke is no better
     index = np.array(chosen, dtype=np.int64)
     return InteriorAtoms(places[index], spoke[index].astype(np.int32), share[index])

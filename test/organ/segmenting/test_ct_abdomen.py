@@ -72,6 +72,7 @@ def test_an_organ_cut_by_the_image_is_refused():
         segment(ct, np.array(ORGANS["spleen"][1][0]), organ="spleen")
 
 
+@pytest.mark.slow
 def test_the_spleen_is_no_kidney():
     ct = read_image(DATA / "ct.nii.gz")
     with pytest.raises(UserError, match=r"--organ|border"):

@@ -77,9 +77,9 @@ def test_a_leak_into_the_neighbours_is_refused(small):
     """Without a fat gap, a wide window that parts at the thinnest necks only: neighbours run together with it."""
     wide = SegmentationParameters(window=6.0, neck=0.2)
     with pytest.raises(UserError, match=r"is no kidney: it has .* move the seed .* lower --window") as caught:
-        segment(small.ct, small.seed_point, wide)
+        segment(small.ct, small.seed_point, wide, organ="kidney")
     assert "\n" not in str(caught.value)
-    leaked = segment(small.ct, small.seed_point, wide, accept=True)
+    leaked = segment(small.ct, small.seed_point, wide, organ="kidney", accept=True)
     assert 350.0 < leaked.volume < 1000.0
     assert any("is no kidney" in line for line in leaked.warnings)
 

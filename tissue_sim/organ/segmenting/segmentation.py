@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import SimpleITK as sitk
@@ -38,6 +39,7 @@ Index = tuple[int, int, int]
 Progress = Callable[[str, float], None]
 
 _SURVEY_GRID = 3.0  # mm, first pass: how far does the organ reach?
+_CLOSE_REACH = 155.0  # mm, more than a kidney's length
 _SURVEY_REACH = 250.0  # mm around the seed, if the organ isn't smaller
 _SURVEY_VOXELS = 80.0  # from the seed, at least
 _MARGINS = (18.0, 45.0)  # mm around the surveyed organ in the second pass
@@ -74,28 +76,14 @@ def segment(
     check_seed(ct, point)
     tell("looking around the seed", 0.0)
     p, mean, deviation = _at_seed(ct, point, p)
-    reach = min(bounds.longest[1], _SURVEY_REACH)
-    around = np.array([point - reach, point + reach])
-    crop = resample(ct, around, max(min(reach / _SURVEY_VOXELS, _SURVEY_GRID), working_grid(ct, p)))
-    inside = within(ct, crop)
-    smoothed = smooth_for(crop, p)
-    tried: list[tuple[bool, float, Segmentation, float]] = []
-    windows = (p.window,) if p.window else WINDOWS
-    for k, window in enumerate(windows):
-        tell("surveying the organ", 0.1 + 0.4 * k / len(windows))
-        try:
-            survey = segment_crop(
-                crop, inside, point, replace(p, window=window), mean, deviation, smoothed, bounds.volume[1]
-            )
-        except UserError:
-            if k == len(windows) - 1 and not tried:
-                raise
-            continue
-        score = survey.clarity * min(measure_shape(survey.mask).solidity, _COMPACT)
-        tried.append((not misfits(survey.mask, survey.mean, organ), score, survey, window))
-    tried.sort(key=lambda t: t[:2], reverse=True)
+    # An organ that isn't named may be small: its neighbourhood is looked at closely first.
+    reaches = (min(bounds.longest[1], _SURVEY_REACH),) if organ else (_CLOSE_REACH, _SURVEY_REACH)
+    for reach in reaches:
+        tried = _surveys(ct, point, p, (mean, deviation), reach, organ, tell)
+        if any(found.fits and not found.ran_out for found in tried):
+            break
     results: list[Segmentation] = []
-    for k, (fits, _score, survey, window) in enumerate(tried[:_CHOICES]):
+    for k, (fits, _, _, survey, window) in enumerate(tried[:_CHOICES]):
         if not fits and not accept and survey.volume > _GROSS * bounds.volume[1]:
             results.append(survey)
             continue
@@ -110,6 +98,47 @@ def segment(
             break
     tell("checking the organ", 0.95)
     return _checked(ct, results[0], point, organ, accept)
+
+
+class _Survey(NamedTuple):
+    """A rough segmentation by one window: whether it may be the organ, and whether it ran out of its surroundings."""
+
+    fits: bool
+    ran_out: bool
+    score: float
+    found: Segmentation
+    window: float
+
+
+def _surveys(
+    ct: Volume,
+    point: NDArray[np.float64],
+    p: SegmentationParameters,
+    start: tuple[float, float],
+    reach: float,
+    organ: str | None,
+    tell: Progress,
+) -> list[_Survey]:
+    """Rough segmentations within `reach` mm of the seed, one for each intensity window, the likeliest first."""
+    around = np.array([point - reach, point + reach])
+    crop = resample(ct, around, max(min(reach / _SURVEY_VOXELS, _SURVEY_GRID), working_grid(ct, p)))
+    inside = within(ct, crop)
+    smoothed = smooth_for(crop, p)
+    most = anatomy_of(organ).volume[1]
+    tried: list[_Survey] = []
+    windows = (p.window,) if p.window else WINDOWS
+    for k, window in enumerate(windows):
+        tell("surveying the organ", 0.1 + 0.4 * k / len(windows))
+        try:
+            found = segment_crop(crop, inside, point, replace(p, window=window), *start, smoothed, most)
+        except UserError:
+            if k == len(windows) - 1 and not tried:
+                raise
+            continue
+        score = found.clarity * min(measure_shape(found.mask).solidity, _COMPACT)
+        fits = not misfits(found.mask, found.mean, organ)
+        tried.append(_Survey(fits, _ran_out(found.mask, _clear_of_border(ct, found.mask)), score, found, window))
+    return sorted(tried, key=lambda survey: (survey.fits, survey.score), reverse=True)
 
 
 def _closely(ct: Volume, point: NDArray[np.float64], p: SegmentationParameters, survey: Segmentation) -> Segmentation:
