@@ -60,3 +60,18 @@ def free_ball(subdivisions: int = 1) -> Organ:
 def kidney() -> Organ:
     """The organ that ships."""
     return Organ.load(shipped_organ())
+
+
+@cache
+def filled(organ: Organ, count: int) -> Organ:
+    """The organ assembled anew with `count` interior atoms."""
+    return assemble_organ(
+        name="filled",
+        surface_positions=organ.surface_positions,
+        surface_triangles=organ.surface_triangles,
+        atom_positions=organ.atom_positions,
+        atom_radius=organ.atom_radius,
+        atom_parent=organ.atom_parent,
+        fixed=organ.fixed,
+        interior_atoms=count,
+    )

@@ -8,9 +8,8 @@ from tissue_sim.model.assembly import assemble
 from tissue_sim.model.implied_boundary import imply_boundary, spokes_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.medial import recalculated_boundary, represent, transported_frames
-from tissue_sim.organ.topology import assemble_organ
 
-from ..scenes import ball, kidney
+from ..scenes import ball, filled, kidney
 
 
 def rotation(rng):
@@ -38,21 +37,12 @@ def test_it_is_the_same_as_with_numpy(organ, bending):
 
 
 def test_interior_atoms_are_implied_on_their_spokes():
-    organ = kidney()
-    filled = assemble_organ(
-        name="filled",
-        surface_positions=organ.surface_positions,
-        surface_triangles=organ.surface_triangles,
-        atom_positions=organ.atom_positions,
-        atom_radius=organ.atom_radius,
-        atom_parent=organ.atom_parent,
-        interior_atoms=20,
-    )
+    organ = filled(kidney(), 20)
     turn = rotation(np.random.default_rng(1))
-    position = filled.rest_positions @ turn.T
+    position = organ.rest_positions @ turn.T
     target = np.zeros_like(position)
-    imply_boundary(spokes_of(filled), position, target)
-    atoms = slice(filled.n_surface, filled.n_surface + filled.n_atoms)
+    imply_boundary(spokes_of(organ), position, target)
+    atoms = slice(organ.n_surface, organ.n_surface + organ.n_atoms)
     np.testing.assert_allclose(np.delete(target, atoms, axis=0), np.delete(position, atoms, axis=0), atol=1e-12)
 
 

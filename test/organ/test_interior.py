@@ -13,25 +13,11 @@ from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import assemble_organ
 from tissue_sim.organ.winding import inside
 
-from ..scenes import RADIUS, ball, kidney
+from ..scenes import RADIUS, ball, filled, kidney
 
 
 def parts(organ):
     return organ.surface_positions, organ.surface_triangles, organ.atom_positions
-
-
-def filled(organ, count):
-    """The organ assembled anew with interior atoms."""
-    return assemble_organ(
-        name="filled",
-        surface_positions=organ.surface_positions,
-        surface_triangles=organ.surface_triangles,
-        atom_positions=organ.atom_positions,
-        atom_radius=organ.atom_radius,
-        atom_parent=organ.atom_parent,
-        fixed=organ.fixed,
-        interior_atoms=count,
-    )
 
 
 @pytest.fixture(scope="module")

@@ -50,7 +50,7 @@ def _add(star, count, v, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _along(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
+def along_edge(triangles, star, count, a, b):  # type: ignore[no-untyped-def]
     """Triangle that runs along the directed edge a -> b, and its third corner; -1, -1 if there is none."""
     for k in range(count[a]):
         t = star[a, k]
@@ -117,7 +117,7 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
             if a > b:
                 continue
             c = triangles[t, (k + 2) % 3]
-            s, d = _along(triangles, star, count, b, a)
+            s, d = along_edge(triangles, star, count, b, a)
             if s < 0 or c == d or count[a] <= 3 or count[b] <= 3:
                 continue
             if count[c] >= MOST_NEIGHBOURS - 1 or count[d] >= MOST_NEIGHBOURS - 1:
@@ -143,10 +143,10 @@ def flip_edges(positions: Floats, triangles: Ints) -> int:
 
 
 @kernel
-def _collapse(positions, triangles, star, count, a, b):  # type: ignore[no-untyped-def]
+def collapse_edge(positions, triangles, star, count, a, b):  # type: ignore[no-untyped-def]
     """Collapse b into a at their middle. Returns the two freed triangles, or -1, -1 if it isn't allowed."""
-    t, c = _along(triangles, star, count, a, b)
-    s, d = _along(triangles, star, count, b, a)
+    t, c = along_edge(triangles, star, count, a, b)
+    s, d = along_edge(triangles, star, count, b, a)
     if t < 0 or s < 0 or c == d or count[c] <= 3 or count[d] <= 3:
         return -1, -1
     if count[a] + count[b] - 4 >= MOST_NEIGHBOURS - 1 or count[a] + count[b] - 4 < 4:
@@ -192,10 +192,10 @@ def _collapse(positions, triangles, star, count, a, b):  # type: ignore[no-untyp
 
 
 @kernel
-def _split(positions, triangles, star, count, a, b, free, t_new, s_new):  # type: ignore[no-untyped-def]
+def split_edge(positions, triangles, star, count, a, b, free, t_new, s_new):  # type: ignore[no-untyped-def]
     """Split edge a - b in its middle with the free point and two free triangles."""
-    t, c = _along(triangles, star, count, a, b)
-    s, d = _along(triangles, star, count, b, a)
+    t, c = along_edge(triangles, star, count, a, b)
+    s, d = along_edge(triangles, star, count, b, a)
     positions[free] = 0.5 * (positions[a] + positions[b])
     triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, free, c
     triangles[t_new, 0], triangles[t_new, 1], triangles[t_new, 2] = free, b, c
@@ -223,13 +223,8 @@ def transport(positions: Floats, triangles: Ints, ratio: float, most: int) -> in
 
 
 @kernel
-def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int, size: Floats) -> int:
-    """`transport` with lengths measured in the mean of the wanted `size` (n,) at an edge's ends.
-
-    A point that moves takes the size of where it goes; `size` changes in place.
-    """
-    n = positions.shape[0]
-    star, count = stars(triangles, n)
+def sized_edges(positions: Floats, triangles: Ints, size: Floats) -> tuple[Ints, Floats]:
+    """Edges (m, 2) of a closed surface, and their lengths (m,) in the mean `size` (n,) at their ends."""
     m = 3 * triangles.shape[0] // 2
     edges = np.empty((m, 2), dtype=np.int32)
     length = np.empty(m)
@@ -242,6 +237,19 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
                 d = positions[a] - positions[b]
                 length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2) / (0.5 * (size[a] + size[b]))
                 e += 1
+    return edges, length
+
+
+@kernel
+def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int, size: Floats) -> int:
+    """`transport` with lengths measured in the mean of the wanted `size` (n,) at an edge's ends.
+
+    A point that moves takes the size of where it goes; `size` changes in place.
+    """
+    n = positions.shape[0]
+    star, count = stars(triangles, n)
+    edges, length = sized_edges(positions, triangles, size)
+    m = len(edges)
     order = np.argsort(length)
     used = np.zeros(n, dtype=np.bool_)
     long = m - 1
@@ -255,22 +263,22 @@ def transport_sized(positions: Floats, triangles: Ints, ratio: float, most: int,
         while long >= 0:
             c, d = edges[order[long], 0], edges[order[long], 1]
             ready = not (used[c] or used[d]) and c != a and c != b and d != a and d != b
-            if ready and _along(triangles, star, count, c, d)[0] >= 0:
+            if ready and along_edge(triangles, star, count, c, d)[0] >= 0:
                 break
             long -= 1
         if long < 0 or length[order[long]] < ratio * length[short]:
             break
         c, d = edges[order[long], 0], edges[order[long], 1]
-        _, left = _along(triangles, star, count, c, d)
-        _, right = _along(triangles, star, count, d, c)
+        _, left = along_edge(triangles, star, count, c, d)
+        _, right = along_edge(triangles, star, count, d, c)
         if left == a or left == b or right == a or right == b:
             continue
         if count[left] >= MOST_NEIGHBOURS - 2 or count[right] >= MOST_NEIGHBOURS - 2:
             continue
-        t, s = _collapse(positions, triangles, star, count, a, b)
+        t, s = collapse_edge(positions, triangles, star, count, a, b)
         if t < 0:
             continue
-        _split(positions, triangles, star, count, c, d, b, t, s)
+        split_edge(positions, triangles, star, count, c, d, b, t, s)
         size[b] = 0.5 * (size[c] + size[d])
         used[a] = used[b] = used[c] = used[d] = True
         moved += 1

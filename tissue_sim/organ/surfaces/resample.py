@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.jit import kernel
-from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, _along, _collapse, _split, stars
+from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, along_edge, collapse_edge, sized_edges, split_edge, stars
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -18,18 +18,7 @@ Ints = NDArray[np.int32]
 @kernel
 def _edges_by_length(positions, triangles):  # type: ignore[no-untyped-def]
     """Edges (m, 2), shortest first, and their lengths (m,)."""
-    m = 3 * triangles.shape[0] // 2
-    edges = np.empty((m, 2), dtype=np.int32)
-    length = np.empty(m)
-    e = 0
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
-            if a < b:
-                edges[e, 0], edges[e, 1] = a, b
-                d = positions[a] - positions[b]
-                length[e] = np.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
-                e += 1
+    edges, length = sized_edges(positions, triangles, np.ones(len(positions)))
     order = np.argsort(length)
     return edges[order], length[order]
 
@@ -51,7 +40,7 @@ def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Int
         a, b = edges[e, 0], edges[e, 1]
         if used[a] or used[b]:
             continue
-        t, s = _collapse(positions, triangles, star, count, a, b)
+        t, s = collapse_edge(positions, triangles, star, count, a, b)
         if t < 0:
             continue
         dead[t] = dead[s] = True
@@ -87,12 +76,12 @@ def thicken(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints
         if added >= most:
             break
         a, b = edges[e, 0], edges[e, 1]
-        t, c = _along(more, star, count, a, b)
-        s, d = _along(more, star, count, b, a)
+        t, c = along_edge(more, star, count, a, b)
+        s, d = along_edge(more, star, count, b, a)
         if used[t] or used[s] or count[c] >= MOST_NEIGHBOURS - 2 or count[d] >= MOST_NEIGHBOURS - 2:
             continue
         t_new, s_new = faces + 2 * added, faces + 2 * added + 1
-        _split(larger, more, star, count, a, b, n + added, t_new, s_new)
+        split_edge(larger, more, star, count, a, b, n + added, t_new, s_new)
         used[t] = used[s] = used[t_new] = used[s_new] = True
         added += 1
     return larger[: n + added], more[: faces + 2 * added]
