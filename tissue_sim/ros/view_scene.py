@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import viser
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from tissue_sim.ros.bands import Floats, Ints, cut_into_bands
 
@@ -61,6 +62,20 @@ def light(server: viser.ViserServer) -> None:
         scene.add_light_directional(f"/lights/{name}", position=way, intensity=strength, cast_shadow=False)
 
 
+def outermost_first(vertices: Floats, triangles: Ints) -> Ints:
+    """Triangles (t, 3) in the order of their depth under the convex hull of vertices (n, 3).
+
+    A translucent surface then hides its own folds behind what lies before them: drawn first, that fills the depth
+    buffer. In another order, pieces of a fold's far wall shine through.
+    """
+    hull = ConvexHull(vertices).equations
+    middle = vertices[triangles].mean(axis=1)
+    depth = np.full(len(middle), np.inf)
+    for plane in hull:
+        np.minimum(depth, -(middle @ plane[:3] + plane[3]), out=depth)
+    return triangles[np.argsort(depth, kind="stable")]
+
+
 class OrganView:
     """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3).
 
@@ -70,7 +85,7 @@ class OrganView:
 
     def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: NDArray[np.int64]) -> None:
         self.rest = np.asarray(vertices, dtype=np.float64)
-        self._triangles = triangles
+        self._triangles = outermost_first(self.rest, triangles)
         self._levels = [level * 1e-3 for level, _ in BANDS]
         self._meshes = [
             server.scene.add_mesh_simple(
