@@ -1,9 +1,12 @@
 """The viewer's picture."""
 
 import numpy as np
+import pytest
 import trimesh
 
-from tissue_sim.ros.view_scene import outermost_first
+pytest.importorskip("viser")
+
+from tissue_sim.ros.view_scene import outermost_first  # noqa: E402
 
 
 def test_triangles_of_a_fold_are_drawn_after_those_before_it():
