@@ -20,11 +20,11 @@ import trimesh
 
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.organ.build import Request, organ_from_mask, parse_triple, report_path, select_fixed
+from tissue_sim.organ.build import parse_triple, report_path
 from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.pipeline import Progress
+from tissue_sim.organ.pipeline import Progress, Request, organ_from_mask, select_fixed
 from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
 from .shapes import write_dicom

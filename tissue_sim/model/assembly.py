@@ -7,12 +7,11 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.spatial import Delaunay
 
 from tissue_sim.errors import UserError
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
 from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind
-from tissue_sim.organ.winding import inside
+from tissue_sim.organ.topology import tetrahedral_edges
 
 ModelName = Literal["surface", "volume", "hybrid"]
 ReturnTarget = Literal["rest", "implied"]
@@ -165,12 +164,7 @@ def _volume_springs(organ: Organ, rest: Floats) -> tuple[Ints, Floats, Floats]:
     """
     if organ.n_nodes == organ.n_surface:
         raise UserError(f"organ '{organ.name}' has no interior points, which the volume model needs; use --atoms")
-    cells = Delaunay(rest).simplices.astype(np.int64)
-    cells = cells[inside(rest[cells].mean(axis=1), organ.surface_positions, organ.surface_triangles)]
-    corner = rest[cells]
-    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
-    pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])
-    shares = np.tile(volume, 6)
+    pairs, shares, _ = tetrahedral_edges(rest, organ.surface_positions, organ.surface_triangles)
     edge_springs = organ.spring_kind == SpringKind.EDGE
     surface_pairs = organ.spring_nodes[edge_springs].astype(np.int64)
     both = np.sort(np.concatenate([pairs, surface_pairs]), axis=1)

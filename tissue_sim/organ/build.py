@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from tissue_sim.errors import UserError
 from tissue_sim.organ.pipeline import (
     STAGES,
-    BuildRecord,
     Progress,
     Request,
     organ_from_image,
     organ_from_mask,
     organ_from_mesh,
     select_fixed,
-    wall_distance,
 )
 
 if TYPE_CHECKING:
@@ -31,21 +29,6 @@ if TYPE_CHECKING:
 
     from tissue_sim.organ.organ import Organ
     from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
-
-__all__ = [
-    "BuildRecord",
-    "Progress",
-    "Request",
-    "add_arguments",
-    "organ_from_image",
-    "organ_from_mask",
-    "organ_from_mesh",
-    "parse_triple",
-    "report_path",
-    "run",
-    "select_fixed",
-    "wall_distance",
-]
 
 Floats = NDArray[np.float64]
 
@@ -217,6 +200,7 @@ def _parameters(args: argparse.Namespace) -> SegmentationParameters:
 
 def _check_counts(args: argparse.Namespace) -> None:
     """Refuse at once what would be refused after the segmentation."""
+    from tissue_sim.organ.interior import check_interior
     from tissue_sim.organ.skeletons.skeleton import check_atoms
     from tissue_sim.organ.surfaces.balloon import check_points
     from tissue_sim.organ.topology import check_tissue
@@ -225,8 +209,7 @@ def _check_counts(args: argparse.Namespace) -> None:
         check_points(args.points)
     check_atoms(args.atoms)
     check_tissue(args.youngs_modulus, args.poisson_ratio, args.density)
-    if args.interior < 0:
-        raise UserError(f"--interior {args.interior} is negative; use 0 or more")
+    check_interior(args.interior)
     if args.image:
         from tissue_sim.organ.segmenting.anatomy import anatomy_of
 

@@ -38,6 +38,12 @@ class InteriorAtoms:
     share: Floats
 
 
+def check_interior(count: int) -> None:
+    """Raise UserError for a negative number of interior atoms."""
+    if count < 0:
+        raise UserError(f"--interior {count} is negative; use 0 or more")
+
+
 def place_interior_atoms(surface: Floats, triangles: Ints, atoms: Floats, count: int) -> InteriorAtoms:
     """`count` interior atoms on the spokes of boundary points (n, 3) m and medial atoms (a, 3) m.
 
@@ -46,8 +52,7 @@ def place_interior_atoms(surface: Floats, triangles: Ints, atoms: Floats, count:
     spoke leaves the organ on the way don't count.
     Raises UserError for a negative count or more atoms than there are places.
     """
-    if count < 0:
-        raise UserError(f"--interior {count} is negative; use 0 or more")
+    check_interior(count)
     owner = nearest_atoms(surface, atoms, 1)[0][:, 0]
     spoke = np.repeat(np.stack([owner, np.arange(len(surface))], axis=1), len(_SHARES), axis=0)
     share = np.tile(_SHARES, len(surface))

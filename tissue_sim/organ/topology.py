@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import Delaunay, QhullError
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.interior import place_interior_atoms
+from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind, check_surface, signed_volume
 from tissue_sim.organ.winding import inside
 
@@ -153,9 +154,8 @@ class _Springs(NamedTuple):
 
 def _columns(surface: Floats, atoms: Floats, node_area: Floats, youngs_modulus: float) -> _Springs:
     """Tissue columns between the surface and the inner nodes."""
-    k = min(NEAREST_ATOMS, len(atoms))
-    length, atom = cKDTree(atoms).query(surface, k=k)
-    length, atom = length.reshape(len(surface), k), atom.reshape(len(surface), k)
+    atom, length = nearest_atoms(surface, atoms, NEAREST_ATOMS)
+    k = atom.shape[1]
     if np.any(length <= 0.0):
         raise UserError("a medial atom lies on the surface; use fewer --atoms or more --points")
     share = 1.0 / (length * np.sum(1.0 / length, axis=1, keepdims=True))
@@ -175,28 +175,44 @@ def _inner_springs(inner: Floats, owner: Ints, surface: Floats, triangles: Ints,
     """
     n_atoms = len(inner) - len(owner)
     spokes = np.stack([owner, np.arange(n_atoms, len(inner))], axis=1).astype(np.int64)
-    cells = _tetrahedra(inner) if len(owner) else np.empty((0, 4), dtype=np.int64)
-    cells = cells[inside(inner[cells].mean(axis=1), surface, triangles)]
-    corner = inner[cells]
-    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
-    pairs = np.sort(np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)]), axis=1)
+    solid = tetrahedral_edges(inner, surface, triangles) if len(owner) else NO_TETRAHEDRA
+    pairs = np.sort(solid.pairs, axis=1)
     bones = np.all(pairs < n_atoms, axis=1)  # the skeleton springs are these
     unique, inverse = np.unique(np.concatenate([spokes, pairs[~bones]]), axis=0, return_inverse=True)
-    share = np.bincount(inverse.ravel()[len(spokes) :], weights=np.tile(volume, 6)[~bones], minlength=len(unique))
+    share = np.bincount(inverse.ravel()[len(spokes) :], weights=solid.share[~bones], minlength=len(unique))
     kind = np.full(len(unique), SpringKind.VIRTUAL)
     kind[inverse.ravel()[: len(spokes)]] = SpringKind.SPOKE
     length = np.linalg.norm(inner[unique[:, 0]] - inner[unique[:, 1]], axis=1)
     least = 0.05 * np.median(share[share > 0.0]) if np.any(share > 0.0) else 0.0
     stiffness = youngs_modulus * np.maximum(share, least) / length**2
-    return _Springs(unique.astype(np.int32), length, stiffness, kind.astype(np.int32), float(volume.sum()))
+    return _Springs(unique.astype(np.int32), length, stiffness, kind.astype(np.int32), solid.volume)
 
 
-def _tetrahedra(points: Floats) -> NDArray[np.int64]:
-    """Delaunay tetrahedra (c, 4) of points (n, 3); none where all lie in a plane."""
+class TetrahedralEdges(NamedTuple):
+    """Edges of c tetrahedra: pairs (6c, 2), each with its tetrahedron's volume, share (6c,) m^3; volume of all."""
+
+    pairs: NDArray[np.int64]
+    share: Floats
+    volume: float
+
+
+NO_TETRAHEDRA = TetrahedralEdges(np.empty((0, 2), dtype=np.int64), np.empty(0), 0.0)
+
+
+def tetrahedral_edges(points: Floats, surface: Floats, triangles: Ints) -> TetrahedralEdges:
+    """Edges of the Delaunay tetrahedra of points (n, 3) m whose middle lies inside the closed surface.
+
+    None where all points lie in a plane.
+    """
     try:
-        return Delaunay(points).simplices.astype(np.int64)
+        cells = Delaunay(points).simplices.astype(np.int64)
     except QhullError:
-        return np.empty((0, 4), dtype=np.int64)
+        return NO_TETRAHEDRA
+    cells = cells[inside(points[cells].mean(axis=1), surface, triangles)]
+    corner = points[cells]
+    volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
+    pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])
+    return TetrahedralEdges(pairs, np.tile(volume, 6), float(volume.sum()))
 
 
 def _share(values: Floats) -> Floats:

@@ -31,8 +31,6 @@ Index = NDArray[np.int64]
 
 _DOMINANT = 0.9  # of the volume of all parts: the largest is meant, the others are scraps
 _HOLLOW = 0.5  # of the outer surface's volume: an inner surface that takes more makes a shell
-_MERGE_AXIS = 160  # voxels along the longest side of joined parts
-_MERGE_SMOOTHING = 0.7  # voxels
 _SHOWN = 8  # parts named in a message
 
 
