@@ -51,7 +51,7 @@ setup(
         "image": ["SimpleITK", "scikit-image", "matplotlib"],
         "viewer": ["viser"],
         "calibration": ["scikit-fem", "pytetwild"],
-        "bench": ["matplotlib", "mujoco", "pypbd"],
+        "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         # `colcon test` runs pytest because this extra names it.
         "test": ["pytest", "pytest-timeout", "ruff", "mypy"],
         "colcon": ["colcon-common-extensions"],

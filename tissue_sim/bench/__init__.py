@@ -1,0 +1,1 @@
+"""Run time against error, the paper's table, stability: what `tissue_sim bench` measures."""

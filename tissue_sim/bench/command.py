@@ -1,0 +1,47 @@
+"""`tissue_sim bench BENCHMARK`: one module for each benchmark.
+
+They import what only the extra `bench` brings (joblib, matplotlib, mujoco) inside their functions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from types import ModuleType
+
+from tissue_sim.errors import UserError
+
+BENCHMARKS = {
+    "tick": ("tissue_sim.bench.tick", "time of a tick beside a C loop, MuJoCo flex and a precomputed compliance"),
+    "table1": ("tissue_sim.bench.table1", "the paper's Table 1 and Figure 6"),
+    "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command and of every benchmark."""
+    benchmarks = parser.add_subparsers(
+        dest="benchmark", metavar="BENCHMARK", required=True, parser_class=type(parser)
+    )
+    for name, (module, summary) in BENCHMARKS.items():
+        benchmark = benchmarks.add_parser(
+            name,
+            help=summary,
+            description=summary[0].upper() + summary[1:] + ".",
+            formatter_class=parser.formatter_class,
+        )
+        _load(module).add_arguments(benchmark)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run a benchmark; returns its exit code: 0, or 1 when a bound that it states was missed."""
+    try:
+        return int(_load(BENCHMARKS[args.benchmark][0]).run(args))
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("tissue_sim"):
+            raise
+        raise UserError(f"this benchmark needs {error.name}: pip install 'tissue_sim[bench]'") from None
+
+
+def _load(module: str) -> ModuleType:
+    return importlib.import_module(module)
