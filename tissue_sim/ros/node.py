@@ -225,6 +225,8 @@ class TissueNode(Node):
         values["contact_p99_us"] = 1e6 * float(np.percentile(durations, 99)) if durations else 0.0
         counters = self.finder.counters
         values |= {
+            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
+            "turned_cells": int(count[st.TURNED]),
             "contact_sets": counters.sets,
             "skipped.tool_far": counters.far_skips,
             "skipped.contacts_unchanged": self.contacts.unchanged_skips,
@@ -233,8 +235,6 @@ class TissueNode(Node):
         }
         problems = {
             "faults": int(count[st.FAULTS]),
-            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
-            "turned_cells": int(count[st.TURNED]),
             "false_rest_shapes": int(count[st.SNAPS]),
             "clamped_ticks": int(count[st.CLAMPED]),
             "dropped_contacts": self.contacts.dropped,
