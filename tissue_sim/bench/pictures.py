@@ -90,7 +90,7 @@ def nip_and_release(organ: Organ) -> tuple[Panel, Panel]:
             break
     released = scene.simulation.positions[: organ.n_surface].copy()
     state = "at rest again" if scene.simulation.asleep else "still moving"
-    nip = Panel("nip", f"A  Nip: two jaws press with {force:.2f} N each and pull", held, at, *NO_ARROWS)
+    nip = Panel("nip", f"A  Nip: two jaws press with {force:.2f} N, pull", held, at, *NO_ARROWS)
     return nip, Panel("release", f"B  Release of the nip: {state}", released, NO_JAWS, *NO_ARROWS)
 
 
@@ -182,6 +182,11 @@ def _show(axis: Any, view: View, organ: Organ, panel: Panel, pixels: Pixels) -> 
     moved = float(np.linalg.norm(panel.positions - organ.surface_positions, axis=1).max())
     axis.set_title(panel.title, fontsize=11, loc="left")
     axis.text(0.5, 0.0, f"largest displacement {1e3 * moved:.2f} mm", transform=axis.transAxes, ha="center", va="top")
+    for jaw in panel.jaws[(panel.jaws - view.centre) @ view.axes[2] < 0.0]:  # hidden behind the organ
+        turn = np.linspace(0.0, 2.0 * np.pi, 60)
+        x, y = view.project(jaw[None])[0, :2] / _SUPERSAMPLING
+        radius = JAW * view.scale
+        axis.plot(x + radius * np.cos(turn), y + radius * np.sin(turn), "--", color="#5a6270", linewidth=1.0)
     if not len(panel.nodes):
         return
     largest = float(np.linalg.norm(panel.forces, axis=1).max())

@@ -28,7 +28,7 @@ from tissue_sim.bench.rows import (
     make_bursts,
     makers_of,
 )
-from tissue_sim.bench.start import first_start
+from tissue_sim.bench.start import Start, first_start
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.jit import is_compiled
 from tissue_sim.model.simulation import Simulation
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
     # The kernels are on disk now.
-    starts = {"compiled": min(first_start(path, compiled=True) for _ in range(2))}
+    starts = {"compiled": min((first_start(path, compiled=True) for _ in range(2)), key=lambda start: start.processor)}
     if not args.quick:
         starts["empty"] = first_start(path, compiled=False)
     found = as_json(organ, measured, starts)
@@ -135,7 +135,7 @@ def measure(organ: Organ, quick: bool) -> Measured:
 # results -------------------------------------------------------------------------------------------
 
 
-def bounds(measured: Measured, starts: dict[str, float]) -> list[Bound]:
+def bounds(measured: Measured, starts: dict[str, Start]) -> list[Bound]:
     """Every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows if row.timing}
     grown = growth.as_json(measured.grown)
@@ -157,16 +157,20 @@ def bounds(measured: Measured, starts: dict[str, float]) -> list[Bound]:
         Bound("MuJoCo flex beside the whole hybrid tick", ratio(FLEX, WHOLE), 20.0, "x", least=True),
         Bound(f"growth of a substep, {first} to {last} points", grown["substep_exponent"], 1.1, "power"),
         Bound(f"modal tick at {last} beside {first} points", grown["modal_ratio"], 2.0, "x"),
-        Bound("first tick of a new process, kernels on disk", starts.get("compiled"), 2.0, "s"),
-        Bound("first tick of a new process, kernels to compile", starts.get("empty"), 30.0, "s"),
+        Bound("first tick of a new process, kernels on disk", _processor(starts, "compiled"), 2.0, "s"),
+        Bound("first tick of a new process, kernels to compile", _processor(starts, "empty"), 30.0, "s"),
     ]
+
+
+def _processor(starts: dict[str, Start], name: str) -> float | None:
+    return starts[name].processor if name in starts else None
 
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
 
 
-def as_json(organ: Organ, measured: Measured, starts: dict[str, float]) -> dict[str, Any]:
+def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[str, Any]:
     """All figures for machines; units stand in the names."""
     whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
     return {
@@ -195,7 +199,7 @@ def as_json(organ: Organ, measured: Measured, starts: dict[str, float]) -> dict[
             for row in measured.rows
         ],
         "growth": growth.as_json(measured.grown),
-        "first_start_s": starts,
+        "first_start_s": {name: start._asdict() for name, start in starts.items()},
         "bounds": [bound._asdict() | {"met": bound.met} for bound in bounds(measured, starts)],
     }
 
@@ -223,6 +227,12 @@ def text(found: dict[str, Any]) -> str:
         f"compile time, in no figure above: kernels {kept} in {compiled['first_tick_s']:.1f} s,"
         f" the benchmark's own loop compiled in {compiled['benchmark_loop_s']:.1f} s"
     )
+    for name, what in (("compiled", "on disk"), ("empty", "to compile")):
+        if name in found["first_start_s"]:
+            wall = found["first_start_s"][name]["wall"]
+            lines.append(
+                f"a new process with its kernels {what} took {wall:.1f} s to its first tick by the clock on the wall"
+            )
     lines.append("")
     table = [["bound", "measured", "limit", ""]]
     for bound in found["bounds"]:
