@@ -23,7 +23,7 @@ UNIT = 0.002
 
 def cells(organ):
     """Made-up cells for every row and column."""
-    cell = table1.Cell(Timing(3e-4, 4e-4, 2e-4, 100), 4, 990, True, 0.005, 0.25, np.zeros((organ.n_surface, 3)))
+    cell = table1.Cell(Timing(3e-4, 4e-4, 100), 4, 990, True, 0.005, 0.25, np.zeros((organ.n_surface, 3)))
     return {force.name: {variant.name: cell for variant in table1.VARIANTS} for force in table1.FORCES}
 
 
@@ -42,7 +42,7 @@ def test_load_is_the_magnitude_times_the_unit(force):
 
 
 def test_table_prints_the_papers_figures_and_the_unit():
-    noise = Timing(1e-4, 1.1e-4, 1e-4, 100)
+    noise = Timing(1e-4, 1.1e-4, 100)
     found = table1.as_json(kidney(), UNIT, cells(kidney()), noise)
     shown = table1.text(found).splitlines()
     for name, figures in PAPER.items():
@@ -85,7 +85,7 @@ def test_unit_out_of_range_is_named(capsys):
 
 
 def test_command_prints_json(monkeypatch, capsys):
-    made = cells(kidney()), Timing(1e-4, 1.1e-4, 1e-4, 100)
+    made = cells(kidney()), Timing(1e-4, 1.1e-4, 100)
     monkeypatch.setattr(table1, "in_one_thread", lambda *_: made)
     assert main(["bench", "table1", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]

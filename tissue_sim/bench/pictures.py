@@ -182,7 +182,8 @@ def _show(axis: Any, view: View, organ: Organ, panel: Panel, pixels: Pixels) -> 
     moved = float(np.linalg.norm(panel.positions - organ.surface_positions, axis=1).max())
     axis.set_title(panel.title, fontsize=11, loc="left")
     axis.text(0.5, 0.0, f"largest displacement {1e3 * moved:.2f} mm", transform=axis.transAxes, ha="center", va="top")
-    for jaw in panel.jaws[(panel.jaws - view.centre) @ view.axes[2] < 0.0]:  # hidden behind the organ
+    height = panel.jaws @ view.axes[2]
+    for jaw in panel.jaws[height < height.max(initial=-np.inf) - 2.0 * JAW]:  # behind the organ
         turn = np.linspace(0.0, 2.0 * np.pi, 60)
         x, y = view.project(jaw[None])[0, :2] / _SUPERSAMPLING
         radius = JAW * view.scale

@@ -29,6 +29,12 @@ def noise_lines(noise: float) -> list[str]:
     return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
 
 
+def check_json(path: str | None) -> None:
+    """Raise UserError when the file for JSON (None or - for no file) is an organ: `--json ORGAN` takes it for one."""
+    if path and path.endswith(".npz"):
+        raise UserError(f"--json {path} would write over an organ; put ORGAN before --json, or - after it")
+
+
 def write_json(found: Any, path: str) -> None:
     """Write JSON to a file; raises UserError when it can't be written."""
     try:

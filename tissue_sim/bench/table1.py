@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from tissue_sim.bench.organs import node_normals, spread_nodes
-from tissue_sim.bench.report import aligned, noise_lines, write_json
+from tissue_sim.bench.report import aligned, check_json, noise_lines, write_json
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
@@ -80,10 +80,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print the table, write pictures; returns 0. Raises UserError for a unit out of range."""
+    check_json(args.json)
     if not 1e-3 <= args.unit <= 1e3:
         raise UserError(f"--unit {args.unit:g} mN is outside 0.001..1000")
     if args.out:
-        import matplotlib  # noqa: F401  # missing, it should say so before the work
+        import matplotlib  # noqa: F401  # when it is missing, say so before the work
 
     organ = Organ.load(args.organ or shipped_organ())
     unit = 1e-3 * args.unit

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from tissue_sim.bench import growth
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.report import aligned, noise_lines, write_json
+from tissue_sim.bench.report import aligned, check_json, noise_lines, write_json
 from tissue_sim.bench.rows import (
     ASLEEP,
     C_PLAIN,
@@ -87,8 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print the tables, write plots; returns 0, or with --check 1 when a bound is missed."""
+    check_json(args.json)
     if args.out:
-        import matplotlib  # noqa: F401  # missing, it should say so before the work
+        import matplotlib  # noqa: F401  # when it is missing, say so before the work
 
     path = Path(args.organ) if args.organ else shipped_organ()
     organ = Organ.load(path)
@@ -191,7 +192,6 @@ def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[
                 "name": row.name,
                 "median_us": 1e6 * row.timing.median if row.timing else None,
                 "p99_us": 1e6 * row.timing.p99 if row.timing else None,
-                "least_us": 1e6 * row.timing.least if row.timing else None,
                 "samples": row.timing.samples if row.timing else 0,
                 "of_whole_tick": row.timing.median / whole if row.timing and whole else None,
                 "remark": row.remark,
@@ -212,12 +212,12 @@ def text(found: dict[str, Any]) -> str:
         "processor time of one thread; all rows measured in turns in one run",
         "",
     ]
-    table = [["", "median us", "p99 us", "least us", "samples", "of whole tick", ""]]
+    table = [["", "median us", "p99 us", "samples", "of whole tick", ""]]
     for row in found["rows"]:
         if row["median_us"] is None:
-            table.append([row["name"], "-", "-", "-", "0", "-", row["remark"]])
+            table.append([row["name"], "-", "-", "0", "-", row["remark"]])
             continue
-        figures = [_figure(row[key]) for key in ("median_us", "p99_us", "least_us")]
+        figures = [_figure(row[key]) for key in ("median_us", "p99_us")]
         table.append([row["name"], *figures, str(row["samples"]), f"{row['of_whole_tick']:.3g}", row["remark"]])
     lines += _with_remarks(table)
     lines += ["", *_growth_lines(found["growth"]), ""]
@@ -237,7 +237,7 @@ def text(found: dict[str, Any]) -> str:
     table = [["bound", "measured", "limit", ""]]
     for bound in found["bounds"]:
         sign = ">=" if bound["least"] else "<="
-        value = "-" if bound["value"] is None else f"{_figure(bound['value'])} {bound['unit']}"
+        value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
         verdict = {True: "ok", False: "missed", None: "not measured"}[bound["met"]]
         table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
     lines += _with_remarks(table)

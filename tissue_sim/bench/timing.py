@@ -43,11 +43,10 @@ _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32
 
 
 class Timing(NamedTuple):
-    """Time of one piece of work: median, 99th percentile and minimum, s; how often it was measured."""
+    """Time of one piece of work: median and 99th percentile, s; how often it was measured."""
 
     median: float
     p99: float
-    least: float
     samples: int
 
 
@@ -62,7 +61,7 @@ class Phase(NamedTuple):
 def describe(samples: Floats) -> Timing:
     """Timing of samples (k,) s; raises ValueError without any."""
     median, p99 = np.percentile(samples, [50.0, 99.0])
-    return Timing(float(median), float(p99), float(samples.min()), len(samples))
+    return Timing(float(median), float(p99), len(samples))
 
 
 def interleave(phase: Phase) -> dict[str, Timing]:
