@@ -63,7 +63,15 @@ class TissueNode(Node):
             self.get_logger().warning(warning)
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once for this machine: up to 30 s")
-        self.simulation = Simulation(self.organ, values["model"], values["rate"], values["local_region"], tools.shapes)
+        self.simulation = Simulation(
+            self.organ,
+            values["model"],
+            values["rate"],
+            values["local_region"],
+            tools.shapes,
+            values["return_target"],
+            values["integrator"],
+        )
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
         self.physics = Physics(self.simulation)
@@ -225,6 +233,8 @@ class TissueNode(Node):
         }
         problems = {
             "faults": int(count[st.FAULTS]),
+            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
+            "turned_cells": int(count[st.TURNED]),
             "false_rest_shapes": int(count[st.SNAPS]),
             "clamped_ticks": int(count[st.CLAMPED]),
             "dropped_contacts": self.contacts.dropped,
