@@ -84,7 +84,8 @@ class Simulation:
         self.shapes = shapes
         self.integrator = integrator
         # A kernel of its own, so that the usual one is not compiled with what it doesn't need.
-        self.tick = tick_implied_world if return_target == "implied" else tick_world
+        self.implied = return_target == "implied"
+        self._tick = tick_implied_world if self.implied else tick_world
         self._fixed_substeps = substeps
         self._made_for = (0.0, 0.0, 0.0)  # step, stiffness and damping of the implicit factor in use
         self.settings = np.zeros(st.N_SETTINGS)
@@ -169,7 +170,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by 1/rate seconds."""
-        self.tick(self.world)
+        self._tick(self.world)
 
     def reset(self) -> None:
         """Back to the rest shape, asleep, without tools; the counters go on."""

@@ -230,8 +230,10 @@ def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 def collect(model: Any, state: Any, scratch: Any) -> None:
     """Make the region's lists from its nodes."""
     local_region.collect(model, state, scratch)
-    if state.count[REGION] == MODAL and modal_region.fits(state):
-        modal_region.gather_rows(model, state, scratch)
+    if state.count[REGION] == MODAL:
+        modal_region.list_drive(state, scratch)
+        if modal_region.fits(state):
+            modal_region.gather_rows(model, state, scratch)
     scratch.stale[0] = 0
 
 

@@ -54,9 +54,9 @@ class Physics:
         own = World(
             simulation.model, simulation.state, simulation.shapes, simulation.settings.copy(), simulation.scratch
         )
-        rt.run_loop(
+        run = rt.run_implied_loop if simulation.implied else rt.run_loop
+        run(
             handle(own),
-            simulation.tick,
             self._box,
             simulation.buffer.floats,
             simulation.buffer.integers,
