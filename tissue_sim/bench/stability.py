@@ -30,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="organ file (.npz); default: the kidney that ships, a small ellipsoid with --quick",
     )
     parser.add_argument("--quick", action="store_true", help="fewer cells and shorter times, within a minute")
-    parser.add_argument("--axes", default="all", help=f"axes to sweep, of {', '.join(AXES)}; force means all three")
+    parser.add_argument(
+        "--axes", default="all", help=f"axes to sweep, of {', '.join(AXES)}; force and depth mean each of theirs"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument(
         "--backend",
@@ -80,15 +82,16 @@ def sweep(cells: Sequence[Cell], jobs: int, backend: str = "loky") -> list[Recor
 
     _compile(cells)
     found: dict[tuple[str, float, str, str], Record] = {}
+    # The longest first, so that no process is left with one of them at the end.
+    order = sorted(cells, key=_effort, reverse=True)
     try:
         with parallel_config(backend=backend, n_jobs=jobs):
-            # The longest first, so that no process is left with one of them at the end.
-            order = sorted(cells, key=_effort, reverse=True)
-            done = Parallel(return_as="generator_unordered", batch_size=1)(delayed(run_cell)(cell) for cell in order)
-            for record in tqdm(done, total=len(cells), desc="cells", unit="cell"):
-                found[record.axis, record.value, record.integrator, record.local_region] = record
+            parallel = Parallel(return_as="generator_unordered", batch_size=1)
     except (ValueError, ImportError) as error:
         raise UserError(f"--backend {backend}: {str(error).splitlines()[0]}") from None
+    done = parallel(delayed(run_cell)(cell) for cell in order)
+    for record in tqdm(done, total=len(cells), desc="cells", unit="cell"):
+        found[record.axis, record.value, record.integrator, record.local_region] = record
     return [found[cell.axis, cell.value, cell.integrator, cell.local_region] for cell in cells]
 
 

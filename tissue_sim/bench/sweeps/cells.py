@@ -20,12 +20,14 @@ class Axis(NamedTuple):
     title: str
     values: tuple[float, ...]
     quick: tuple[float, ...]  # values with --quick
-    force: str = "patch"  # where the load acts: point, patch, ten (points), or tool
+    load: str = "patch"  # one of loads.LOADS
     units: float = 100.0  # the load in the paper's units; 500 over ten points is its global force
 
 
 _MULTIPLES = (0.1, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 300.0, 1000.0)
 _QUICK_MULTIPLES = (1.0, 10.0, 1000.0)
+_DEPTHS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)
+_QUICK_DEPTHS = (0.1, 0.5, 1.3)
 
 AXES: dict[str, Axis] = {
     "step": Axis(
@@ -45,13 +47,11 @@ AXES: dict[str, Axis] = {
     "rate": Axis("tick rate, Hz", (100.0, 200.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0), (100.0, 1000.0, 4000.0)),
     "force_point": Axis("force on a point / paper's 100", _MULTIPLES, _QUICK_MULTIPLES, "point"),
     "force_patch": Axis("force on 19 nodes / paper's 100", _MULTIPLES, _QUICK_MULTIPLES, "patch"),
+    "force_far": Axis("force on 19 nodes at the far end", _MULTIPLES, _QUICK_MULTIPLES, "far"),
+    "force_pull": Axis("pull on 19 nodes / paper's 100", _MULTIPLES, _QUICK_MULTIPLES, "pull"),
     "force_ten": Axis("force on ten points / paper's 500", _MULTIPLES, _QUICK_MULTIPLES, "ten", 500.0),
-    "depth": Axis(
-        "poke depth / organ's thickness",
-        (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3),
-        (0.1, 0.5, 1.3),
-        "tool",
-    ),
+    "depth": Axis("poke depth / thickness", _DEPTHS, _QUICK_DEPTHS, "tool"),
+    "depth_far": Axis("poke depth / length, from the far end", _DEPTHS, _QUICK_DEPTHS, "tool_far"),
 }
 
 
@@ -85,7 +85,7 @@ class Cell:
 
 
 def axes_named(names: str) -> list[str]:
-    """Axes of a list with commas; `force` stands for all three, `all` for every axis.
+    """Axes of a list with commas; `force` and `depth` stand for each kind of them, `all` for every axis.
 
     Raises UserError for one that isn't there.
     """

@@ -15,6 +15,9 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats, Longs
 from tissue_sim.organ.organ import Organ
 
+# On a point at the far end from what holds the organ; on a patch on a broad side, at the far end, or pulled outward
+# on the broad side; on ten points; the probe into the broad side, or lengthwise from the far end.
+LOADS = ("point", "patch", "far", "pull", "ten", "tool", "tool_far")
 PATCH_NODES = 19  # a node and two rings around it
 TEN = 10
 PROBE = Tool("probe", radius=0.006)
@@ -150,24 +153,22 @@ def thickness(organ: Organ, start: Floats, inward: Floats) -> float:
 
 
 def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, quick: bool) -> Load:
-    """The load of a cell: `newtons` in all on a point, a patch or ten points; or the tool to `depth` thicknesses.
-
-    The point lies at the far end from what holds the organ, the patch and the poke on a broad side.
-    """
+    """The load of a cell: `newtons` in all, or a poke to `depth` thicknesses; `where` is one of LOADS."""
     ramp, hold = (0.03, 0.05) if quick else (0.05, 0.15)
     ramp_ticks, hold_ticks = max(1, round(ramp / tick_time)), max(1, round(hold / tick_time))
-    if where == "tool":
-        node = broad_node(organ)
-        inward = inward_at(organ, np.array([node]))[0]
+    far = where in ("point", "far", "tool_far")
+    node = far_node(organ) if far else broad_node(organ)
+    inward = inward_at(organ, np.array([node]))
+    if where in ("tool", "tool_far"):
         start = organ.surface_positions[node]
-        return Poke(organ, start, inward, depth * thickness(organ, start, inward), tick_time, hold_ticks)
-    if where == "ten":
+        return Poke(organ, start, inward[0], depth * thickness(organ, start, inward[0]), tick_time, hold_ticks)
+    if where == "point":
+        nodes = np.array([node], dtype=np.int64)
+    elif where == "ten":
         nodes = ten_points(organ)
-    elif where == "patch":
-        nodes = patch_around(organ, broad_node(organ))
+        inward = inward_at(organ, nodes)
     else:
-        nodes = np.array([far_node(organ)], dtype=np.int64)
-    direction = inward_at(organ, nodes)
-    if where == "patch":
-        direction = np.tile(direction[0], (len(nodes), 1))
-    return NodalLoad(nodes, newtons / len(nodes) * direction, ramp_ticks, hold_ticks)
+        nodes = patch_around(organ, node)
+    direction = -inward if where == "pull" else inward
+    forces = np.tile(newtons / len(nodes) * direction, (len(nodes) // len(direction), 1))
+    return NodalLoad(nodes, forces, ramp_ticks, hold_ticks)
