@@ -10,7 +10,7 @@ import pytest
 from tissue_sim.bench import stability
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, broad_node, far_node, patch_around, ten_points
-from tissue_sim.bench.sweeps.trial import organ_of, run_cell, simulation_of, with_mass_ratio
+from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
 from tissue_sim.bench.sweeps.witness import Witness
 from tissue_sim.cli import main
 from tissue_sim.model import state as st
@@ -28,7 +28,8 @@ def cell(axis="force_patch", value=1.0, integrator="symplectic", region="off"):
 # cells -----------------------------------------------------------------------------------------
 def test_every_axis_is_crossed_with_every_integrator_and_region():
     cells = cells_of(list(AXES), SMALL_ORGAN, quick=False)
-    assert len(set(cells)) == len(cells) == 12 * sum(len(axis.values) for axis in AXES.values())
+    values = sum(2 * len(axis.values) + len(axis.quick) for axis in AXES.values())
+    assert len(set(cells)) == len(cells) == len(LOCAL_REGIONS) * values
     assert {(c.integrator, c.local_region) for c in cells} == {(i, r) for i in INTEGRATORS for r in LOCAL_REGIONS}
     quick = {(c.axis, c.value) for c in cells_of(list(AXES), SMALL_ORGAN, quick=True)}
     assert quick < {(c.axis, c.value) for c in cells}
@@ -77,7 +78,7 @@ def test_loads_act_where_they_say():
 def test_probe_goes_to_its_depth_and_away():
     organ = kidney()
     start, inward = np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -1.0])
-    front = Poke(organ, start, inward, 0.02, 1e-3, hold=10).path @ inward + PROBE.radius - start @ inward
+    front = Poke(organ, start, inward, 0.02, 1e-3, hold=10, speed=0.15).path @ inward + PROBE.radius - start @ inward
     assert front.max() == pytest.approx(0.02)
     assert front[0] < 0.0
     assert front[-1] < -0.02
@@ -121,7 +122,7 @@ def test_small_load_is_stable(region):
     assert record.peak > 1e-4
     assert record.left < 0.01
     assert 0.0 < record.quiet_after < 1.5
-    assert record.energy_gain < 1e-3
+    assert record.energy_gain < (1e-3 if region in ("off", "frozen") else 0.2)
     assert record.newtons == pytest.approx(0.2)
 
 
@@ -145,6 +146,8 @@ def test_step_axis_sets_the_substep_to_a_share_of_the_critical_one():
     simulation.step()
     substep = 1.0 / simulation.rate / simulation.state.count[st.SUBSTEPS]
     assert substep == pytest.approx(0.5 * Simulation(organ_of(SMALL_ORGAN)).critical_step)
+    explicit = Simulation(organ_of(SMALL_ORGAN), integrator="explicit").critical_step
+    assert critical_step_of(SMALL_ORGAN, "explicit") == explicit
 
 
 def test_step_beyond_the_critical_one_is_not_stable():

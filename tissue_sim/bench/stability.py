@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
-from tissue_sim.bench.sweeps.trial import Record, organ_of, run_cell, simulation_of
+from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
 from tissue_sim.organ.shipped import shipped_organ
@@ -82,8 +82,7 @@ def sweep(cells: Sequence[Cell], jobs: int, backend: str = "loky") -> list[Recor
 
     _compile(cells)
     found: dict[tuple[str, float, str, str], Record] = {}
-    # The longest first, so that no process is left with one of them at the end.
-    order = sorted(cells, key=_effort, reverse=True)
+    order = sorted(cells, key=made_for)  # those that use the same simulation after each other
     try:
         with parallel_config(backend=backend, n_jobs=jobs):
             parallel = Parallel(return_as="generator_unordered", batch_size=1)
@@ -149,13 +148,6 @@ def _compile(cells: Sequence[Cell]) -> None:
         print("compiling the kernels, about half a minute, once", file=sys.stderr)
     for integrator in dict.fromkeys(cell.integrator for cell in cells):
         simulation_of(next(cell for cell in cells if cell.integrator == integrator)).step()
-
-
-def _effort(cell: Cell) -> float:
-    """Rough order of the cells by how long they take."""
-    if cell.axis == "stiffness":
-        return max(cell.value, 0.1 / cell.value)
-    return 1.0
 
 
 def _folder(name: str | None) -> Path | None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import trimesh
 
 from tissue_sim.contact.finder import ContactFinder, hand_over
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.model import state as st
 from tissue_sim.model.inputs import take_pose
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats, Longs
@@ -21,10 +20,9 @@ LOADS = ("point", "patch", "far", "pull", "ten", "tool", "tool_far")
 PATCH_NODES = 19  # a node and two rings around it
 TEN = 10
 PROBE = Tool("probe", radius=0.006)
-SPEED = 0.15  # m/s of the probe, a quick hand
 CLEARANCE = 0.003  # m between the probe and the surface before it comes
 AWAY = 0.03  # m from the surface where it goes afterwards
-FOUND_EVERY = 4  # ms between two contact sets, as in the node
+FOUND_EVERY = 0.004  # s between two contact sets, as in the node
 
 
 class Load(Protocol):
@@ -48,8 +46,7 @@ class NodalLoad:
 
     def act(self, simulation: Simulation, tick: int) -> None:
         """Hand over the forces of the coming tick."""
-        simulation.state.nodal_force[self.nodes] = min(1.0, (tick + 1) / self.ramp) * self.forces
-        simulation.state.count[st.LOADED] = 1
+        simulation.apply_force(self.nodes, min(1.0, (tick + 1) / self.ramp) * self.forces)
 
     def over(self, tick: int) -> bool:
         """True in the last tick: nothing acts after it."""
@@ -59,19 +56,22 @@ class NodalLoad:
 class Poke:
     """The probe led along the line into the organ, held, drawn back and away, one pose a tick.
 
-    start (3,) m on the surface, inward (3,) unit vector, depth m of the probe's front below the surface.
+    start (3,) m on the surface, inward (3,) unit vector, depth m of the probe's front below the surface,
+    hold ticks there, speed m/s.
     """
 
-    def __init__(self, organ: Organ, start: Floats, inward: Floats, depth: float, tick_time: float, hold: int) -> None:
-        reach = np.arange(-CLEARANCE, depth, SPEED * tick_time)
-        back = np.arange(depth, -AWAY, -SPEED * tick_time)
+    def __init__(
+        self, organ: Organ, start: Floats, inward: Floats, depth: float, tick_time: float, hold: int, speed: float
+    ) -> None:
+        reach = np.arange(-CLEARANCE, depth, speed * tick_time)
+        back = np.arange(depth, -AWAY, -speed * tick_time)
         reach = np.concatenate([reach, np.full(hold, depth), back])
         self.path = start + (reach - PROBE.radius)[:, None] * inward
         self.ticks = len(self.path)
         self._withdrawn = len(reach) - len(back)
-        self._every = max(1, round(1e-3 * FOUND_EVERY / tick_time))
+        self._every = max(1, round(FOUND_EVERY / tick_time))
         self._finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, ToolSet([PROBE]))
-        self._margins = np.full(1, self._every * SPEED * tick_time)
+        self._margins = np.full(1, self._every * speed * tick_time)
 
     def act(self, simulation: Simulation, tick: int) -> None:
         """Hand over the pose, and now and then the contacts found with it."""
@@ -152,16 +152,27 @@ def thickness(organ: Organ, start: Floats, inward: Floats) -> float:
     return float(along[near].max())
 
 
-def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, quick: bool) -> Load:
+class Pace(NamedTuple):
+    """How long a load takes; 0.15 m/s is a quick hand."""
+
+    ramp: float  # s
+    hold: float  # s
+    speed: float  # m/s of the probe
+
+
+FULL, QUICK, BRIEF = Pace(0.05, 0.15, 0.15), Pace(0.03, 0.05, 0.4), Pace(0.01, 0.01, 1.0)
+
+
+def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, pace: Pace) -> Load:
     """The load of a cell: `newtons` in all, or a poke to `depth` thicknesses; `where` is one of LOADS."""
-    ramp, hold = (0.03, 0.05) if quick else (0.05, 0.15)
-    ramp_ticks, hold_ticks = max(1, round(ramp / tick_time)), max(1, round(hold / tick_time))
+    ramp_ticks, hold_ticks = max(1, round(pace.ramp / tick_time)), max(1, round(pace.hold / tick_time))
     far = where in ("point", "far", "tool_far")
     node = far_node(organ) if far else broad_node(organ)
     inward = inward_at(organ, np.array([node]))
     if where in ("tool", "tool_far"):
         start = organ.surface_positions[node]
-        return Poke(organ, start, inward[0], depth * thickness(organ, start, inward[0]), tick_time, hold_ticks)
+        reach = depth * thickness(organ, start, inward[0])
+        return Poke(organ, start, inward[0], reach, tick_time, hold_ticks, pace.speed)
     if where == "point":
         nodes = np.array([node], dtype=np.int64)
     elif where == "ten":

@@ -50,6 +50,7 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
                 panel.plot(column, row, "x", color="black", markersize=7, markeredgewidth=1.8)
             elif not record.settled:
                 panel.plot(column, row, ".", color="#303030", markersize=3)
+        panel.set_facecolor("#eeeeee")
         panel.set_xlim(-0.5, len(values) - 0.5)
         panel.set_ylim(len(rows) - 0.5, -0.5)
         panel.set_xticks(range(len(values)), [f"{value:g}" for value in values], fontsize=8)
@@ -65,7 +66,7 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
             *(Patch(facecolor=colour, label=outcome) for outcome, colour in COLOURS.items()),
             Patch(facecolor="white", edgecolor="#303030", hatch=_LED_BACK, label="led back from a false rest shape"),
             Line2D([], [], linestyle="", marker="x", color="black", label="diverged with default settings"),
-            Line2D([], [], linestyle="", marker=".", color="#303030", label="too slow to come to rest while watched"),
+            Line2D([], [], linestyle="", marker=".", color="#303030", label="not watched until rest"),
         ],
         loc="outside lower center",
         ncols=6 if across > 2 else 2,

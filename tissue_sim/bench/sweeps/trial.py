@@ -12,27 +12,32 @@ import numpy as np
 import trimesh
 
 from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
-from tissue_sim.bench.sweeps.loads import PROBE, load_on
+from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
 from tissue_sim.bench.sweeps.witness import Turned, Witness
 from tissue_sim.model import state as st
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.modal_region import SHOWN_EVERY, place_outside
+from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.modes import lowest_modes
 from tissue_sim.model.simulation import NO_TOOLS, Simulation, sphere_tools
-from tissue_sim.model.state import Floats
-from tissue_sim.model.tick import elastic_forces
+from tissue_sim.model.stability import largest_frequency, model_step
+from tissue_sim.model.state import Floats, Longs
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 
 LEFT = 0.01  # of the peak displacement, that may be left
 QUIET_SPEED = 1e-4  # m/s, of the fastest node
 MOST_GAIN = 0.03  # of the energy at release
+# Around a modal region a changed load is taken up without inertia, so the energy of the shape that it shows is its own
+# by a few milliseconds only.
+MOST_MODAL_GAIN = 0.25
 # Time constants of the slowest mode that the organ is given to come to rest: a swinging one has speed to lose.
 SWINGING, CREEPING = 9.0, 6.0
 LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
 QUICK_WATCHED = 1.5  # s, the most with --quick
-EXPECTED_WATCHED = 0.5  # s, the most where trouble is expected
+BRIEFLY_WATCHED = 0.03  # s
+MOST_SUBSTEPS = 1000  # in a tick of the explicit integrator; what would need more goes wrong, and is shown so
 LATER_EVERY = 20  # ticks between two looks after the least time watched
+ENERGY_EVERY = 2  # ticks between two looks at the energy before that
 LOOK_EVERY = 10  # ticks between two looks at what is turned over
 
 
@@ -123,56 +128,54 @@ def slowest_of(organ: str) -> tuple[float, float]:
     return float(lowest_modes(model, 1).frequency[0]), model.damping_rate
 
 
-@lru_cache(maxsize=12)
+@lru_cache(maxsize=3)  # a model with a modal region may be large
 def _simulation(
-    organ: str, integrator: str, local_region: str, rate: float, substeps: int | None, mass_ratio: float, tool: bool
-) -> tuple[Simulation, Floats, Floats, Any]:
+    organ: str, integrator: str, local_region: str, mass_ratio: float, tool: bool
+) -> tuple[Simulation, Floats, Floats, Longs]:
     """A simulation to be used again, with its settings and buffers as they were when new."""
     made = organ_of(organ)
     if mass_ratio > 0.0:
         made = with_mass_ratio(made, mass_ratio)
     shapes = sphere_tools(PROBE.radius) if tool else NO_TOOLS
-    simulation = Simulation(
-        made,
-        rate=rate,
-        local_region=local_region,
-        shapes=shapes,
-        integrator=integrator,
-        substeps=substeps,
-    )
+    simulation = Simulation(made, rate=DEFAULT_RATE, local_region=local_region, shapes=shapes, integrator=integrator)
     buffer = simulation.buffer
     return simulation, simulation.settings.copy(), buffer.floats.copy(), buffer.integers.copy()
 
 
+def made_for(cell: Cell) -> tuple[str, str, str, float, bool]:
+    """What the cell's simulation is made for; cells that agree in it can use one after another."""
+    tool = AXES[cell.axis].load.startswith("tool")
+    return cell.organ, cell.integrator, cell.local_region, cell.at("mass_ratio", 0.0), tool
+
+
 def simulation_of(cell: Cell) -> Simulation:
     """The cell's simulation, as if it were new."""
-    rate, substeps = cell.at("rate", DEFAULT_RATE), None
+    simulation, settings, floats, integers = _simulation(*made_for(cell))
+    settings = settings.copy()
+    rate, substeps = cell.at("rate", DEFAULT_RATE), 0
     if cell.axis == "step":
-        step = cell.value * critical_step_of(cell.organ)
-        substeps = max(1, round(1.0 / (DEFAULT_RATE * step)))
+        step = cell.value * critical_step_of(cell.organ, "explicit" if cell.brief else "symplectic")
+        substeps = min(MOST_SUBSTEPS, max(1, round(1.0 / (DEFAULT_RATE * step))))
         rate = 1.0 / (substeps * step)
-    simulation, settings, floats, integers = _simulation(
-        cell.organ,
-        cell.integrator,
-        cell.local_region,
-        rate,
-        substeps,
-        cell.at("mass_ratio", 0.0),
-        AXES[cell.axis].load.startswith("tool"),
-    )
-    simulation.settings[:] = settings
-    simulation.restore(floats, integers)
-    scales = cell.at("stiffness", 1.0), cell.at("damping", 1.0)
-    simulation.settings[st.STIFFNESS_SCALE], simulation.settings[st.DAMPING_SCALE] = scales
-    if scales != (1.0, 1.0):
+        settings[st.WANTED_SUBSTEPS] = settings[st.REGION_SUBSTEPS] = substeps
+    settings[st.TICK_TIME] = 1.0 / rate
+    settings[st.STIFFNESS_SCALE], settings[st.DAMPING_SCALE] = cell.at("stiffness", 1.0), cell.at("damping", 1.0)
+    simulation.rate = rate
+    simulation.take_settings(settings)
+    if not substeps:
         simulation.set_substeps()
+        if cell.brief:
+            wanted = [st.WANTED_SUBSTEPS, st.REGION_SUBSTEPS]
+            simulation.settings[wanted] = np.minimum(simulation.settings[wanted], MOST_SUBSTEPS)
+    simulation.restore(floats, integers)
     return simulation
 
 
-@lru_cache(maxsize=2)
-def critical_step_of(organ: str) -> float:
-    """Critical step of the default integrator, s."""
-    return Simulation(organ_of(organ)).critical_step
+@lru_cache(maxsize=4)
+def critical_step_of(organ: str, integrator: str) -> float:
+    """Critical step of an integrator with an organ as it is, s."""
+    model = assemble(organ_of(organ))
+    return model_step(model, largest_frequency(model), integrator=integrator)
 
 
 def watched(cell: Cell) -> tuple[float, bool]:
@@ -183,9 +186,7 @@ def watched(cell: Cell) -> tuple[float, bool]:
         needed = CREEPING / (half - math.sqrt(half**2 - square))
     else:
         needed = SWINGING / half if half > 0.0 else math.inf
-    most = QUICK_WATCHED if cell.quick else MOST_WATCHED
-    if not cell.judged:
-        most = min(most, EXPECTED_WATCHED)
+    most = BRIEFLY_WATCHED if cell.brief else QUICK_WATCHED if cell.quick else MOST_WATCHED
     enough = needed <= most
     return min(most, max(LEAST_WATCHED, needed if enough else 0.0)), enough
 
@@ -193,10 +194,10 @@ def watched(cell: Cell) -> tuple[float, bool]:
 class _Watch:
     """What is seen of a simulation, tick by tick."""
 
-    def __init__(self, simulation: Simulation, witness: Witness, integrator: str) -> None:
-        self.simulation, self.witness, self.integrator = simulation, witness, integrator
+    def __init__(self, simulation: Simulation, witness: Witness) -> None:
+        self.simulation, self.witness = simulation, witness
         self._force = np.zeros_like(simulation.model.rest)
-        self.finite = True
+        self.finite, self.gained = True, False
         self.peak = 0.0
         self.turned_most = self.substeps = 0
         self.energy_gain = self.energy_caught = 0.0
@@ -205,6 +206,7 @@ class _Watch:
     def look(self) -> None:
         """Look at the state after a tick: is it finite, how far did nodes go, what is turned over."""
         state = self.simulation.state
+        positions = self.simulation.positions
         reach = self.reach()
         if not math.isfinite(reach + float(state.velocity.sum()) + float(state.wrench.sum())):
             self.finite = False
@@ -212,11 +214,11 @@ class _Watch:
         self.peak = max(self.peak, reach)
         self.substeps = max(self.substeps, int(state.count[st.SUBSTEPS]))
         if state.count[st.TICK] % LOOK_EVERY == 0:
-            self.turned_most = max(self.turned_most, self.witness.look(state.position).cells)
+            self.turned_most = max(self.turned_most, self.witness.look(positions).cells)
 
     def reach(self) -> float:
         """Largest displacement of a node, m."""
-        offset = self.simulation.state.position - self.simulation.model.rest
+        offset = self.simulation.positions - self.simulation.model.rest
         return math.sqrt(float(np.einsum("ij,ij->i", offset, offset).max()))
 
     def look_at_energy(self) -> None:
@@ -229,10 +231,8 @@ class _Watch:
         if np.any(state.wrench):
             self._least_energy = math.nan  # a tool that touches does work
             return
-        if count[st.SNAPPED]:
+        if count[st.SNAPPED] or count[st.COLLAPSING]:
             return  # led back along a line, which may lead uphill
-        if count[st.REGION] == st.MODAL and count[st.TICK] % SHOWN_EVERY:
-            return  # the organ outside the region stands where an earlier tick had it
         energy = self._energy()
         if math.isnan(self._least_energy):
             self._least_energy, self._faults = energy, int(count[st.FAULTS])
@@ -240,12 +240,14 @@ class _Watch:
         if count[st.FAULTS] != self._faults:
             self._faults = int(count[st.FAULTS])
             self.energy_caught = max(self.energy_caught, self.energy_gain)
-            self.energy_gain = 0.0
+            self.energy_gain, self.gained = 0.0, False
         # The modes drive the region one way: energy that comes back to it from them counts above the release alone.
         if count[st.REGION] != st.MODAL:
             self._least_energy = min(self._least_energy, energy)
         if self._energy_at_release > 0.0:
-            self.energy_gain = max(self.energy_gain, (energy - self._least_energy) / self._energy_at_release)
+            gain = (energy - self._least_energy) / self._energy_at_release
+            self.energy_gain = max(self.energy_gain, float(gain))
+            self.gained = self.gained or gain > (MOST_MODAL_GAIN if count[st.REGION] == st.MODAL else MOST_GAIN)
 
     def _energy(self) -> float:
         """Kinetic and elastic energy, J, as the integrator keeps it where nothing is damped.
@@ -254,12 +256,12 @@ class _Watch:
         modes hold, which near the critical step is no growth.
         """
         simulation, state = self.simulation, self.simulation.state
-        energy = float(sum(simulation.energy()))
-        if self.integrator != "symplectic":
-            return energy
+        energy = simulation.energy.total
         nodes = simulation.model.moving
         if state.count[st.REGION] != st.WHOLE:
             nodes = simulation.scratch.region_node[: state.count[st.REGION_NODES]]
+        elif simulation.integrator != "symplectic":
+            return energy
         self._force[:] = 0.0
         elastic_forces(simulation.model, state.position, self._force)
         step = 1.0 / (simulation.rate * max(1, state.count[st.SUBSTEPS]))
@@ -277,9 +279,10 @@ def run_cell(cell: Cell) -> Record:
         newtons *= cell.value
     depth = cell.value if cell.axis.startswith("depth") else 0.0
     tick_time = 1.0 / simulation.rate
-    load = load_on(organ_of(cell.organ), axis.load, newtons, depth, tick_time, cell.quick)
+    pace = BRIEF if cell.brief else QUICK if cell.quick else FULL
+    load = load_on(organ_of(cell.organ), axis.load, newtons, depth, tick_time, pace)
     seconds, enough = watched(cell)
-    watch = _Watch(simulation, witness_of(cell.organ), cell.integrator)
+    watch = _Watch(simulation, witness_of(cell.organ))
     # A load that overflows must not fill the terminal with warnings: the outcome says it.
     with np.errstate(all="ignore"):
         tick = 0
@@ -293,17 +296,18 @@ def run_cell(cell: Cell) -> Record:
         after = 0
         while after * tick_time < seconds and watch.finite and not simulation.asleep:
             simulation.step()
-            if after * tick_time < LEAST_WATCHED or after % LATER_EVERY == 0:
+            late = after * tick_time > LEAST_WATCHED
+            if not late or after % LATER_EVERY == 0:
                 watch.look()
+            if after % (LATER_EVERY if late else ENERGY_EVERY) == 0:
                 watch.look_at_energy()
             after += 1
         state = simulation.state
-        if watch.finite and not simulation.asleep and state.count[st.REGION] == st.MODAL:
-            place_outside(simulation.model, state)
-        turned = watch.witness.look(state.position)
+        turned = watch.witness.look(simulation.positions)
         speed = float(np.abs(state.velocity).max())
         left = watch.reach() / max(watch.peak, 1e-12)
-    problems = tuple(problems_of(watch.finite, watch.energy_gain, left, speed, simulation.asleep, turned, enough))
+    gain = watch.energy_gain if watch.gained else 0.0
+    problems = tuple(problems_of(watch.finite, gain, left, speed, simulation.asleep, turned, enough))
     faults = int(state.count[st.FAULTS])
     return Record(
         axis=cell.axis,
@@ -335,12 +339,13 @@ def problems_of(
 ) -> list[str]:
     """Why a cell counts as diverged; empty when it doesn't.
 
-    left: displacement over its peak; speed m/s; enough: the time watched suffices to come to rest.
+    energy_gain: over that at release, 0 when it is none to speak of; left: displacement over its peak;
+    speed m/s; enough: the time watched suffices to come to rest.
     """
     if not finite:
         return ["not finite"]
     problems = []
-    if not energy_gain <= MOST_GAIN:
+    if energy_gain > 0.0:
         problems.append(f"energy gained from nothing ({100.0 * energy_gain:.3g} %)")
     if not enough:
         return problems
