@@ -27,15 +27,15 @@ from tissue_sim.organ.topology import assemble_organ
 LEFT = 0.01  # of the peak displacement, that may be left
 QUIET_SPEED = 1e-4  # m/s, of the fastest node
 MOST_GAIN = 0.03  # of the energy at release
-# Around a modal region a changed load is taken up without inertia, so the energy of the shape that it shows is its own
-# by a few milliseconds only.
-MOST_MODAL_GAIN = 0.25
+# The far field of a modal region takes up a changed load in some milliseconds, without inertia, and the energy of the
+# shape that it shows is no conserved one: it is compared with that at the release, later and more loosely.
+MOST_MODAL_GAIN, MODAL_TIME = 0.1, 0.01  # s
 # Time constants of the slowest mode that the organ is given to come to rest: a swinging one has speed to lose.
 SWINGING, CREEPING = 9.0, 6.0
 LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
 QUICK_WATCHED = 1.5  # s, the most with --quick
 BRIEFLY_WATCHED = 0.03  # s
-MOST_SUBSTEPS = 1000  # in a tick of the explicit integrator; what would need more goes wrong, and is shown so
+MOST_SUBSTEPS = 400  # in a tick of the explicit integrator; what would need more goes wrong, and is shown so
 LATER_EVERY = 20  # ticks between two looks after the least time watched
 ENERGY_EVERY = 2  # ticks between two looks at the energy before that
 LOOK_EVERY = 10  # ticks between two looks at what is turned over
@@ -201,7 +201,8 @@ class _Watch:
         self.peak = 0.0
         self.turned_most = self.substeps = 0
         self.energy_gain = self.energy_caught = 0.0
-        self._energy_at_release, self._least_energy, self._faults = 0.0, math.nan, 0
+        self._energy_at_release, self._least_energy = 0.0, math.nan
+        self._faults = self._released = 0
 
     def look(self) -> None:
         """Look at the state after a tick: is it finite, how far did nodes go, what is turned over."""
@@ -233,21 +234,22 @@ class _Watch:
             return
         if count[st.SNAPPED] or count[st.COLLAPSING]:
             return  # led back along a line, which may lead uphill
-        energy = self._energy()
+        energy, modal = self._energy(), count[st.REGION] == st.MODAL
         if math.isnan(self._least_energy):
-            self._least_energy, self._faults = energy, int(count[st.FAULTS])
+            self._least_energy, self._released = energy, int(count[st.TICK])
             self._energy_at_release = max(self._energy_at_release, energy)
         if count[st.FAULTS] != self._faults:
             self._faults = int(count[st.FAULTS])
             self.energy_caught = max(self.energy_caught, self.energy_gain)
             self.energy_gain, self.gained = 0.0, False
-        # The modes drive the region one way: energy that comes back to it from them counts above the release alone.
-        if count[st.REGION] != st.MODAL:
+        if modal and (count[st.TICK] - self._released) < MODAL_TIME * self.simulation.rate:
+            return
+        if not modal:
             self._least_energy = min(self._least_energy, energy)
         if self._energy_at_release > 0.0:
             gain = (energy - self._least_energy) / self._energy_at_release
             self.energy_gain = max(self.energy_gain, float(gain))
-            self.gained = self.gained or gain > (MOST_MODAL_GAIN if count[st.REGION] == st.MODAL else MOST_GAIN)
+            self.gained = self.gained or gain > (MOST_MODAL_GAIN if modal else MOST_GAIN)
 
     def _energy(self) -> float:
         """Kinetic and elastic energy, J, as the integrator keeps it where nothing is damped.
