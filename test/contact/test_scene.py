@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
+from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.shapes import signed_distance
-from tissue_sim.model.tick import elastic_forces
 
 from ..scenes import RADIUS, ball, free_ball, kidney
 

@@ -4,8 +4,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.model.assembly import assemble
-from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
+from tissue_sim.model import forces as module
+from tissue_sim.model.assembly import assemble, packed
+from tissue_sim.model.blocks import BLOCK, pack
+from tissue_sim.model.energy import energy_of
+from tissue_sim.model.forces import (
+    SHORTEST,
+    edge_forces,
+    elastic_forces,
+    return_forces,
+    spring_forces,
+    subtract_linear_edges,
+    subtract_linear_springs,
+)
+from tissue_sim.model.modes import stiffness_matrix
+from tissue_sim.model.reduction import reduce_model
 
 from ..scenes import ball, kidney
 
@@ -25,8 +38,10 @@ def length_of(vectors):
 
 
 def spring_energy(x, model):
-    stretch = length_of(x[model.spring_second] - x[model.spring_first]) - model.spring_rest_length
-    return np.sum(0.5 * model.spring_stiffness * stretch**2)
+    length, rest = length_of(x[model.spring_second] - x[model.spring_first]), model.spring_rest_length
+    short = length.real < SHORTEST * rest
+    faded = (SHORTEST * rest - rest) ** 2 + (1.0 - 1.0 / SHORTEST) * (length**2 - (SHORTEST * rest) ** 2)
+    return np.sum(0.5 * model.spring_stiffness * np.where(short, faded, (length - rest) ** 2))
 
 
 def angular_energy(x, model):
@@ -45,23 +60,33 @@ def return_energy(x, model):
 
 
 # kernels and their twins, N --------------------------------------------------------------------
+def without_angular(model):
+    none = {name: getattr(model, name)[:0] for name in model._fields if name.startswith("angular_")}
+    return packed(model._replace(**none))
+
+
+def without_springs(model):
+    return packed(
+        model._replace(**{name: getattr(model, name)[:0] for name in model._fields if name.startswith("spring_")})
+    )
+
+
 def springs(x, model=MODEL):
-    force = np.zeros_like(x)
-    spring_forces(x, model.spring_first, model.spring_second, model.spring_rest_length, model.spring_stiffness, force)
+    force, links = np.zeros_like(x), without_angular(model).links
+    spring_forces(x, links.nodes, links.constants, np.zeros(9 * BLOCK), force)
     return force
 
 
-def angular(x, model=MODEL, least_area=None):
+def angular(x, model=MODEL):
+    force, edges = np.zeros_like(x), without_springs(model).edges
+    edge_forces(x, edges.nodes, edges.constants, np.zeros(9 * BLOCK), force)
+    return force
+
+
+def everything(x, model=MODEL):
+    """Both kinds on the same edges, as the tick has them."""
     force = np.zeros_like(x)
-    angular_forces(
-        x,
-        model.angular_nodes,
-        model.angular_weight,
-        model.angular_rest,
-        model.angular_stiffness,
-        model.angular_least_area if least_area is None else least_area,
-        force,
-    )
+    elastic_forces(model, x, force)
     return force
 
 
@@ -76,7 +101,7 @@ def naive_springs(x, model):
     for s in range(len(model.spring_first)):
         i, j = model.spring_first[s], model.spring_second[s]
         arm = x[j] - x[i]
-        length = np.linalg.norm(arm)
+        length = max(np.linalg.norm(arm), SHORTEST * model.spring_rest_length[s])
         pull = model.spring_stiffness[s] * (length - model.spring_rest_length[s]) * arm / length
         force[i] += pull
         force[j] -= pull
@@ -116,6 +141,11 @@ CASES = {
     "springs": (springs, naive_springs, spring_energy),
     "angular": (angular, naive_angular, angular_energy),
     "return": (returns, naive_returns, return_energy),
+    "everything": (
+        everything,
+        lambda x, model: naive_springs(x, model) + naive_angular(x, model) + naive_returns(x, model),
+        lambda x, model: spring_energy(x, model) + angular_energy(x, model) + return_energy(x, model),
+    ),
 }
 each_kernel = pytest.mark.parametrize("case", CASES)
 
@@ -220,23 +250,68 @@ def test_triangles_without_area_give_finite_forces():
     assert np.all(np.isfinite(angular(x)))
 
 
-def test_spring_of_no_length_gives_no_nan():
-    x = MODEL.rest.copy()
-    x[MODEL.spring_second[0]] = x[MODEL.spring_first[0]]
-    assert np.all(np.isfinite(springs(x)))
+def two_nodes(length, rest=0.01, stiffness=50.0):
+    """Force on the second of two nodes that a spring joins, along it."""
+    x, force = np.array([[0.0, 0.0, 0.0], [0.0, length, 0.0]]), np.zeros((2, 3))
+    blocks = pack(np.array([[0, 1]]), np.array([[rest, stiffness]]), np.array([1.0, 0.0]))
+    spring_forces(x, blocks.nodes, blocks.constants, np.zeros(9 * BLOCK), force)
+    assert np.array_equal(force[0], -force[1])
+    return force[1, 1]
+
+
+def test_spring_follows_equation_1_and_fades_where_its_ends_meet():
+    for length in (0.002, 0.005, 0.01, 0.03):
+        assert two_nodes(length) == pytest.approx(-50.0 * (length - 0.01), abs=1e-15)
+    assert two_nodes(0.001) == pytest.approx(0.5 * two_nodes(0.002))
+    assert two_nodes(0.0) == 0.0
+    # Passing through itself it never jumps.
+    path = [two_nodes(length) for length in np.linspace(-0.004, 0.004, 801)]
+    assert np.abs(np.diff(path)).max() <= 50.0 * 1e-5 * (1.0 / SHORTEST - 1.0) * 1.001
+
+
+def test_energy_of_a_state_is_that_of_the_twins():
+    random = np.random.default_rng(3)
+    x, v = deformed(2.0), random.standard_normal(MODEL.rest.shape)
+    energy = energy_of(MODEL, x, v)
+    elastic = spring_energy(x, MODEL) + angular_energy(x, MODEL) + return_energy(x, MODEL)
+    assert energy.elastic == pytest.approx(elastic, rel=1e-12)
+    kinetic = sum(0.5 / MODEL.inverse_mass[node] * v[node] @ v[node] for node in MODEL.moving)
+    assert energy.kinetic == pytest.approx(kinetic, rel=1e-12)
 
 
 def test_forces_are_added_to_what_is_there():
     x = deformed()
     force = np.ones_like(x)
-    spring_forces(x, MODEL.spring_first, MODEL.spring_second, MODEL.spring_rest_length, MODEL.spring_stiffness, force)
-    return_forces(x, MODEL.rest, MODEL.return_nodes, MODEL.return_stiffness, force)
-    np.testing.assert_allclose(force, 1.0 + springs(x) + returns(x), rtol=1e-12)
+    elastic_forces(MODEL, x, force)
+    np.testing.assert_allclose(force, 1.0 + everything(x), rtol=1e-12)
+
+
+def test_linear_forces_are_the_stiffness_matrix_times_the_displacement():
+    x, force = deformed(), np.zeros_like(MODEL.rest)
+    reduction, work = reduce_model(MODEL), np.zeros(9 * BLOCK)
+    subtract_linear_edges(x, MODEL.edges.nodes, reduction.edge_slopes, work, force)
+    subtract_linear_springs(x, MODEL.links.nodes, reduction.link_slopes, work, force)
+    without_return = MODEL._replace(return_nodes=MODEL.return_nodes[:0])
+    expected = stiffness_matrix(without_return) @ (x - MODEL.rest).ravel()
+    assert np.abs(force.ravel() - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, BLOCK + 1])
+def test_blocks_hold_every_spring_once_and_fill_up_with_none(count):
+    nodes = np.stack([np.zeros(count, dtype=int), np.ones(count, dtype=int)], axis=1)
+    blocks = pack(nodes, np.tile([0.5, 2.0], (count, 1)), np.array([1.0, 0.0]))
+    assert len(blocks.nodes) == -(-count // BLOCK)
+    x, force = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros((2, 3))
+    spring_forces(x, blocks.nodes, blocks.constants, np.zeros(9 * BLOCK), force)
+    assert force[0, 2] == pytest.approx(count * 2.0 * 0.5)
 
 
 @each_kernel
 def test_kernel_without_the_compiler_agrees(case, monkeypatch):
     compiled = CASES[case][0](deformed())
-    for name in ("spring_forces", "angular_forces", "return_forces"):
-        monkeypatch.setitem(globals(), name, globals()[name].py_func)
+    for name, kernel in list(vars(module).items()):
+        if hasattr(kernel, "py_func"):
+            monkeypatch.setattr(module, name, kernel.py_func)
+            if name in globals():
+                monkeypatch.setitem(globals(), name, kernel.py_func)
     assert np.abs(CASES[case][0](deformed()) - compiled).max() <= 1e-12 * np.abs(compiled).max()

@@ -7,10 +7,12 @@ import time
 import numpy as np
 import pytest
 
+from tissue_sim.jit import handle
 from tissue_sim.model import realtime as rt
 from tissue_sim.model import state as st
-from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
+from tissue_sim.model.inputs import take_contacts, take_force, take_pose
 from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.world import World
 
 from ..scenes import ball
 
@@ -33,17 +35,8 @@ class Loop:
 
     def _run(self):
         one = self.simulation
-        rt.run_loop(
-            one.model,
-            one.state,
-            one.shapes,
-            one.settings.copy(),
-            one.scratch,
-            self.box,
-            one.buffer.floats,
-            one.buffer.integers,
-            round(1e9 / RATE),
-        )
+        world = World(one.model, one.state, one.shapes, one.settings.copy(), one.scratch)
+        rt.run_loop(handle(world), handle(self.box), one.buffer.floats, one.buffer.integers, round(1e9 / RATE))
 
     def __enter__(self):
         self.thread.start()
@@ -190,7 +183,7 @@ def by_hand(loop, ticks):
     for tick in range(1, ticks + 1):
         row = rows.get(tick, last)
         if row[rt.ROW_RESETS] != last[rt.ROW_RESETS]:
-            reset_state(simulation.model, simulation.state, simulation.scratch)
+            simulation.reset()
         if row[rt.ROW_SETTINGS] != last[rt.ROW_SETTINGS]:
             simulation.settings[:] = loop.settings[row[rt.ROW_SETTINGS]]
         if row[rt.ROW_TOOLS] != last[rt.ROW_TOOLS]:

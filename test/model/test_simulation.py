@@ -13,8 +13,9 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
+from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.rest import QUIET_TICKS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation, sphere_tools
-from tissue_sim.model.tick import QUIET_TICKS, elastic_forces
 
 from ..scenes import ball, changed, free_ball, kidney
 from .test_forces import angular_energy, return_energy, spring_energy

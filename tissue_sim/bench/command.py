@@ -20,9 +20,7 @@ BENCHMARKS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command and of every benchmark."""
-    benchmarks = parser.add_subparsers(
-        dest="benchmark", metavar="BENCHMARK", required=True, parser_class=type(parser)
-    )
+    benchmarks = parser.add_subparsers(dest="benchmark", metavar="BENCHMARK", required=True, parser_class=type(parser))
     for name, (module, summary) in BENCHMARKS.items():
         benchmark = benchmarks.add_parser(
             name,

@@ -9,19 +9,53 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from tissue_sim.errors import UserError
+from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks, pack
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
+from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind
 from tissue_sim.organ.topology import tetrahedral_edges
 
 ModelName = Literal["surface", "volume", "hybrid"]
 ReturnTarget = Literal["rest", "implied"]
 RETURN_TARGETS: tuple[str, ...] = get_args(ReturnTarget)
+LEAST_CELL = 0.05  # of the mean cell's volume, below which a cell tells nothing
 LEAST_AREA = 0.1  # of the rest area, below which a pair of triangles counts as collapsed
 MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
 
+class Adjacency(NamedTuple):
+    """Which springs each node has, as compressed rows; empty without a local region."""
+
+    edge_start: Ints  # (n + 1,)
+    edges: Ints  # slots in Model.edges, block after block
+    link_start: Ints  # (n + 1,)
+    links: Ints  # slots in Model.links
+
+
+class Reduction(NamedTuple):
+    """What a modal region knows of the rest of the organ. Empty without one."""
+
+    frequency: Floats  # (m,) rad/s of the lowest modes
+    shape: Floats  # (n, 3, m) 1/sqrt(kg)
+    peak: Floats  # (m,) the shapes' largest components
+    compliance: NDArray[np.float32]  # (3n, 3n) m/N of the model about rest; (0, 0) when it would be too large
+    edge_slopes: Floats  # (b, 21 BLOCK) what forces.subtract_linear_edges takes
+    link_slopes: Floats  # (b, 6 BLOCK) what forces.subtract_linear_springs takes
+
+
+class Factor(NamedTuple):
+    """L D L' of the matrix of the implicit step, twice: one in use, one to be written. Empty without it."""
+
+    order: Ints  # (a,) moving nodes in the order of elimination
+    start: Ints  # (a + 1,) columns of L below its diagonal
+    row: Ints  # (l,)
+    value: Floats  # (2, l)
+    pivot: Floats  # (2, a) 1/kg, inverse of D
+    mobility: Floats  # (2, n) 1/kg, diagonal of the matrix' inverse
+
+
 class Model(NamedTuple):
-    """Constants of one model variant, as the kernels read them. Shapes: n nodes, s springs, h hinges."""
+    """Constants of one model variant, as the kernels read them. Shapes: n nodes, s springs, h angular springs."""
 
     n_surface: int
     rest: Floats  # (n, 3) m
@@ -37,19 +71,43 @@ class Model(NamedTuple):
     angular_rest: Floats  # (h,) m
     angular_stiffness: Floats  # (h,) N/m
     angular_least_area: Floats  # (h,) m^4
+    edges: Blocks  # axial and angular springs of the edges between two triangles, as the kernels take them
+    links: Blocks  # all other springs
     return_nodes: Ints  # (r,) nodes with a return spring
     return_stiffness: Floats  # (n,) N/m
     return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
     spokes: Spokes  # of the M-rep; empty when nothing is implied
     damping_rate: float  # 1/s, nodal damping over mass, the mean
-    mode_frequency: Floats  # (m,) rad/s; empty without a modal region
-    mode_shape: Floats  # (n, 3, m) 1/sqrt(kg)
+    cells: Ints  # (c, 4) tetrahedra of a triangle and its nearest medial atom: what is inside
+    cell_volume: Floats  # (c,) m^3 at rest
     neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
     neighbours: Ints
     hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0): searched on demand
+    adjacency: Adjacency
+    reduction: Reduction
+    factor: Factor
+    work: Floats  # (9 BLOCK,) room for the force kernels
 
 
 NO_HOPS = np.zeros((0, 0), dtype=np.uint8)
+_NO_INTS = np.zeros(0, dtype=np.int32)
+NO_ADJACENCY = Adjacency(*[_NO_INTS] * 4)
+NO_REDUCTION = Reduction(
+    frequency=np.zeros(0),
+    shape=np.zeros((0, 3, 0)),
+    peak=np.zeros(0),
+    compliance=np.zeros((0, 0), dtype=np.float32),
+    edge_slopes=np.zeros((0, 21 * BLOCK)),
+    link_slopes=np.zeros((0, 6 * BLOCK)),
+)
+NO_FACTOR = Factor(
+    order=_NO_INTS,
+    start=_NO_INTS,
+    row=_NO_INTS,
+    value=np.zeros((2, 0)),
+    pivot=np.zeros((2, 0)),
+    mobility=np.zeros((2, 0)),
+)
 
 
 def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -> Model:
@@ -92,40 +150,95 @@ def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -
     moving[organ.fixed] = False
     inverse_mass = np.where(moving, 1.0 / (mass * scale), 0.0)
 
-    angular = model != "volume"
-    hinges = organ.angular_nodes if angular else np.empty((0, 4), dtype=np.int32)
+    # A part without stiffness is off, and costs nothing.
+    on = stiffness > 0.0
+    nodes, length, stiffness = nodes[on], length[on], stiffness[on]
+    bending = organ.angular_stiffness > 0.0 if model != "volume" else np.zeros(len(organ.angular_nodes), dtype=bool)
+    hinges = organ.angular_nodes[bending]
     weight, bent, normal = curvature_at_edges(rest, hinges)
     edges = organ.spring_nodes[organ.spring_kind == SpringKind.EDGE]
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
     graph = (graph + graph.T).tocsr()
     graph.sort_indices()
     returning = np.flatnonzero(moving & (organ.return_stiffness > 0.0))
-    return Model(
-        n_surface=n_surface,
-        rest=rest,
-        inverse_mass=inverse_mass,
-        damping=damping * scale,
-        moving=_ints(np.flatnonzero(moving)),
-        spring_first=_ints(nodes[:, 0]),
-        spring_second=_ints(nodes[:, 1]),
-        spring_rest_length=_floats(length),
-        spring_stiffness=_floats(stiffness),
-        angular_nodes=_ints(hinges),
-        angular_weight=weight,
-        angular_rest=bent,
-        angular_stiffness=organ.angular_stiffness.copy() if angular else np.empty(0),
-        angular_least_area=(LEAST_AREA * normal) ** 2,
-        return_nodes=_ints(returning),
-        return_stiffness=organ.return_stiffness.copy(),
-        return_target=rest.copy() if implied else rest,
-        spokes=spokes_of(organ) if implied else NO_SPOKES,
-        damping_rate=float(damping[used].sum() / mass[used].sum()),
-        mode_frequency=np.zeros(0),
-        mode_shape=np.zeros((n, 3, 0)),
-        neighbour_start=_ints(graph.indptr),
-        neighbours=_ints(graph.indices),
-        hops=NO_HOPS,
+    cells, cell_volume = _cells(organ)
+    return packed(
+        Model(
+            n_surface=n_surface,
+            rest=rest,
+            inverse_mass=inverse_mass,
+            damping=damping * scale,
+            moving=_ints(np.flatnonzero(moving)),
+            spring_first=_ints(nodes[:, 0]),
+            spring_second=_ints(nodes[:, 1]),
+            spring_rest_length=_floats(length),
+            spring_stiffness=_floats(stiffness),
+            angular_nodes=_ints(hinges),
+            angular_weight=weight,
+            angular_rest=bent,
+            angular_stiffness=_floats(organ.angular_stiffness[bending]),
+            angular_least_area=(LEAST_AREA * normal) ** 2,
+            edges=empty_blocks(0, 4, 8),
+            links=empty_blocks(0, 2, 2),
+            return_nodes=_ints(returning),
+            return_stiffness=organ.return_stiffness.copy(),
+            return_target=rest.copy() if implied else rest,
+            spokes=spokes_of(organ) if implied else NO_SPOKES,
+            damping_rate=float(damping[used].sum() / mass[used].sum()),
+            cells=cells,
+            cell_volume=cell_volume,
+            neighbour_start=_ints(graph.indptr),
+            neighbours=_ints(graph.indices),
+            hops=NO_HOPS,
+            adjacency=NO_ADJACENCY,
+            reduction=NO_REDUCTION,
+            factor=NO_FACTOR,
+            work=np.zeros(9 * BLOCK),
+        )
     )
+
+
+def packed(model: Model) -> Model:
+    """The model with its springs packed anew for the kernels, after spring_* or angular_* were replaced."""
+    n = len(model.rest)
+    springs = np.sort(np.stack([model.spring_first, model.spring_second], axis=1).astype(np.int64), axis=1)
+    keys, order = np.unique(springs[:, 0] * n + springs[:, 1], return_index=True)
+    ends = np.sort(model.angular_nodes[:, :2].astype(np.int64), axis=1)
+    wanted = ends[:, 0] * n + ends[:, 1]
+    place = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
+    found = keys[place] == wanted if len(keys) else np.zeros(len(wanted), dtype=bool)
+    axial = np.full(len(wanted), -1)
+    axial[found] = order[place[found]]
+    values = np.zeros((len(wanted), 8))
+    values[:, 6] = 1.0  # m, of edges without an axial spring
+    values[:, 0:3] = model.angular_weight[:, 1:]
+    values[:, 3], values[:, 4] = model.angular_rest, model.angular_stiffness
+    values[:, 5] = model.angular_least_area
+    values[found, 6] = model.spring_rest_length[axial[found]]
+    values[found, 7] = model.spring_stiffness[axial[found]]
+    others = np.setdiff1d(np.arange(len(springs)), axial)
+    pair = np.stack([model.spring_first, model.spring_second], axis=1)
+    law = np.stack([model.spring_rest_length, model.spring_stiffness], axis=1)
+    filling = np.zeros(8)
+    filling[[5, 6]] = 1.0  # lengths and areas that keep divisions finite
+    return model._replace(
+        edges=pack(model.angular_nodes, values, filling),
+        links=pack(pair[others], law[others], np.array([1.0, 0.0])),
+    )
+
+
+def _cells(organ: Organ) -> tuple[Ints, Floats]:
+    """Tetrahedra (c, 4) of every triangle and its nearest medial atom, of positive volume (c,) m^3 at rest.
+
+    A cell that the surface folds over at rest, and so has no inside to lose, is left out.
+    """
+    x, triangles = organ.rest_positions, organ.surface_triangles
+    atom = organ.n_surface + nearest_atoms(x[triangles].mean(axis=1), organ.atom_positions, 1)[0]
+    cells = np.concatenate([triangles, atom], axis=1)
+    a, b, c, d = (x[cells[:, k]] for k in range(4))
+    volume = np.einsum("ck,ck->c", a - d, np.cross(b - d, c - d)) / 6.0
+    sound = volume > LEAST_CELL * volume.mean()
+    return _ints(cells[sound]), _floats(volume[sound])
 
 
 def _ints(values: Any) -> Ints:

@@ -17,6 +17,8 @@ from tissue_sim.model.state import ENGAGED, ENTRIES, MODAL, REGION
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
+MOST_PASSES = 20  # over the contact points in a substep
+TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
 
 @kernel
@@ -74,45 +76,100 @@ def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
 
 
 @kernel
-def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch: Any) -> int:
-    """List the entries that touch or nearly touch in scratch.near_entry, their impulses zeroed.
+def tool_normal(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> tuple[float, float, float, float]:
+    """Signed distance, m, of a contact point to its tool, and the tool's outward normal in the organ's frame."""
+    tool = state.contact_tool[entry]
+    _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
+    gap, mx, my, mz = signed_distance(shapes, tool, lx, ly, lz)
+    r = rotation[tool]
+    return (
+        gap,
+        r[0] * mx + r[1] * my + r[2] * mz,
+        r[3] * mx + r[4] * my + r[5] * mz,
+        r[6] * mx + r[7] * my + r[8] * mz,
+    )
 
-    Returns how many; when more come close than the list holds, the first ones are kept.
+
+@kernel
+def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch: Any) -> int:
+    """List the entries that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
+
+    Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
+    forgotten.
     """
     found = 0
     for entry in range(state.count[ENTRIES]):
         tool = state.contact_tool[entry]
-        if state.tool_count[tool, ENGAGED] == 0:
-            continue
-        if gap_from_outside(state, shapes, entry, origin, rotation) < NEAR and found < len(scratch.near_entry):
-            scratch.near_entry[found] = entry
-            scratch.near_normal[found] = 0.0
+        pressed = state.contact_pressed[0, entry]
+        near = False
+        if state.tool_count[tool, ENGAGED] == 1 and found < len(scratch.near_entry):
+            near = pressed > 0.0 or gap_from_outside(state, shapes, entry, origin, rotation) < NEAR
+        if not near:
+            state.contact_pressed[0, entry] = 0.0
             for c in range(3):
-                scratch.near_tangent[found, c] = 0.0
-            found += 1
+                state.contact_push[0, entry, c] = 0.0
+            continue
+        push = state.contact_push[0, entry]
+        _, nx, ny, nz = tool_normal(state, shapes, entry, origin, rotation)
+        scratch.near_entry[found] = entry
+        scratch.near_normal[found] = pressed
+        scratch.near_tangent[found, 0] = push[0] - pressed * nx
+        scratch.near_tangent[found, 1] = push[1] - pressed * ny
+        scratch.near_tangent[found, 2] = push[2] - pressed * nz
+        found += 1
     return found
 
 
 @kernel
+def add_contact_impulses(state: Any, force: Any, step: float) -> None:
+    """Add the last substep's contact impulses to force (n, 3) N, for an integrator that spreads them over the organ."""
+    for entry in range(state.count[ENTRIES]):
+        if state.contact_pressed[0, entry] > 0.0 and state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
+            for corner in range(3):
+                node, share = state.contact_node[entry, corner], state.contact_weight[entry, corner] / step
+                for c in range(3):
+                    force[node, c] += share * state.contact_push[0, entry, c]
+
+
+@kernel
 def resolve_contacts(
-    state: Any, shapes: Any, mobility: Any, scratch: Any, friction: float, step: float, iterations: int
+    state: Any, shapes: Any, mobility: Any, scratch: Any, friction: float, step: float, spread: bool
 ) -> int:
     """Keep every contact point out of its tool; returns how many touched.
 
     Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours is let
-    back, so that points sharing nodes settle on one distribution of force instead of taking turns.
+    back, so that points sharing nodes settle on one distribution of force instead of taking turns. It starts
+    from the impulses of the last substep, and ends when a pass changes them by less than TOLERANCE of their sum.
     scratch.origin (T, 3), scratch.rotation (T, 9) are the tools at the substep's end, last_* at its
-    beginning; mobility (n,) 1/kg is the velocity that an impulse gives a node; step s. Adds to
+    beginning; mobility (n,) 1/kg is the velocity that an impulse gives a node; step s; spread: True when the
+    integrator has moved the organ by the last impulses already. Adds to
     scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
     about the tool's origin, N m s.
     """
     found = gather_contacts(state, shapes, scratch.origin, scratch.rotation, scratch)
-    for _ in range(iterations if found > 1 else min(found, 1)):
+    if found == 0:
+        return 0
+    for near in range(found):
+        entry = scratch.near_entry[near]
+        if scratch.near_normal[near] > 0.0:
+            push = state.contact_push[0, entry]
+            give_impulse(state, mobility, scratch, entry, push[0], push[1], push[2], 0.0 if spread else step)
+    for _ in range(MOST_PASSES):
+        change = total = 0.0
         for near in range(found):
-            resolve_contact(state, shapes, mobility, scratch, near, friction, step)
+            change += resolve_contact(state, shapes, mobility, scratch, near, friction, step)
+            total += scratch.near_normal[near]
+        if change <= TOLERANCE * total:
+            break
     touching = 0
     for near in range(found):
-        if scratch.near_normal[near] > 0.0:
+        entry, pressed = scratch.near_entry[near], scratch.near_normal[near]
+        state.contact_pressed[0, entry] = pressed
+        _, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
+        state.contact_push[0, entry, 0] = pressed * nx + scratch.near_tangent[near, 0]
+        state.contact_push[0, entry, 1] = pressed * ny + scratch.near_tangent[near, 1]
+        state.contact_push[0, entry, 2] = pressed * nz + scratch.near_tangent[near, 2]
+        if pressed > 0.0:
             touching += 1
     return touching
 
@@ -120,27 +177,24 @@ def resolve_contacts(
 @kernel
 def resolve_contact(
     state: Any, shapes: Any, mobility: Any, scratch: Any, near: int, friction: float, step: float
-) -> None:
-    """One contact point: no penetration, and no sliding within the friction cone."""
+) -> float:
+    """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
     entry = scratch.near_entry[near]
     tool = state.contact_tool[entry]
     compliance = 0.0
     for c in range(3):
         weight = state.contact_weight[entry, c]
         compliance += weight * weight * mobility[state.contact_node[entry, c]]
+    pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
     if compliance == 0.0:
-        return
-    origin = scratch.origin
-    x, y, z, lx, ly, lz = point_in_tool(state, entry, origin, scratch.rotation)
-    gap, mx, my, mz = signed_distance(shapes, tool, lx, ly, lz)
-    pressed = scratch.near_normal[near]
+        scratch.near_normal[near] = 0.0
+        held[0] = held[1] = held[2] = 0.0
+        return 0.0
+    x, y, z, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
+    gap, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
     normal = max(0.0, pressed - gap / (compliance * step))
     if normal == 0.0 and pressed == 0.0:
-        return
-    r = scratch.rotation[tool]
-    nx = r[0] * mx + r[1] * my + r[2] * mz
-    ny = r[3] * mx + r[4] * my + r[5] * mz
-    nz = r[6] * mx + r[7] * my + r[8] * mz
+        return 0.0
     scratch.near_normal[near] = normal
     # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
     q = scratch.last_rotation[tool]
@@ -153,7 +207,6 @@ def resolve_contact(
         sy += weight * state.velocity[node, 1]
         sz += weight * state.velocity[node, 2]
     along = sx * nx + sy * ny + sz * nz
-    held = scratch.near_tangent[near]
     tx = held[0] - (sx - along * nx) / (compliance * step)
     ty = held[1] - (sy - along * ny) / (compliance * step)
     tz = held[2] - (sz - along * nz) / (compliance * step)
@@ -163,20 +216,36 @@ def resolve_contact(
     py = (normal - pressed) * ny + share * ty - held[1]
     pz = (normal - pressed) * nz + share * tz - held[2]
     held[0], held[1], held[2] = share * tx, share * ty, share * tz
+    give_impulse(state, mobility, scratch, entry, px, py, pz, step)
+    return math.sqrt(px * px + py * py + pz * pz)
+
+
+@kernel
+def give_impulse(
+    state: Any, mobility: Any, scratch: Any, entry: int, px: float, py: float, pz: float, step: float
+) -> None:
+    """Give a contact point an impulse, N s; with a step of 0 only count it."""
+    tool = state.contact_tool[entry]
+    x = y = z = 0.0
     for c in range(3):
-        node = state.contact_node[entry, c]
-        move = state.contact_weight[entry, c] * mobility[node]
+        node, weight = state.contact_node[entry, c], state.contact_weight[entry, c]
+        x += weight * state.position[node, 0]
+        y += weight * state.position[node, 1]
+        z += weight * state.position[node, 2]
         if state.count[REGION] == MODAL:
-            state.contact_impulse[node, 0] += state.contact_weight[entry, c] * px
-            state.contact_impulse[node, 1] += state.contact_weight[entry, c] * py
-            state.contact_impulse[node, 2] += state.contact_weight[entry, c] * pz
-        state.velocity[node, 0] += move * px
-        state.velocity[node, 1] += move * py
-        state.velocity[node, 2] += move * pz
-        state.position[node, 0] += step * move * px
-        state.position[node, 1] += step * move * py
-        state.position[node, 2] += step * move * pz
-    ax, ay, az = x - origin[tool, 0], y - origin[tool, 1], z - origin[tool, 2]
+            state.contact_impulse[node, 0] += weight * px
+            state.contact_impulse[node, 1] += weight * py
+            state.contact_impulse[node, 2] += weight * pz
+        if step > 0.0:
+            move = weight * mobility[node]
+            state.velocity[node, 0] += move * px
+            state.velocity[node, 1] += move * py
+            state.velocity[node, 2] += move * pz
+            state.position[node, 0] += step * move * px
+            state.position[node, 1] += step * move * py
+            state.position[node, 2] += step * move * pz
+    origin = scratch.origin[tool]
+    ax, ay, az = x - origin[0], y - origin[1], z - origin[2]
     impulse = scratch.impulse[tool]
     impulse[0] += px
     impulse[1] += py

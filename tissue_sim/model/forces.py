@@ -1,4 +1,8 @@
-"""Forces of the hybrid elastic model, added to `force` (n, 3) N at `position` (n, 3) m."""
+"""Forces of the hybrid elastic model, added to `force` (n, 3) N at `position` (n, 3) m.
+
+Springs come in blocks of equal length, constants in rows (see blocks): what a block needs is gathered, worked out
+and scattered in three short loops, of which the compiler does the middle one four springs at a time.
+"""
 
 from __future__ import annotations
 
@@ -6,76 +10,210 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.blocks import BLOCK
+
+# Of its rest length, below which a spring's push fades to nothing where its ends meet. Equation (1) alone turns around
+# there by twice its largest force: no step is short enough for that, and energy comes from nothing.
+SHORTEST = 0.2
 
 
 @kernel
-def spring_forces(position: Any, first: Any, second: Any, rest_length: Any, stiffness: Any, force: Any) -> None:
-    """Axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear.
+def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
+    """Axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear; l not under SHORTEST l0.
 
-    first, second (s,) nodes; rest_length (s,) m; stiffness (s,) N/m.
+    nodes (b, BLOCK, 2); constants (b, 2 BLOCK): rest lengths, m, then stiffnesses, N/m; work (9 BLOCK,).
     """
-    for s in range(len(first)):
-        i, j = first[s], second[s]
-        dx = position[j, 0] - position[i, 0]
-        dy = position[j, 1] - position[i, 1]
-        dz = position[j, 2] - position[i, 2]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        # A spring of no length has no direction; it pushes again as soon as it has one.
-        scale = stiffness[s] * (1.0 - rest_length[s] / max(length, 1e-12))
-        force[i, 0] += scale * dx
-        force[i, 1] += scale * dy
-        force[i, 2] += scale * dz
-        force[j, 0] -= scale * dx
-        force[j, 1] -= scale * dy
-        force[j, 2] -= scale * dz
+    for block in range(len(nodes)):
+        ends, constant = nodes[block], constants[block]
+        for s in range(BLOCK):
+            i, j = ends[s, 0], ends[s, 1]
+            work[s] = position[j, 0] - position[i, 0]
+            work[BLOCK + s] = position[j, 1] - position[i, 1]
+            work[2 * BLOCK + s] = position[j, 2] - position[i, 2]
+        for s in range(BLOCK):
+            x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
+            length = math.sqrt(x * x + y * y + z * z)
+            rest = constant[s]
+            shortest = SHORTEST * rest
+            pull = constant[BLOCK + s] * (1.0 - rest / (length if length > shortest else shortest))
+            work[s], work[BLOCK + s], work[2 * BLOCK + s] = pull * x, pull * y, pull * z
+        for s in range(BLOCK):
+            i, j = ends[s, 0], ends[s, 1]
+            x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
+            force[i, 0] += x
+            force[i, 1] += y
+            force[i, 2] += z
+            force[j, 0] -= x
+            force[j, 1] -= y
+            force[j, 2] -= z
 
 
 @kernel
-def angular_forces(
-    position: Any, nodes: Any, weight: Any, rest: Any, stiffness: Any, least_area: Any, force: Any
-) -> None:
-    """Angular springs between the two triangles at each edge: energy k/2 (s - s0)^2.
+def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
+    """Edges between two triangles: the axial spring along the edge, and the angular spring across it.
 
-    s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of the pair, is the edge's length
-    times the angle between the triangles to first order, signed: positive where convex (the
-    mean curvature normal of Bergou et al. 2006). Its stiffness stays what it is at rest when
+    Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
+    the pair, is the edge's length times the angle between the triangles to first order, signed: positive where
+    convex (the mean curvature normal of Bergou et al. 2006). Its stiffness stays what it is at rest when
     triangles are squeezed; an angle's grows without bound and makes any step too long. A spring
     on the cosine between two arms (Nedel & Thalmann 1998) has hardly a slope where the surface is flat.
-    nodes (h, 4): edge i, j and the opposite corners k, l; weight (h, 4); rest (h,) m; stiffness (h,) N/m;
-    least_area (h,) m^4 bounds the squared length of the unnormalised normal from below.
+    nodes (b, BLOCK, 4): edge i, j and the opposite corners k, l; constants (b, 8 BLOCK): weights of j, k, l (that of i
+    makes their sum zero), s0, m, stiffness, N/m, the least squared length of the unnormalised normal, m^4, and
+    rest length, m, and stiffness, N/m, of the axial spring; work (9 BLOCK,).
     """
-    for h in range(len(nodes)):
-        i, j, k, m = nodes[h, 0], nodes[h, 1], nodes[h, 2], nodes[h, 3]
-        wi, wj, wk, wm = weight[h, 0], weight[h, 1], weight[h, 2], weight[h, 3]
-        bx = wi * position[i, 0] + wj * position[j, 0] + wk * position[k, 0] + wm * position[m, 0]
-        by = wi * position[i, 1] + wj * position[j, 1] + wk * position[k, 1] + wm * position[m, 1]
-        bz = wi * position[i, 2] + wj * position[j, 2] + wk * position[k, 2] + wm * position[m, 2]
-        ex, ey, ez = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
-        dx, dy, dz = position[k, 0] - position[m, 0], position[k, 1] - position[m, 1], position[k, 2] - position[m, 2]
+    for block in range(len(nodes)):
+        ends = nodes[block]
+        _gather_arms(position, ends, work)
+        _bend_and_stretch(work, constants[block])
+        _scatter_arms(work, ends, force)
+
+
+@kernel
+def _gather_arms(position: Any, ends: Any, work: Any) -> None:
+    """From node i of each edge to its nodes j, k and l."""
+    for e in range(BLOCK):
+        i, j, k, m = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        work[e] = position[j, 0] - x
+        work[BLOCK + e] = position[j, 1] - y
+        work[2 * BLOCK + e] = position[j, 2] - z
+        work[3 * BLOCK + e] = position[k, 0] - x
+        work[4 * BLOCK + e] = position[k, 1] - y
+        work[5 * BLOCK + e] = position[k, 2] - z
+        work[6 * BLOCK + e] = position[m, 0] - x
+        work[7 * BLOCK + e] = position[m, 1] - y
+        work[8 * BLOCK + e] = position[m, 2] - z
+
+
+@kernel
+def _bend_and_stretch(work: Any, constant: Any) -> None:
+    """Turn the arms of a block into the forces on j, k and l."""
+    for e in range(BLOCK):
+        ex, ey, ez = work[e], work[BLOCK + e], work[2 * BLOCK + e]
+        kx, ky, kz = work[3 * BLOCK + e], work[4 * BLOCK + e], work[5 * BLOCK + e]
+        mx, my, mz = work[6 * BLOCK + e], work[7 * BLOCK + e], work[8 * BLOCK + e]
+        wj, wk, wm = constant[e], constant[BLOCK + e], constant[2 * BLOCK + e]
+        bx = wj * ex + wk * kx + wm * mx
+        by = wj * ey + wk * ky + wm * my
+        bz = wj * ez + wk * kz + wm * mz
+        dx, dy, dz = kx - mx, ky - my, kz - mz
         nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
         square = nx * nx + ny * ny + nz * nz
-        inverse = 1.0 / math.sqrt(max(square, least_area[h]))
+        least = constant[5 * BLOCK + e]
+        inverse = 1.0 / math.sqrt(square if square > least else least)
         nx, ny, nz = nx * inverse, ny * inverse, nz * inverse
         bent = bx * nx + by * ny + bz * nz
-        push = -stiffness[h] * (bent - rest[h])
+        push = -constant[4 * BLOCK + e] * (bent - constant[3 * BLOCK + e])
         # Turning of the normal; a collapsed pair has none, and only the length of n counts there.
-        along = bent if square > least_area[h] else 0.0
-        gx, gy, gz = (bx - along * nx) * inverse, (by - along * ny) * inverse, (bz - along * nz) * inverse
+        along = bent if square > least else 0.0
+        turn = push * inverse
+        gx, gy, gz = (bx - along * nx) * turn, (by - along * ny) * turn, (bz - along * nz) * turn
         px, py, pz = push * nx, push * ny, push * nz
-        ax, ay, az = push * (dy * gz - dz * gy), push * (dz * gx - dx * gz), push * (dx * gy - dy * gx)
-        cx, cy, cz = push * (gy * ez - gz * ey), push * (gz * ex - gx * ez), push * (gx * ey - gy * ex)
-        force[i, 0] += wi * px - ax
-        force[i, 1] += wi * py - ay
-        force[i, 2] += wi * pz - az
-        force[j, 0] += wj * px + ax
-        force[j, 1] += wj * py + ay
-        force[j, 2] += wj * pz + az
-        force[k, 0] += wk * px + cx
-        force[k, 1] += wk * py + cy
-        force[k, 2] += wk * pz + cz
-        force[m, 0] += wm * px - cx
-        force[m, 1] += wm * py - cy
-        force[m, 2] += wm * pz - cz
+        cx, cy, cz = gy * ez - gz * ey, gz * ex - gx * ez, gx * ey - gy * ex
+        length = math.sqrt(ex * ex + ey * ey + ez * ez)
+        rest = constant[6 * BLOCK + e]
+        shortest = SHORTEST * rest
+        pull = constant[7 * BLOCK + e] * (rest / (length if length > shortest else shortest) - 1.0)
+        work[e] = wj * px + dy * gz - dz * gy + pull * ex
+        work[BLOCK + e] = wj * py + dz * gx - dx * gz + pull * ey
+        work[2 * BLOCK + e] = wj * pz + dx * gy - dy * gx + pull * ez
+        work[3 * BLOCK + e] = wk * px + cx
+        work[4 * BLOCK + e] = wk * py + cy
+        work[5 * BLOCK + e] = wk * pz + cz
+        work[6 * BLOCK + e] = wm * px - cx
+        work[7 * BLOCK + e] = wm * py - cy
+        work[8 * BLOCK + e] = wm * pz - cz
+
+
+@kernel
+def _scatter_arms(work: Any, ends: Any, force: Any) -> None:
+    """Add the forces of a block; node i has what the others lack, so that their sum is zero."""
+    for e in range(BLOCK):
+        i, j, k, m = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
+        jx, jy, jz = work[e], work[BLOCK + e], work[2 * BLOCK + e]
+        kx, ky, kz = work[3 * BLOCK + e], work[4 * BLOCK + e], work[5 * BLOCK + e]
+        mx, my, mz = work[6 * BLOCK + e], work[7 * BLOCK + e], work[8 * BLOCK + e]
+        force[i, 0] -= jx + kx + mx
+        force[i, 1] -= jy + ky + my
+        force[i, 2] -= jz + kz + mz
+        force[j, 0] += jx
+        force[j, 1] += jy
+        force[j, 2] += jz
+        force[k, 0] += kx
+        force[k, 1] += ky
+        force[k, 2] += kz
+        force[m, 0] += mx
+        force[m, 1] += my
+        force[m, 2] += mz
+
+
+@kernel
+def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, force: Any) -> None:
+    """Subtract what axial springs would push if they were linear about rest.
+
+    nodes (b, BLOCK, 2); slopes (b, 6 BLOCK): from the first to the second node at rest, m, and the unit vector that way
+    times the root of the stiffness.
+    """
+    for block in range(len(nodes)):
+        ends, slope = nodes[block], slopes[block]
+        for s in range(BLOCK):
+            i, j = ends[s, 0], ends[s, 1]
+            work[s] = position[j, 0] - position[i, 0]
+            work[BLOCK + s] = position[j, 1] - position[i, 1]
+            work[2 * BLOCK + s] = position[j, 2] - position[i, 2]
+        for s in range(BLOCK):
+            tx, ty, tz = slope[3 * BLOCK + s], slope[4 * BLOCK + s], slope[5 * BLOCK + s]
+            x, y = work[s] - slope[s], work[BLOCK + s] - slope[BLOCK + s]
+            z = work[2 * BLOCK + s] - slope[2 * BLOCK + s]
+            pull = tx * x + ty * y + tz * z
+            work[s], work[BLOCK + s], work[2 * BLOCK + s] = pull * tx, pull * ty, pull * tz
+        for s in range(BLOCK):
+            i, j = ends[s, 0], ends[s, 1]
+            x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
+            force[i, 0] -= x
+            force[i, 1] -= y
+            force[i, 2] -= z
+            force[j, 0] += x
+            force[j, 1] += y
+            force[j, 2] += z
+
+
+@kernel
+def subtract_linear_edges(position: Any, nodes: Any, slopes: Any, work: Any, force: Any) -> None:
+    """Subtract what edges between two triangles would push if their springs were linear about rest.
+
+    nodes (b, BLOCK, 4); slopes (b, 21 BLOCK): arms from node i to j, k, l at rest, m, the gradient of the curvature for
+    j, k, l and the unit vector from i to j, these times the root of their stiffness.
+    """
+    for block in range(len(nodes)):
+        ends = nodes[block]
+        _gather_arms(position, ends, work)
+        _bend_and_stretch_linearly(work, slopes[block])
+        _scatter_arms(work, ends, force)
+
+
+@kernel
+def _bend_and_stretch_linearly(work: Any, slope: Any) -> None:
+    """Turn the arms of a block into the opposite of the linear forces on j, k and l."""
+    for e in range(BLOCK):
+        jx, jy, jz = work[e] - slope[e], work[BLOCK + e] - slope[BLOCK + e], work[2 * BLOCK + e] - slope[2 * BLOCK + e]
+        kx, ky = work[3 * BLOCK + e] - slope[3 * BLOCK + e], work[4 * BLOCK + e] - slope[4 * BLOCK + e]
+        kz, mx = work[5 * BLOCK + e] - slope[5 * BLOCK + e], work[6 * BLOCK + e] - slope[6 * BLOCK + e]
+        my, mz = work[7 * BLOCK + e] - slope[7 * BLOCK + e], work[8 * BLOCK + e] - slope[8 * BLOCK + e]
+        bent = slope[9 * BLOCK + e] * jx + slope[10 * BLOCK + e] * jy + slope[11 * BLOCK + e] * jz
+        bent += slope[12 * BLOCK + e] * kx + slope[13 * BLOCK + e] * ky + slope[14 * BLOCK + e] * kz
+        bent += slope[15 * BLOCK + e] * mx + slope[16 * BLOCK + e] * my + slope[17 * BLOCK + e] * mz
+        tx, ty, tz = slope[18 * BLOCK + e], slope[19 * BLOCK + e], slope[20 * BLOCK + e]
+        pull = tx * jx + ty * jy + tz * jz
+        work[e] = bent * slope[9 * BLOCK + e] + pull * tx
+        work[BLOCK + e] = bent * slope[10 * BLOCK + e] + pull * ty
+        work[2 * BLOCK + e] = bent * slope[11 * BLOCK + e] + pull * tz
+        work[3 * BLOCK + e] = bent * slope[12 * BLOCK + e]
+        work[4 * BLOCK + e] = bent * slope[13 * BLOCK + e]
+        work[5 * BLOCK + e] = bent * slope[14 * BLOCK + e]
+        work[6 * BLOCK + e] = bent * slope[15 * BLOCK + e]
+        work[7 * BLOCK + e] = bent * slope[16 * BLOCK + e]
+        work[8 * BLOCK + e] = bent * slope[17 * BLOCK + e]
 
 
 @kernel
@@ -89,3 +227,11 @@ def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: A
         force[i, 0] += stiffness[i] * (rest[i, 0] - position[i, 0])
         force[i, 1] += stiffness[i] * (rest[i, 1] - position[i, 1])
         force[i, 2] += stiffness[i] * (rest[i, 2] - position[i, 2])
+
+
+@kernel
+def elastic_forces(model: Any, position: Any, force: Any) -> None:
+    """Add the forces of every spring of the model to force (n, 3) N."""
+    edge_forces(position, model.edges.nodes, model.edges.constants, model.work, force)
+    spring_forces(position, model.links.nodes, model.links.constants, model.work, force)
+    return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)

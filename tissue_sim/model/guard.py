@@ -1,43 +1,166 @@
-"""Keeps the last good state, and goes back to it when a tick went wrong."""
+"""Keeps the last good state, goes back to it when a tick went wrong, and knows the inside from the outside."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.state import BACKOFF, FAULTS, LAST_GOOD_SPAN, TICK_TIME
+from tissue_sim.model.modal_region import forget_region
+from tissue_sim.model.state import (
+    BACKOFF,
+    COLLAPSED,
+    COLLAPSING,
+    FAULT_KIND,
+    FAULTS,
+    LAST_GOOD_SPAN,
+    MODAL,
+    NEXT_CELL,
+    NOT_FINITE,
+    REGION,
+    REGION_BOUNDARY,
+    REGION_NODES,
+    RUNAWAY,
+    TICK_TIME,
+    TURNED,
+    WHOLE,
+)
 
 MAX_BACKOFF = 8
+RUNAWAY_RATE = 100.0  # 1/s, speed over the organ's size that the nodes together never have
+WAY_BACK = 20.0  # 1/s on the way to rest
+CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
+MOST_TURNED = 0.5  # share of the cells; an organ turned that far knows no way back
 
 
 @kernel
 def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Keep this state if it is finite and bounded, else go back to the last good one, at rest.
 
-    After a fault the substeps double (up to 8 times), until the organ has slept.
+    Bounded: no node farther from rest than the organ's own size, none faster than that in a tick, and not all of
+    them together faster than a hundred times that in a second. After a fault the substeps double, up to 8 times and
+    then from 1 again, until the organ has slept. An organ of which more than
+    half is inside out is led back a little in each tick.
     """
-    span = settings[LAST_GOOD_SPAN] * settings[LAST_GOOD_SPAN]
-    speed = span / (settings[TICK_TIME] * settings[TICK_TIME])
-    good = True
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        moved = sped = 0.0
-        for c in range(3):
-            offset = state.position[node, c] - model.rest[node, c]
-            moved += offset * offset
-            sped += state.velocity[node, c] * state.velocity[node, c]
-        # Comparisons with NaN are false, so this catches it too.
-        good = good and moved < span and sped < speed
-    if good:
-        state.good_position[:] = state.position
-        state.good_velocity[:] = state.velocity
+    count = state.count
+    span = settings[LAST_GOOD_SPAN]
+    speed = span / settings[TICK_TIME]
+    energy = (RUNAWAY_RATE * span) ** 2
+    if count[REGION] == WHOLE:
+        fault = check(model, state, model.moving, span * span, speed * speed, energy)
+    elif count[REGION] == MODAL:
+        fault = check(model, state, scratch.drive_node[: drive(state)], span * span, speed * speed, energy)
+        for k in range(len(state.mode_position)):
+            if not abs(state.mode_position[k]) < math.inf or not abs(state.mode_velocity[k]) < math.inf:
+                fault = NOT_FINITE
+    else:
+        fault = check(model, state, scratch.region_node[: count[REGION_NODES]], span * span, speed * speed, energy)
+    collapsing = count[TURNED] > MOST_TURNED * len(model.cells)
+    if collapsing and count[COLLAPSING] == 0:
+        count[FAULTS] += 1
+        count[FAULT_KIND] = COLLAPSED
+    count[COLLAPSING] = 1 if collapsing else 0
+    if fault == 0:
+        if collapsing:
+            lead_back(model, state, settings)
+        keep(state, scratch)
         return
     state.position[:] = state.good_position
     state.velocity[:] = 0.0
     state.good_velocity[:] = 0.0
-    state.contact_impulse[:] = 0.0
-    state.mode_position[:] = 0.0
-    state.mode_velocity[:] = 0.0
+    state.contact_pressed[:] = 0.0
+    state.contact_push[:] = 0.0
+    if count[REGION] == MODAL:
+        forget_region(state)
+        count[REGION] = WHOLE
     scratch.impulse[:] = 0.0
-    state.count[FAULTS] += 1
-    state.count[BACKOFF] = min(MAX_BACKOFF, 2 * state.count[BACKOFF])
+    count[FAULTS] += 1
+    count[FAULT_KIND] = fault
+    # A load that stays too much for the shortest substeps is not the substeps' fault.
+    count[BACKOFF] = 2 * count[BACKOFF] if count[BACKOFF] < MAX_BACKOFF else 1
+
+
+@kernel
+def lead_back(model: Any, state: Any, settings: Any) -> float:
+    """Bring every node nearer to rest, without speed; returns how far one still is at the most, m.
+
+    The way back from a shape that the springs hold, so without their forces.
+    """
+    displacement, left = 0.0, math.exp(-WAY_BACK * settings[TICK_TIME])
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        for c in range(3):
+            offset = left * (state.position[node, c] - model.rest[node, c])
+            state.position[node, c] = model.rest[node, c] + offset
+            state.velocity[node, c] = 0.0
+            displacement = max(displacement, abs(offset))
+    return displacement
+
+
+@kernel
+def drive(state: Any) -> int:
+    """How many nodes a region moves or places."""
+    return state.count[REGION_NODES] + (state.count[REGION_BOUNDARY] if state.count[REGION] == MODAL else 0)
+
+
+@kernel
+def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy: float) -> int:
+    """What is wrong with the nodes, NOT_FINITE or RUNAWAY; 0 for nothing.
+
+    span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on the average, that are too much.
+    """
+    good = True
+    moved_sum = sped_sum = 0.0
+    position, velocity, rest = state.position, state.velocity, model.rest
+    for index in range(len(nodes)):
+        node = nodes[index]
+        x = position[node, 0] - rest[node, 0]
+        y = position[node, 1] - rest[node, 1]
+        z = position[node, 2] - rest[node, 2]
+        u, v, w = velocity[node, 0], velocity[node, 1], velocity[node, 2]
+        moved = x * x + y * y + z * z
+        sped = u * u + v * v + w * w
+        # Comparisons with NaN are false, so this catches it too.
+        good = good and moved < span and sped < speed
+        moved_sum += moved
+        sped_sum += sped
+    if good and sped_sum <= energy * len(nodes):
+        return 0
+    return RUNAWAY if moved_sum + sped_sum < math.inf else NOT_FINITE
+
+
+@kernel
+def keep(state: Any, scratch: Any) -> None:
+    """Take this state as the last good one."""
+    if state.count[REGION] == WHOLE:
+        state.good_position[:] = state.position
+        state.good_velocity[:] = state.velocity
+        return
+    nodes = scratch.drive_node if state.count[REGION] == MODAL else scratch.region_node
+    position, velocity = state.position, state.velocity
+    good_position, good_velocity = state.good_position, state.good_velocity
+    for index in range(drive(state)):
+        node = nodes[index]
+        for c in range(3):
+            good_position[node, c] = position[node, c]
+            good_velocity[node, c] = velocity[node, c]
+
+
+@kernel
+def check_cells(model: Any, state: Any) -> None:
+    """Note which of the next few cells are inside out; state.count[TURNED] tells how many are."""
+    count, cells, x, is_turned = state.count, model.cells, state.position, state.is_turned
+    if len(cells) == 0:
+        return
+    cell = count[NEXT_CELL]
+    for _ in range(min(CELLS_A_TICK, len(cells))):
+        a, b, c, d = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
+        ax, ay, az = x[a, 0] - x[d, 0], x[a, 1] - x[d, 1], x[a, 2] - x[d, 2]
+        bx, by, bz = x[b, 0] - x[d, 0], x[b, 1] - x[d, 1], x[b, 2] - x[d, 2]
+        cx, cy, cz = x[c, 0] - x[d, 0], x[c, 1] - x[d, 1], x[c, 2] - x[d, 2]
+        volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        turned = 1 if volume < 0.0 else 0
+        count[TURNED] += turned - is_turned[cell]
+        is_turned[cell] = turned
+        cell = cell + 1 if cell + 1 < len(cells) else 0
+    count[NEXT_CELL] = cell

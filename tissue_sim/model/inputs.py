@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.modal_region import forget_region
 from tissue_sim.model.state import (
     AGE,
     ASLEEP,
@@ -19,6 +20,7 @@ from tissue_sim.model.state import (
     FORCE_SEQUENCE,
     FROZEN_TICKS,
     MODAL_TICKS,
+    N_LOADED,
     POSE_SEQUENCE,
     REMAINING,
     SNAPS,
@@ -74,6 +76,7 @@ def take_contacts(
     for none; engaged (T,) 1 for tools that may touch.
     """
     count = state.count
+    carry_impulses(state, entries, contact_tool, contact_node, contact_weight)
     count[ENTRIES] = entries
     count[CONTACT_SEQUENCE] = sequence
     for entry in range(entries):
@@ -90,7 +93,53 @@ def take_contacts(
 
 
 @kernel
-def reset_state(model: Any, state: Any, scratch: Any) -> None:
+def load_nodes(state: Any, nodes: Any, forces: Any) -> None:
+    """Add forces (k, 3) N to nodes (k,) for the coming tick."""
+    for index in range(len(nodes)):
+        node = nodes[index]
+        if state.is_loaded[node] == 0:
+            state.is_loaded[node] = 1
+            state.loaded_node[state.count[N_LOADED]] = node
+            state.count[N_LOADED] += 1
+        for c in range(3):
+            state.nodal_force[node, c] += forces[index, c]
+
+
+@kernel
+def unload_nodes(state: Any) -> None:
+    """Forget the forces of load_nodes."""
+    for index in range(state.count[N_LOADED]):
+        node = state.loaded_node[index]
+        state.is_loaded[node] = 0
+        for c in range(3):
+            state.nodal_force[node, c] = 0.0
+    state.count[N_LOADED] = 0
+
+
+@kernel
+def carry_impulses(state: Any, entries: int, contact_tool: Any, contact_node: Any, contact_weight: Any) -> None:
+    """Give the points of a new contact set that were pressed in the old one their impulses of the last substep."""
+    pressed, push = state.contact_pressed, state.contact_push
+    pressed[1, :entries] = 0.0
+    push[1, :entries] = 0.0
+    for old in range(state.count[ENTRIES]):
+        if pressed[0, old] <= 0.0:
+            continue
+        for entry in range(entries):
+            same = contact_tool[entry] == state.contact_tool[old]
+            for c in range(3):
+                same = same and contact_node[entry, c] == state.contact_node[old, c]
+                same = same and contact_weight[entry, c] == state.contact_weight[old, c]
+            if same:
+                pressed[1, entry] = pressed[0, old]
+                push[1, entry] = push[0, old]
+                break
+    pressed[0, :entries] = pressed[1, :entries]
+    push[0, :entries] = push[1, :entries]
+
+
+@kernel
+def reset_state(model: Any, state: Any) -> None:
     """Back to the rest shape, asleep, without tools; the counters go on."""
     tick, faults, asleep = state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS]
     snaps = state.count[SNAPS]
@@ -106,9 +155,11 @@ def reset_state(model: Any, state: Any, scratch: Any) -> None:
     state.velocity[:] = 0.0
     state.good_velocity[:] = 0.0
     state.nodal_force[:] = 0.0
-    state.contact_impulse[:] = 0.0
-    state.mode_position[:] = 0.0
-    state.mode_velocity[:] = 0.0
+    state.is_loaded[:] = 0
+    state.is_turned[:] = 0
+    state.contact_pressed[:] = 0.0
+    state.contact_push[:] = 0.0
+    forget_region(state)
     state.tool_pose[:] = 0.0
     state.tool_goal[:] = 0.0
     state.tool_pose[:, 6] = 1.0
@@ -120,5 +171,3 @@ def reset_state(model: Any, state: Any, scratch: Any) -> None:
         state.tool_count[tool, AGE] = -1
         state.tool_count[tool, FORCE_AGE] = -1
     state.tip_node[:] = -1
-    state.region_hop[:] = -1
-    scratch.stale[0] = 1

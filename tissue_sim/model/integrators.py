@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 from tissue_sim.jit import kernel
+
+IntegratorName = Literal["symplectic", "explicit", "implicit"]
+INTEGRATORS: tuple[str, ...] = get_args(IntegratorName)
 
 
 @kernel
@@ -32,3 +35,86 @@ def symplectic_euler(
             speed = (velocity[i, axis] + push * force[i, axis]) * shrink
             velocity[i, axis] = speed
             position[i, axis] += step * speed
+
+
+@kernel
+def explicit_euler(
+    position: Any,
+    velocity: Any,
+    force: Any,
+    nodes: Any,
+    inverse_mass: Any,
+    damping: Any,
+    damping_scale: float,
+    step: float,
+) -> None:
+    """Forward Euler as in the paper (section 3.1): x+ = x + h v, v+ = v + h (f - d v)/m.
+
+    Arguments as for symplectic_euler. Stable for h < 2 z/w only: without damping at no step at all.
+    """
+    for index in range(len(nodes)):
+        i = nodes[index]
+        push = step * inverse_mass[i]
+        drag = damping_scale * damping[i]
+        for axis in range(3):
+            speed = velocity[i, axis]
+            position[i, axis] += step * speed
+            velocity[i, axis] = speed + push * (force[i, axis] - drag * speed)
+
+
+@kernel
+def predict(position: Any, velocity: Any, nodes: Any, step: float, predicted: Any) -> None:
+    """Where the nodes (a,) would be after a step s without forces, into predicted (n, 3) m."""
+    for index in range(len(nodes)):
+        i = nodes[index]
+        for axis in range(3):
+            predicted[i, axis] = position[i, axis] + step * velocity[i, axis]
+
+
+@kernel
+def implicit_euler(
+    position: Any,
+    velocity: Any,
+    force: Any,
+    factor: Any,
+    slot: int,
+    damping: Any,
+    damping_scale: float,
+    step: float,
+    change: Any,
+) -> None:
+    """One quasi-Newton step of implicit Euler from the predicted positions, with a constant prefactored matrix.
+
+    (M + h D + h^2 S) dv = h (f - D v), v+ = v + dv, x+ = x + h v+, with the forces f at x + h v. S bounds the stiffness
+    of every spring from above, whatever its direction, so that it never changes and is the same for x, y and z: the
+    global step of projective dynamics (Bouaziz et al. 2014) and of Liu et al. 2013. Where forces balance nothing
+    moves, so rest shapes are exact. factor: L D L' of the matrix; slot: which of its two is in use; change (a, 3) room.
+    """
+    order, start, row = factor.order, factor.start, factor.row
+    value, pivot = factor.value[slot], factor.pivot[slot]
+    count = len(order)
+    for k in range(count):
+        i = order[k]
+        drag = damping_scale * damping[i]
+        for axis in range(3):
+            change[k, axis] = step * (force[i, axis] - drag * velocity[i, axis])
+    for k in range(count):
+        x, y, z = change[k, 0], change[k, 1], change[k, 2]
+        for entry in range(start[k], start[k + 1]):
+            r = row[entry]
+            change[r, 0] -= value[entry] * x
+            change[r, 1] -= value[entry] * y
+            change[r, 2] -= value[entry] * z
+    for k in range(count - 1, -1, -1):
+        x, y, z = pivot[k] * change[k, 0], pivot[k] * change[k, 1], pivot[k] * change[k, 2]
+        for entry in range(start[k], start[k + 1]):
+            r = row[entry]
+            x -= value[entry] * change[r, 0]
+            y -= value[entry] * change[r, 1]
+            z -= value[entry] * change[r, 2]
+        change[k, 0], change[k, 1], change[k, 2] = x, y, z
+    for k in range(count):
+        i = order[k]
+        for axis in range(3):
+            velocity[i, axis] += change[k, axis]
+            position[i, axis] += step * velocity[i, axis]

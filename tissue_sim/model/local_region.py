@@ -1,6 +1,7 @@
-"""The local region (section 4 of the paper): nodes within two layers of the load move by their springs.
+"""The local region (section 4 of the paper): nodes within some layers of the load move by their springs.
 
-In the paper's own kind the rest stays as it is; in modal_region it follows the organ's modes.
+In the paper's own kind the rest stays as it is; in modal_region it gives way as the whole organ would. Everything here
+costs what the region has, not what the organ has.
 """
 
 from __future__ import annotations
@@ -8,139 +9,252 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
+from tissue_sim.model.blocks import BLOCK
+from tissue_sim.model.forces import edge_forces, return_forces, spring_forces
 from tissue_sim.model.state import (
     ENGAGED,
     ENTRIES,
-    LOADED,
+    N_LOADED,
     REGION_BOUNDARY,
     REGION_HINGES,
     REGION_NODES,
     REGION_SPRINGS,
 )
 
-HOPS = 2  # the "second layer"; every spring counts as one hop
+FROZEN_HOPS = 2  # the "second layer"; every spring counts as one hop
+MODAL_HOPS = 1  # enough where the rest gives way: a second layer changes settled shapes by 0.2 %
 
 
 @kernel
-def mark_loaded(model: Any, state: Any) -> bool:
-    """Give hop 0 to the nodes of contact points, tool tips and nodal forces; True if any is new."""
-    grown = False
+def mark_loaded(state: Any, scratch: Any) -> int:
+    """Give hop 0 to the nodes of contact points, tool tips and nodal forces; how many are new, in scratch.fresh."""
+    fresh = 0
     hop = state.region_hop
     for entry in range(state.count[ENTRIES]):
         if state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
             for c in range(3):
                 node = state.contact_node[entry, c]
                 if hop[node] != 0:
-                    hop[node], grown = 0, True
+                    scratch.was[fresh] = hop[node]
+                    scratch.fresh[fresh] = node
+                    hop[node] = 0
+                    fresh += 1
     for tool in range(len(state.tool_force)):
         if state.tip_node[tool, 0] >= 0:
             for c in range(3):
                 node = state.tip_node[tool, c]
                 if hop[node] != 0:
-                    hop[node], grown = 0, True
-    if state.count[LOADED] == 1:
-        force = state.nodal_force
-        for node in range(len(hop)):
-            if force[node, 0] != 0.0 or force[node, 1] != 0.0 or force[node, 2] != 0.0:
-                if hop[node] != 0:
-                    hop[node], grown = 0, True
-    return grown
+                    scratch.was[fresh] = hop[node]
+                    scratch.fresh[fresh] = node
+                    hop[node] = 0
+                    fresh += 1
+    for index in range(state.count[N_LOADED]):
+        node = state.loaded_node[index]
+        if hop[node] != 0:
+            scratch.was[fresh] = hop[node]
+            scratch.fresh[fresh] = node
+            hop[node] = 0
+            fresh += 1
+    return fresh
 
 
 @kernel
-def spread(model: Any, state: Any) -> None:
-    """Hop distances on the surface edges from the loaded nodes, up to HOPS: from the table, or breadth first."""
-    hop = state.region_hop
+def spread(model: Any, state: Any, scratch: Any, fresh: int, hops: int) -> None:
+    """Take the fresh nodes and those within `hops` of them into the region; from the table, or breadth first."""
+    for index in range(fresh):
+        if scratch.was[index] < 0:
+            _join(state, scratch, scratch.fresh[index])
     if len(model.hops) > 0:
-        for node in range(model.n_surface):
-            if hop[node] == 0:
+        for index in range(fresh):
+            node = scratch.fresh[index]
+            if node < model.n_surface:
                 for other in range(model.n_surface):
-                    there = model.hops[node, other]
-                    if there <= HOPS and (hop[other] < 0 or hop[other] > there):
-                        hop[other] = there
+                    if model.hops[node, other] <= hops:
+                        _reach(state, scratch, other, model.hops[node, other])
         return
-    for layer in range(HOPS):
-        for node in range(model.n_surface):
-            if hop[node] == layer:
-                for index in range(model.neighbour_start[node], model.neighbour_start[node + 1]):
-                    other = model.neighbours[index]
-                    if hop[other] < 0 or hop[other] > layer + 1:
-                        hop[other] = layer + 1
+    first, last = 0, fresh
+    for layer in range(1, hops + 1):
+        for index in range(first, last):
+            node = scratch.fresh[index]
+            for entry in range(model.neighbour_start[node], model.neighbour_start[node + 1]):
+                other = model.neighbours[entry]
+                if _reach(state, scratch, other, layer):
+                    scratch.fresh[fresh] = other
+                    fresh += 1
+        first, last = last, fresh
+
+
+@kernel
+def _reach(state: Any, scratch: Any, node: int, hops: int) -> bool:
+    """Note that a node is so many hops away; True if it was thought farther."""
+    there = state.region_hop[node]
+    if there < 0:
+        _join(state, scratch, node)
+    elif there <= hops:
+        return False
+    state.region_hop[node] = hops
+    return True
+
+
+@kernel
+def _join(state: Any, scratch: Any, node: int) -> None:
+    """Put a node behind the region's nodes; collect sorts them."""
+    scratch.region_node[state.count[REGION_NODES]] = node
+    state.count[REGION_NODES] += 1
+
+
+@kernel
+def list_nodes(state: Any, scratch: Any) -> None:
+    """List the region's nodes anew, from the hops alone."""
+    state.count[REGION_NODES] = 0
+    for node in range(len(state.region_hop)):
+        if state.region_hop[node] >= 0:
+            _join(state, scratch, node)
 
 
 @kernel
 def collect(model: Any, state: Any, scratch: Any) -> None:
-    """List the nodes, springs and hinges that the region's nodes need."""
-    hop = state.region_hop
-    nodes = 0
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        if hop[node] >= 0:
-            scratch.region_node[nodes] = node
-            nodes += 1
-    springs = 0
-    for s in range(len(model.spring_first)):
-        if hop[model.spring_first[s]] >= 0 or hop[model.spring_second[s]] >= 0:
-            scratch.region_first[springs] = model.spring_first[s]
-            scratch.region_second[springs] = model.spring_second[s]
-            scratch.region_rest_length[springs] = model.spring_rest_length[s]
-            scratch.region_stiffness[springs] = model.spring_stiffness[s]
-            springs += 1
-    hinges = 0
-    for h in range(len(model.angular_nodes)):
-        near = False
-        for c in range(4):
-            near = near or hop[model.angular_nodes[h, c]] >= 0
-        if near:
-            for c in range(4):
-                scratch.region_angular_nodes[hinges, c] = model.angular_nodes[h, c]
-                scratch.region_angular_weight[hinges, c] = model.angular_weight[h, c]
-            scratch.region_angular_rest[hinges] = model.angular_rest[h]
-            scratch.region_angular_stiffness[hinges] = model.angular_stiffness[h]
-            scratch.region_angular_least_area[hinges] = model.angular_least_area[h]
-            hinges += 1
-    # The edge: nodes outside that the region's springs and hinges look at.
-    scratch.mark[:] = 0
-    for s in range(springs):
-        scratch.mark[scratch.region_first[s]] = 1
-        scratch.mark[scratch.region_second[s]] = 1
-    for h in range(hinges):
-        for c in range(4):
-            scratch.mark[scratch.region_angular_nodes[h, c]] = 1
-    boundary = 0
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        if scratch.mark[node] == 1 and hop[node] < 0:
-            scratch.boundary_node[boundary] = node
-            boundary += 1
+    """List the springs that the region's nodes have, and the nodes at its edge that these look at.
+
+    In the order of the nodes' numbers, so that lists made anew are the same.
+    """
+    nodes = state.count[REGION_NODES]
+    region = scratch.region_node
+    for index in range(1, nodes):
+        node, place = region[index], index
+        while place > 0 and region[place - 1] > node:
+            region[place] = region[place - 1]
+            place -= 1
+        region[place] = node
+    scratch.stamp[0] += 1
+    stamp = scratch.stamp[0]
+    springs = hinges = moved = 0
+    adjacency = model.adjacency
+    for index in range(nodes):
+        node = region[index]
+        scratch.node_mark[node] = stamp
+        if model.inverse_mass[node] > 0.0:
+            scratch.moved_node[moved] = node
+            moved += 1
+        for entry in range(adjacency.edge_start[node], adjacency.edge_start[node + 1]):
+            slot = adjacency.edges[entry]
+            if scratch.edge_mark[slot] != stamp:
+                scratch.edge_mark[slot] = stamp
+                _copy(model.edges, slot, scratch.edges, hinges)
+                _copy_rows(model.reduction.edge_slopes, slot, scratch.edge_slopes, hinges)
+                hinges += 1
+        for entry in range(adjacency.link_start[node], adjacency.link_start[node + 1]):
+            slot = adjacency.links[entry]
+            if scratch.link_mark[slot] != stamp:
+                scratch.link_mark[slot] = stamp
+                _copy(model.links, slot, scratch.links, springs)
+                _copy_rows(model.reduction.link_slopes, slot, scratch.link_slopes, springs)
+                springs += 1
+    scratch.moved[0] = moved
+    boundary = _list_boundary(scratch, scratch.edges.nodes, hinges, stamp, 0)
+    boundary = _list_boundary(scratch, scratch.links.nodes, springs, stamp, boundary)
+    _fill_up(scratch.edges, hinges, 7, 4)
+    _fill_up(scratch.links, springs, 1, 1)
+    _blank_rows(scratch.edge_slopes, hinges)
+    _blank_rows(scratch.link_slopes, springs)
     state.count[REGION_BOUNDARY] = boundary
-    state.count[REGION_NODES] = nodes
     state.count[REGION_SPRINGS] = springs
     state.count[REGION_HINGES] = hinges
 
 
 @kernel
-def elastic_forces(model: Any, state: Any, scratch: Any) -> None:
-    """Add the forces of the region's springs to scratch.force (n, 3) N."""
-    nodes, springs, hinges = state.count[REGION_NODES], state.count[REGION_SPRINGS], state.count[REGION_HINGES]
-    spring_forces(
-        state.position,
-        scratch.region_first[:springs],
-        scratch.region_second[:springs],
-        scratch.region_rest_length[:springs],
-        scratch.region_stiffness[:springs],
-        scratch.force,
-    )
-    angular_forces(
-        state.position,
-        scratch.region_angular_nodes[:hinges],
-        scratch.region_angular_weight[:hinges],
-        scratch.region_angular_rest[:hinges],
-        scratch.region_angular_stiffness[:hinges],
-        scratch.region_angular_least_area[:hinges],
-        scratch.force,
-    )
-    return_forces(
-        state.position, model.return_target, scratch.region_node[:nodes], model.return_stiffness, scratch.force
-    )
+def _copy(source: Any, slot: int, target: Any, place: int) -> None:
+    """Copy a spring from one set of blocks to another."""
+    block, row = slot // BLOCK, slot % BLOCK
+    to, at = place // BLOCK, place % BLOCK
+    for c in range(source.nodes.shape[2]):
+        target.nodes[to, at, c] = source.nodes[block, row, c]
+    _copy_rows(source.constants, slot, target.constants, place)
+
+
+@kernel
+def _copy_rows(source: Any, slot: int, target: Any, place: int) -> None:
+    """Copy the constants of a spring from blocks (b, k BLOCK) to others; from none nothing is copied."""
+    if len(source) == 0:
+        return
+    block, row = slot // BLOCK, slot % BLOCK
+    to, at = place // BLOCK, place % BLOCK
+    for k in range(source.shape[1] // BLOCK):
+        target[to, k * BLOCK + at] = source[block, k * BLOCK + row]
+
+
+@kernel
+def _fill_up(blocks: Any, count: int, axial: int, angular: int) -> None:
+    """Fill the last block up with copies of its first spring that have no stiffness, in rows axial and angular."""
+    if count % BLOCK == 0:
+        return
+    block = count // BLOCK
+    for row in range(count % BLOCK, BLOCK):
+        for c in range(blocks.nodes.shape[2]):
+            blocks.nodes[block, row, c] = blocks.nodes[block, 0, c]
+        for k in range(blocks.constants.shape[1] // BLOCK):
+            blocks.constants[block, k * BLOCK + row] = blocks.constants[block, k * BLOCK]
+        blocks.constants[block, axial * BLOCK + row] = 0.0
+        blocks.constants[block, angular * BLOCK + row] = 0.0
+
+
+@kernel
+def _blank_rows(rows: Any, count: int) -> None:
+    """Zero the constants of the springs that fill the last block up."""
+    if len(rows) > 0 and count % BLOCK > 0:
+        for row in range(count % BLOCK, BLOCK):
+            for k in range(rows.shape[1] // BLOCK):
+                rows[count // BLOCK, k * BLOCK + row] = 0.0
+
+
+@kernel
+def _list_boundary(scratch: Any, nodes: Any, count: int, stamp: int, boundary: int) -> int:
+    """Add the nodes of `count` springs that are not marked yet to scratch.boundary_node; returns how many there are."""
+    for s in range(count):
+        for c in range(nodes.shape[2]):
+            node = nodes[s // BLOCK, s % BLOCK, c]
+            if scratch.node_mark[node] != stamp:
+                scratch.node_mark[node] = stamp
+                scratch.boundary_node[boundary] = node
+                boundary += 1
+    return boundary
+
+
+@kernel
+def clear_force(state: Any, scratch: Any) -> None:
+    """Zero scratch.force where the region's springs add to it."""
+    scale_nodes(scratch.force, scratch.region_node[: state.count[REGION_NODES]], 0.0)
+    scale_nodes(scratch.force, scratch.boundary_node[: state.count[REGION_BOUNDARY]], 0.0)
+
+
+@kernel
+def scale_force(state: Any, scratch: Any, scale: float) -> None:
+    """Multiply what clear_force zeroes."""
+    if scale != 1.0:
+        scale_nodes(scratch.force, scratch.region_node[: state.count[REGION_NODES]], scale)
+        scale_nodes(scratch.force, scratch.boundary_node[: state.count[REGION_BOUNDARY]], scale)
+
+
+@kernel
+def scale_nodes(values: Any, nodes: Any, scale: float) -> None:
+    """Multiply values (n, 3) of nodes (k,); with 0 they are zero, whatever they were."""
+    for index in range(len(nodes)):
+        node = nodes[index]
+        for c in range(3):
+            values[node, c] = scale * values[node, c] if scale != 0.0 else 0.0
+
+
+@kernel
+def region_forces(state: Any, scratch: Any) -> None:
+    """Add the forces of the region's springs, without return springs, to scratch.force (n, 3) N."""
+    hinges, springs = -(-state.count[REGION_HINGES] // BLOCK), -(-state.count[REGION_SPRINGS] // BLOCK)
+    edges, links = scratch.edges, scratch.links
+    edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], scratch.work, scratch.force)
+    spring_forces(state.position, links.nodes[:springs], links.constants[:springs], scratch.work, scratch.force)
+
+
+@kernel
+def region_return_forces(model: Any, state: Any, scratch: Any) -> None:
+    """Add the forces of the return springs of the region's nodes to scratch.force (n, 3) N."""
+    nodes = scratch.moved_node[: scratch.moved[0]]
+    return_forces(state.position, model.return_target, nodes, model.return_stiffness, scratch.force)

@@ -50,7 +50,7 @@ def stiffness_matrix(model: Model) -> csc_array:
     add(nodes, np.stack([-along, along], axis=1), model.spring_stiffness)
     hinges = model.angular_nodes.astype(np.int64)
     if len(hinges):
-        add(hinges, _curvature_gradient(model), model.angular_stiffness)
+        add(hinges, angular_slope(model), model.angular_stiffness)
     diagonal = np.zeros(n)
     diagonal[model.return_nodes] = model.return_stiffness[model.return_nodes]
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
@@ -86,7 +86,7 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
     return Modes(np.sqrt(np.maximum(square[order], 0.0)), shape.reshape(n, 3, count))
 
 
-def _curvature_gradient(model: Model) -> Floats:
+def angular_slope(model: Model) -> Floats:
     """Gradient (h, 4, 3) of the curvature s of each hinge at rest; the derivation of forces.angular_forces."""
     i, j, k, m = (model.rest[model.angular_nodes[:, c]] for c in range(4))
     edge, across = j - i, k - m

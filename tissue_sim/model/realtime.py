@@ -16,7 +16,19 @@ from numba.extending import intrinsic
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
-from tissue_sim.model.state import ASLEEP, MAX_ENTRIES, N_COUNT, N_SETTINGS, TICK, Floats, Longs, StateBuffer
+from tissue_sim.model.modal_region import place_outside
+from tissue_sim.model.state import (
+    ASLEEP,
+    MAX_ENTRIES,
+    MODAL,
+    N_COUNT,
+    N_SETTINGS,
+    REGION,
+    TICK,
+    Floats,
+    Longs,
+    StateBuffer,
+)
 from tissue_sim.model.tick import tick
 
 IN_SLOTS = 3
@@ -26,7 +38,9 @@ TIMING_ROWS = 8192
 
 # Columns of Mailboxes.control.
 STOP, RESETS, SNAPSHOT_ASKED, SNAPSHOT_DONE, LOOP_TICKS, OVERRUNS, DROPPED, AWAKE_TICK = range(8)
-N_CONTROL = 8
+SURFACE_ASKED, SURFACE_DONE = 8, 9
+ON_DEMAND = 10  # 1 while positions are handed out only when asked for, because most of them are not worked out
+N_CONTROL = 11
 
 # First columns of a journal row; then pose and force sequence of each tool.
 ROW_TICK, ROW_CONTACTS, ROW_SETTINGS, ROW_RESETS, ROW_TOOLS = range(5)
@@ -63,7 +77,7 @@ class Mailboxes(NamedTuple):
     out_wrench: Floats  # (4, T, 6)
     out_count: Longs  # (4, N_COUNT)
     out_tool_count: Longs  # (4, T, N_TOOL_COUNT)
-    surface_sequence: Longs  # (1,) positions, after every tick that moved
+    surface_sequence: Longs  # (1,) positions, after every tick that moved, or that was asked
     surface_tick: Longs  # (4,)
     surface: Floats  # (4, n, 3)
     control: Longs  # (N_CONTROL,)
@@ -154,7 +168,7 @@ def is_whole(sequences: Any, index: int, sequence_read: int) -> bool:
 
 
 @kernel
-def take_inputs(model: Any, state: Any, settings: Any, scratch: Any, box: Any, row: Any) -> bool:
+def take_inputs(model: Any, state: Any, settings: Any, box: Any, row: Any) -> bool:
     """Take up what is new in the mailboxes; row (ROW_TOOLS + 2 T) becomes this tick's journal row.
 
     Returns True when anything was new.
@@ -162,7 +176,7 @@ def take_inputs(model: Any, state: Any, settings: Any, scratch: Any, box: Any, r
     changed = False
     if box.control[RESETS] != row[ROW_RESETS]:
         row[ROW_RESETS] = box.control[RESETS]
-        reset_state(model, state, scratch)
+        reset_state(model, state)
         changed = True
     while box.settings_sequence[0] != row[ROW_SETTINGS]:
         sequence = box.settings_sequence[0]
@@ -216,27 +230,35 @@ def take_inputs(model: Any, state: Any, settings: Any, scratch: Any, box: Any, r
 
 
 @kernel
-def post_results(state: Any, box: Any, moved: bool) -> None:
-    """Hand out wrenches and counters, and the positions when they moved."""
+def post_results(world: Any, box: Any, moved: bool) -> None:
+    """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
+    state = world.state
     slot = (box.out_sequence[0] + 1) % OUT_SLOTS
     box.out_wrench[slot] = state.wrench
     box.out_count[slot] = state.count
     box.out_tool_count[slot] = state.tool_count
     fence()
     box.out_sequence[0] += 1
-    if moved:
+    lazy = state.count[REGION] == MODAL and state.count[ASLEEP] == 0
+    box.control[ON_DEMAND] = 1 if lazy else 0
+    asked = box.control[SURFACE_ASKED]
+    if lazy and asked != box.control[SURFACE_DONE]:
+        place_outside(world.model, state, world.settings, world.scratch)
+        lazy, moved = False, True
+    if moved and not lazy:
         slot = (box.surface_sequence[0] + 1) % OUT_SLOTS
         box.surface[slot] = state.position
         box.surface_tick[slot] = state.count[TICK]
         fence()
         box.surface_sequence[0] += 1
+    fence()
+    box.control[SURFACE_DONE] = asked
 
 
 @kernel
-def run_loop(
-    model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, box: Any, floats: Any, integers: Any, period: int
-) -> None:
+def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
     """Tick every `period` ns until control[STOP]; floats and integers are the state's flat buffers."""
+    model, state, settings = world.model, world.state, world.settings
     row = np.zeros(box.journal.shape[1], dtype=np.int64)
     deadline = now(box.clock)
     moved = True  # the first tick hands out the rest shape
@@ -251,15 +273,15 @@ def run_loop(
             box.control[DROPPED] += late // period
             deadline = start
         resets = row[ROW_RESETS]
-        if take_inputs(model, state, settings, scratch, box, row):
+        if take_inputs(model, state, settings, box, row):
             moved = moved or row[ROW_RESETS] != resets
             row[ROW_TICK] = state.count[TICK] + 1
             box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
             fence()
             box.journal_written[0] += 1
-        tick(model, state, shapes, settings, scratch)
+        tick(model, state, world.shapes, settings, world.scratch)
         moved = moved or state.count[ASLEEP] == 0
-        post_results(state, box, moved)
+        post_results(world, box, moved)
         if moved:
             box.control[AWAKE_TICK] = state.count[TICK]
         moved = False

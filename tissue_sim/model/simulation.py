@@ -9,17 +9,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.errors import UserError
+from tissue_sim.jit import handle
 from tissue_sim.model import state as st
+from tissue_sim.model.adjacency import adjacency_of
 from tissue_sim.model.assembly import Model, assemble
+from tissue_sim.model.blocks import BLOCK, empty_blocks
 from tissue_sim.model.contact_constraint import MOST_NEAR
+from tissue_sim.model.energy import Energy, energy_of
+from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.hops import hop_table
-from tissue_sim.model.inputs import reset_state
-from tissue_sim.model.modal_region import place_outside
-from tissue_sim.model.modes import lowest_modes
+from tissue_sim.model.implicit import make_factor, write_factor
+from tissue_sim.model.integrators import INTEGRATORS
+from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.shapes import SPHERE, Shapes
-from tissue_sim.model.stability import largest_frequency, substeps_for
+from tissue_sim.model.stability import largest_frequency, model_step, substeps_for
 from tissue_sim.model.state import Floats, State, StateBuffer
-from tissue_sim.model.tick import Scratch, elastic_forces, tick
+from tissue_sim.model.tick import Scratch
+from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_world
 from tissue_sim.organ.organ import Organ
 
 LocalRegion = Literal["off", "frozen", "modal", "auto"]
@@ -37,12 +44,14 @@ class Simulation:
     """A deformable organ stepped at a fixed rate. `step()` allocates nothing and takes no lock.
 
     organ: the organ; model: surface, volume or hybrid; rate: ticks a second, Hz;
-    local_region: off; frozen (the paper's: two layers around a small load move alone); modal (they move,
-    the rest follows the organ's modes); auto (modal while the load is small, else the whole model);
+    local_region: off; frozen (the paper's: two layers around a small load move alone); modal (one layer moves by its
+    springs, the rest as a linear body); auto (modal while the load is small, else the whole model);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
     or the boundary that the skeleton, as it stands, has implied (once a tick; not with a modal region, whose
-    modes are those about rest).
-    Raises UserError for a name or rate out of range.
+    modes are those about rest); integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's
+    forward Euler: short steps), implicit (stable at any step; prefactored). The nodes of a local region are never
+    stepped implicitly; substeps: in a tick, instead of those from the critical step.
+    Raises UserError for a name, rate or number out of range.
     """
 
     def __init__(
@@ -53,25 +62,24 @@ class Simulation:
         local_region: str = "off",
         shapes: Shapes = NO_TOOLS,
         return_target: str = "rest",
+        integrator: str = "symplectic",
+        substeps: int | None = None,
     ) -> None:
         if not 1.0 <= rate <= 100_000.0:
             raise UserError(f"rate {rate:g} Hz is outside 1..100000")
         if local_region not in LOCAL_REGIONS:
             raise UserError(f"unknown local region '{local_region}'; choose one of {', '.join(LOCAL_REGIONS)}")
-        self.organ = organ
+        if integrator not in INTEGRATORS:
+            raise UserError(f"unknown integrator '{integrator}'; choose one of {', '.join(INTEGRATORS)}")
+        if substeps is not None and not 1 <= substeps <= 10_000:
+            raise UserError(f"{substeps} substeps are outside 1..10000")
         if return_target != "rest" and local_region in ("modal", "auto"):
             raise UserError(f"return target {return_target} goes with local region off or frozen, not {local_region}")
-        self.model: Model = assemble(organ, model, return_target)
-        if local_region != "off":
-            self.model = self.model._replace(hops=hop_table(self.model))
-        if local_region in ("modal", "auto"):
-            modes = lowest_modes(self.model)
-            self.model = self.model._replace(mode_frequency=modes.frequency, mode_shape=modes.shape)
-        self.shapes = shapes
+        self.organ = organ
         self.rate = float(rate)
-        self.buffer = StateBuffer(organ.n_nodes, len(shapes.kind), len(self.model.mode_frequency))
-        self.state: State = self.buffer.state
-        self.scratch = _scratch(self.model, len(shapes.kind))
+        self.shapes = shapes
+        self.integrator = integrator
+        self._fixed_substeps = substeps
         self.settings = np.zeros(st.N_SETTINGS)
         self.settings[st.TICK_TIME] = 1.0 / rate
         self.settings[st.FRICTION] = 0.6
@@ -82,16 +90,42 @@ class Simulation:
         self.settings[st.DAMPING_SCALE] = 1.0
         self.settings[st.LOCAL_REGION] = float(LOCAL_REGIONS.index(local_region))
         self.settings[st.REGION_FORCE] = 0.3
+        self.settings[st.INTEGRATOR] = float(INTEGRATORS.index(integrator))
+        self.model: Model = self._with_tables(assemble(organ, model, return_target), local_region)
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings[st.LAST_GOOD_SPAN] = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
+        n_tools, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
+        self.buffer = StateBuffer(organ.n_nodes, n_tools, n_modes, len(self.model.cells))
+        self.state: State = self.buffer.state
         self.frequency = largest_frequency(self.model)
         self.set_substeps()
+        self.scratch = _scratch(self.model, n_tools)
+        self.refer()
         self.reset()
+
+    def refer(self) -> None:
+        """Hand the arrays to the kernels, at the start and whenever `model` was replaced."""
+        self.world = handle(World(self.model, self.state, self.shapes, self.settings, self.scratch))
+
+    def _with_tables(self, model: Model, local_region: str) -> Model:
+        """The model with what its local region needs."""
+        if local_region == "off":
+            return model
+        model = model._replace(hops=hop_table(model), adjacency=adjacency_of(model))
+        if local_region == "frozen":
+            return model
+        return model._replace(reduction=reduce_model(model))
 
     # what users read ---------------------------------------------------------------------------
     @property
     def positions(self) -> Floats:
-        """(n, 3) m: surface nodes, medial atoms, interior nodes; the live array, not a copy."""
+        """(n, 3) m: surface nodes, medial atoms, interior nodes; the live array, not a copy.
+
+        Outside a modal region it is brought up to date by being read here.
+        """
+        count = self.state.count
+        if count[st.REGION] == st.MODAL and count[st.SHOWN] != count[st.TICK] and not self.asleep:
+            show_world(self.world)
         return self.state.position
 
     @property
@@ -124,22 +158,66 @@ class Simulation:
             raise UserError("forces must be finite")
         if len(index) and (index.min() < 0 or index.max() >= len(self.state.position)):
             raise UserError(f"nodes must lie in 0..{len(self.state.position) - 1}")
-        np.add.at(self.state.nodal_force, index, values)
-        self.state.count[st.LOADED] = 1
+        load_world(self.world, index, values)
 
     def step(self) -> None:
         """Advance by 1/rate seconds."""
-        tick(self.model, self.state, self.shapes, self.settings, self.scratch)
+        tick_world(self.world)
 
     def reset(self) -> None:
         """Back to the rest shape, asleep, without tools; the counters go on."""
-        reset_state(self.model, self.state, self.scratch)
+        reset_world(self.world)
+
+    @property
+    def critical_step(self) -> float:
+        """Longest stable step of the integrator, s, with the present stiffness and damping; inf for implicit."""
+        return self._longest_step(self.integrator)
+
+    @property
+    def energy(self) -> Energy:
+        """Kinetic and elastic energy, J."""
+        energy = energy_of(self.model, self.positions, self.velocities)
+        return energy._replace(elastic=energy.elastic * float(self.settings[st.STIFFNESS_SCALE]))
 
     def set_substeps(self) -> None:
-        """Work out the substeps from the critical step, after the stiffness or the rate changed."""
-        self.settings[st.WANTED_SUBSTEPS] = substeps_for(
-            self.model, self.settings[st.TICK_TIME], self.settings[st.STIFFNESS_SCALE], self.frequency
-        )
+        """Work out the substeps from the critical step, after the stiffness, the damping or the rate changed."""
+        settings = self.settings
+        local = "explicit" if self.integrator == "explicit" else "symplectic"
+        for place, integrator in ((st.WANTED_SUBSTEPS, self.integrator), (st.REGION_SUBSTEPS, local)):
+            longest = self._longest_step(integrator)
+            settings[place] = self._fixed_substeps or substeps_for(settings[st.TICK_TIME], longest)
+        if self.integrator == "implicit":
+            self._set_factor()
+
+    def take_settings(self, settings: Floats) -> None:
+        """Use settings (N_SETTINGS,) that were worked out before, by a run that is repeated."""
+        self.settings[:] = settings
+        if self.integrator == "implicit":
+            made_for = self._step_settings()
+            if made_for != self._made_for:
+                write_factor(self.model, int(settings[st.FACTOR_SLOT]), *made_for)
+                self._made_for = made_for
+
+    def _longest_step(self, integrator: str) -> float:
+        scale, damping = float(self.settings[st.STIFFNESS_SCALE]), float(self.settings[st.DAMPING_SCALE])
+        return model_step(self.model, self.frequency, scale, damping, integrator)
+
+    def _step_settings(self) -> tuple[float, float, float]:
+        """Substep, s, and factors on stiffness and damping."""
+        settings = self.settings
+        step = float(settings[st.TICK_TIME] / settings[st.WANTED_SUBSTEPS])
+        return step, float(settings[st.STIFFNESS_SCALE]), float(settings[st.DAMPING_SCALE])
+
+    def _set_factor(self) -> None:
+        """Factor the implicit matrix for the present settings, into the slot that is not in use."""
+        settings, made_for = self.settings, self._step_settings()
+        if not len(self.model.factor.start):
+            self.model = self.model._replace(factor=make_factor(self.model, *made_for))
+        elif made_for != self._made_for:
+            slot = 1 - int(settings[st.FACTOR_SLOT])
+            write_factor(self.model, slot, *made_for)
+            settings[st.FACTOR_SLOT] = slot
+        self._made_for = made_for
 
     def restore(self, floats: Floats, integers: st.Longs) -> None:
         """Continue from a snapshot of the buffers; raises UserError when it doesn't fit."""
@@ -163,13 +241,14 @@ class Simulation:
             return np.zeros((n_surface, 3)), True
         size = float(np.linalg.norm(forces))
         state = self.state
+        pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
         settled = False
+        faults = state.count[st.FAULTS]
         for _ in range(math.ceil(longest * self.rate / 20)):
             for _ in range(20):
-                state.nodal_force[:n_surface] = forces
-                state.count[st.LOADED] = 1
+                load_world(self.world, loaded, pushes)
                 self.step()
-            if state.count[st.FAULTS] > 0 and not np.any(state.velocity):
+            if state.count[st.FAULTS] > faults and not np.any(state.velocity):
                 continue
             residual = self._residual(forces)
             speed = float(np.abs(state.velocity).max())
@@ -178,9 +257,7 @@ class Simulation:
                 settled = not self._modes_move(tolerance)
                 if settled:
                     break
-        if state.count[st.REGION] == st.MODAL:
-            place_outside(self.model, state)
-        return state.position[:n_surface] - self.model.rest[:n_surface], settled
+        return self.positions[:n_surface] - self.model.rest[:n_surface], settled
 
     def _modes_move(self, tolerance: float) -> bool:
         """True while the modes of a modal region are on their way."""
@@ -197,7 +274,7 @@ class Simulation:
         force[: self.model.n_surface] += forces
         nodes = self.model.moving
         if self.state.count[st.REGION] != st.WHOLE:
-            nodes = self.scratch.region_node[: self.state.count[st.REGION_NODES]]
+            nodes = self.scratch.moved_node[: self.scratch.moved[0]]
         return float(np.linalg.norm(force[nodes]))
 
 
@@ -213,36 +290,68 @@ def sphere_tools(radius: ArrayLike) -> Shapes:
 
 
 def _scratch(model: Model, n_tools: int) -> Scratch:
-    n, s, h = len(model.rest), len(model.spring_first), len(model.angular_nodes)
+    n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
+    modes = len(model.reduction.frequency)
+    # Only a model that has a local region needs room for one.
+    local = n if len(model.adjacency.edge_start) else 0
+    region_hinges, region_links = (hinges, links) if local else (0, 0)
+    modal = modes > 0
+    rows = 3 * MOST_BOUNDARY if modal else 0
+    columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
 
     def empty(*shape: int, dtype: Any = np.float64) -> Any:
         return np.zeros(shape, dtype=dtype)
+
+    def singles(*shape: int) -> Any:
+        return np.zeros(shape, dtype=np.float32)
+
+    def ints(size: int) -> Any:
+        return np.zeros(size, dtype=np.int32)
+
+    def longs(size: int) -> Any:
+        return np.zeros(size, dtype=np.int64)
 
     return Scratch(
         force=empty(n, 3),
         impulse=empty(n_tools, 6),
         mobility=empty(n),
+        mobility_key=empty(3),
+        predicted=model.rest.copy(),
+        change=empty(len(model.factor.order), 3),
         origin=empty(n_tools, 3),
         rotation=empty(n_tools, 9),
         last_origin=empty(n_tools, 3),
         last_rotation=empty(n_tools, 9),
         start_pose=empty(n_tools, 7),
-        load=empty(n, 3),
-        mode_load=empty(len(model.mode_frequency)),
-        mark=empty(n, dtype=np.int64),
-        boundary_node=empty(n, dtype=np.int32),
-        near_entry=empty(MOST_NEAR, dtype=np.int64),
+        near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
-        region_node=empty(n, dtype=np.int32),
-        region_first=empty(s, dtype=np.int32),
-        region_second=empty(s, dtype=np.int32),
-        region_rest_length=empty(s),
-        region_stiffness=empty(s),
-        region_angular_nodes=empty(h, 4, dtype=np.int32),
-        region_angular_weight=empty(h, 4),
-        region_angular_rest=empty(h),
-        region_angular_stiffness=empty(h),
-        region_angular_least_area=empty(h),
-        stale=empty(1, dtype=np.int64),
+        work=empty(9 * BLOCK),
+        fresh=ints(local),
+        was=longs(local),
+        region_node=ints(local),
+        moved_node=ints(local),
+        moved=longs(1),
+        boundary_node=ints(local),
+        edges=empty_blocks(region_hinges, 4, 8),
+        links=empty_blocks(region_links, 2, 2),
+        edge_slopes=empty(*model.reduction.edge_slopes.shape),
+        link_slopes=empty(*model.reduction.link_slopes.shape),
+        edge_mark=longs(region_hinges),
+        link_mark=longs(region_links),
+        node_mark=longs(local),
+        stamp=longs(1),
+        stale=longs(1),
+        drive_node=ints(local),
+        drive=empty(n if modal else 0, 3),
+        drive_rows=singles(3 * MOST_DRIVE if modal else 0, modes),
+        edge_rows=singles(columns + modes, rows),
+        edge_share=singles(max(columns, 3 * MOST_DRIVE if modal else 0) + modes),
+        edge_move=singles(rows),
+        mode_sum=singles(modes),
+        mode_rest=empty(modes),
+        mode_move=empty(modes),
+        propagator=empty(5, modes),
+        propagator_key=empty(3),
+        field=empty(3 * n if modal else 0),
     )

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from tissue_sim.model.assembly import Model
+from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.state import Floats
-from tissue_sim.model.tick import elastic_forces
 
 SAFETY = 0.9
+MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, the guard has to hold
 
 
 def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e-4) -> float:
@@ -39,25 +40,42 @@ def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e
     return math.sqrt(max(eigenvalue, 0.0))
 
 
-def critical_step(frequency: float, damping_ratio: float) -> float:
-    """Longest stable step, s, of symplectic Euler with implicit nodal damping.
+def critical_step(frequency: float, damping_ratio: float, integrator: str = "symplectic") -> float:
+    """Longest stable step, s, for angular frequency w (rad/s) and damping ratio z.
 
-    h = (2/w)(sqrt(1 + z^2) + z) for angular frequency w (rad/s) and damping ratio z.
+    symplectic: symplectic Euler with implicit nodal damping, h = (2/w)(sqrt(1 + z^2) + z); explicit: forward Euler,
+    h = 2 z/w, none without damping, and 1/(w z) of an overdamped oscillator at most; implicit: any.
     """
-    if frequency == 0.0:
+    if integrator == "implicit" or frequency == 0.0:
         return math.inf
-    return 2.0 / frequency * (math.sqrt(1.0 + damping_ratio**2) + damping_ratio)
+    if integrator == "symplectic":
+        return 2.0 / frequency * (math.sqrt(1.0 + damping_ratio**2) + damping_ratio)
+    if damping_ratio <= 1.0:
+        return 2.0 * damping_ratio / frequency
+    return 2.0 / frequency / (damping_ratio + math.sqrt(damping_ratio**2 - 1.0))
 
 
-def substeps_for(model: Model, tick_time: float, stiffness_scale: float, frequency: float) -> int:
-    """Substeps in a tick of tick_time s so that each is under 0.9 of the critical step."""
+def model_step(
+    model: Model,
+    frequency: float,
+    stiffness_scale: float = 1.0,
+    damping_scale: float = 1.0,
+    integrator: str = "symplectic",
+) -> float:
+    """Critical step, s, of a model with a largest frequency of rad/s and scaled stiffness and damping."""
     scaled = frequency * math.sqrt(stiffness_scale)
     moving = model.moving
     if scaled == 0.0 or not len(moving):
-        return 1
-    least_damping = float((model.damping[moving] * model.inverse_mass[moving]).min())
-    step = SAFETY * critical_step(scaled, least_damping / (2.0 * scaled))
-    return max(1, math.ceil(tick_time / step))
+        return math.inf
+    least_damping = damping_scale * float((model.damping[moving] * model.inverse_mass[moving]).min())
+    return critical_step(scaled, least_damping / (2.0 * scaled), integrator)
+
+
+def substeps_for(tick_time: float, longest_step: float) -> int:
+    """Substeps in a tick of tick_time s so that each is under 0.9 of the critical step, s; 10,000 at the most."""
+    if longest_step <= SAFETY * tick_time / MOST_SUBSTEPS:
+        return MOST_SUBSTEPS
+    return max(1, math.ceil(tick_time / (SAFETY * longest_step)))
 
 
 def _force(model: Model, displacement: Floats) -> Floats:

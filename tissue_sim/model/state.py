@@ -26,14 +26,24 @@ FROZEN_TICKS = 11  # ticks that moved a local region alone
 REGION_NODES = 12  # nodes in the local region
 REGION_SPRINGS = 13
 REGION_HINGES = 14
-LOADED = 15  # 1 when nodal_force holds anything for this tick
+N_LOADED = 15  # nodes that nodal_force holds something for in this tick, listed in loaded_node
 CLAMPED = 16  # ticks in which a wrench was cut to the clamp
 CONTACT_SEQUENCE = 17  # which contact set is in use
 REGION_BOUNDARY = 18  # nodes at the region's edge that follow the modes
 MODAL_TICKS = 19  # ticks that moved a modal region
 SNAPPED = 20  # 1 while the organ is led back from a false rest shape
 SNAPS = 21  # times that it had to be
-N_COUNT = 22
+FAULT_KIND = 22  # what the guard found last: NO_FAULT, NOT_FINITE, RUNAWAY or COLLAPSED
+TURNED = 23  # cells of the inside that are turned inside out
+NEXT_CELL = 24  # where the rolling check of the cells goes on
+ALONE = 25  # ticks in a row without touch and load
+CALM = 26  # ticks in a row with a load small enough for a local region
+SHOWN = 27  # tick in which the nodes outside a modal region were last put where they belong
+COLLAPSING = 28  # 1 while more of the inside is turned inside out than can find back by itself
+N_COUNT = 29
+
+NO_FAULT, NOT_FINITE, RUNAWAY, COLLAPSED = 0, 1, 2, 3
+FAULT_NAMES = ("none", "not finite", "runaway", "collapsed")
 
 WHOLE, FROZEN, MODAL = 0, 1, 2
 
@@ -58,7 +68,10 @@ LOCAL_REGION = 7  # index in LOCAL_REGIONS: off, frozen, modal, auto
 REGION_FORCE = 8  # N above which the region is skipped
 LAST_GOOD_SPAN = 9  # m, displacement that the guard takes for runaway
 WANTED_SUBSTEPS = 10  # substeps in a tick, from the critical step
-N_SETTINGS = 11
+INTEGRATOR = 11  # index in INTEGRATORS
+REGION_SUBSTEPS = 12  # substeps in a tick of a local region, whose nodes are never stepped implicitly
+FACTOR_SLOT = 13  # which of the implicit matrix' two factors is in use
+N_SETTINGS = 14
 
 MAX_ENTRIES = 2048
 
@@ -71,7 +84,10 @@ class State(NamedTuple):
     good_position: Floats  # (n, 3) the last state that passed the guard
     good_velocity: Floats  # (n, 3)
     nodal_force: Floats  # (n, 3) N, for the coming tick
-    contact_impulse: Floats  # (n, 3) N s on the tissue in the last tick, kept for the modal region
+    contact_impulse: Floats  # (n, 3) N s on the tissue in this tick, kept for the modal region
+    static_load: Floats  # (n, 3) N that bends the organ outside a modal region: loads, and what its springs add
+    offset: Floats  # (n, 3) m, by how much the reduced organ was off when the region was made
+    blend: Floats  # (1,) share of the offset that is left
     mode_position: Floats  # (m,) sqrt(kg) m
     mode_velocity: Floats  # (m,) sqrt(kg) m/s
     tool_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
@@ -81,18 +97,23 @@ class State(NamedTuple):
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     contact_weight: Floats  # (C, 3) barycentric weights of the contact points
     contact_normal: Floats  # (C, 3) outward unit normals of the tissue there
+    contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is room
+    contact_push: Floats  # (2, C, 3) N s in all
     count: Longs  # type: ignore[assignment]  # (N_COUNT,) hides the tuple's method, which nobody needs
     tool_count: Longs  # (T, N_TOOL_COUNT)
     tip_node: Longs  # (T, 3) nodes of the triangle under the tip, -1 when none is near
     contact_tool: Longs  # (C,)
     contact_node: Longs  # (C, 3)
+    loaded_node: Longs  # (n,) the nodes that nodal_force loads in this tick
+    is_loaded: Longs  # (n,) 1 for those
+    is_turned: Longs  # (c,) 1 for cells of the inside that are turned inside out
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
 
 
 class StateBuffer:
     """The two flat buffers (`floats`, `integers`) and the `state` viewing them."""
 
-    def __init__(self, n: int, n_tools: int, n_modes: int = 0) -> None:
+    def __init__(self, n: int, n_tools: int, n_modes: int = 0, n_cells: int = 0) -> None:
         float_shapes: dict[str, tuple[int, ...]] = {
             "position": (n, 3),
             "velocity": (n, 3),
@@ -100,6 +121,9 @@ class StateBuffer:
             "good_velocity": (n, 3),
             "nodal_force": (n, 3),
             "contact_impulse": (n, 3),
+            "static_load": (n, 3),
+            "offset": (n, 3),
+            "blend": (1,),
             "mode_position": (n_modes,),
             "mode_velocity": (n_modes,),
             "tool_pose": (n_tools, 7),
@@ -109,6 +133,8 @@ class StateBuffer:
             "wrench": (n_tools, 6),
             "contact_weight": (MAX_ENTRIES, 3),
             "contact_normal": (MAX_ENTRIES, 3),
+            "contact_pressed": (2, MAX_ENTRIES),
+            "contact_push": (2, MAX_ENTRIES, 3),
         }
         integer_shapes: dict[str, tuple[int, ...]] = {
             "count": (N_COUNT,),
@@ -116,6 +142,9 @@ class StateBuffer:
             "tip_node": (n_tools, 3),
             "contact_tool": (MAX_ENTRIES,),
             "contact_node": (MAX_ENTRIES, 3),
+            "loaded_node": (n,),
+            "is_loaded": (n,),
+            "is_turned": (n_cells,),
             "region_hop": (n,),
         }
         self.floats, float_views = _carve(float_shapes, np.float64)

@@ -11,34 +11,41 @@ from typing import Any, NamedTuple
 
 from tissue_sim.jit import kernel
 from tissue_sim.model import local_region, modal_region
-from tissue_sim.model.contact_constraint import is_touched, resolve_contacts
-from tissue_sim.model.forces import angular_forces, return_forces, spring_forces
-from tissue_sim.model.guard import guard
+from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
+from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.implied_boundary import imply_boundary
-from tissue_sim.model.integrators import symplectic_euler
+from tissue_sim.model.inputs import unload_nodes
+from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
+from tissue_sim.model.rest import find_back, rest_if_quiet
 from tissue_sim.model.state import (
     ACTIVE,
     AGE,
+    ALONE,
     ASLEEP,
     ASLEEP_TICKS,
     BACKOFF,
+    CALM,
     CLAMPED,
     DAMPING_SCALE,
+    ENTRIES,
+    FACTOR_SLOT,
     FORCE_AGE,
     FORCE_CLAMP,
     FRICTION,
     FROZEN,
     FROZEN_TICKS,
-    LOADED,
+    INTEGRATOR,
     LOCAL_REGION,
     MODAL,
     MODAL_TICKS,
+    N_LOADED,
     QUIET,
     REGION,
     REGION_FORCE,
     REGION_NODES,
+    REGION_SUBSTEPS,
     SNAPPED,
-    SNAPS,
     STIFFNESS_SCALE,
     SUBSTEPS,
     TICK,
@@ -56,16 +63,14 @@ from tissue_sim.model.tool_motion import (
     step_pose,
 )
 
-QUIET_SPEED = 2e-5  # m/s
-QUIET_DISPLACEMENT = 5e-6  # m
-QUIET_TICKS = 20
-TREMBLING = 1.0  # 1/s, speed over displacement; a sound organ goes back at 20 or so
-SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
-WAY_BACK = 0.02  # share of the way to rest in a tick
-CONTACT_ITERATIONS = 8
+RETURN_SHARE = 0.5  # of the region force: under it, an organ that moved as a whole takes a region again
+CALM_TIME = 0.2  # s for which it has to be
+CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 # Values of settings[LOCAL_REGION]; 0 is off.
 FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
+# Values of settings[INTEGRATOR], as in integrators.INTEGRATORS; 0 is symplectic.
+EXPLICIT, IMPLICIT = 1.0, 2.0
 
 
 class Scratch(NamedTuple):
@@ -74,6 +79,9 @@ class Scratch(NamedTuple):
     force: Any  # (n, 3) N
     impulse: Any  # (T, 6) N s on the tissue
     mobility: Any  # (n,) 1/kg
+    mobility_key: Any  # (3,) settings that it was worked out for
+    predicted: Any  # (n, 3) m, of the implicit step
+    change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
     rotation: Any  # (T, 9)
     last_origin: Any  # (T, 3) at its beginning
@@ -82,21 +90,36 @@ class Scratch(NamedTuple):
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
-    load: Any  # (n, 3) N that drives the modes
-    mode_load: Any  # (m,)
-    mark: Any  # (n,)
-    boundary_node: Any
-    region_node: Any
-    region_first: Any
-    region_second: Any
-    region_rest_length: Any
-    region_stiffness: Any
-    region_angular_nodes: Any
-    region_angular_weight: Any
-    region_angular_rest: Any
-    region_angular_stiffness: Any
-    region_angular_least_area: Any
+    work: Any  # (9 BLOCK,)
+    # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
+    fresh: Any
+    was: Any
+    region_node: Any  # (n,)
+    moved_node: Any  # (n,) those with mass
+    moved: Any  # (1,) how many
+    boundary_node: Any  # (n,)
+    edges: Any  # Blocks
+    links: Any  # Blocks
+    edge_slopes: Any  # their rows of Model.reduction
+    link_slopes: Any
+    edge_mark: Any
+    link_mark: Any
+    node_mark: Any
+    stamp: Any  # (1,) what marks hold for the lists that are valid
     stale: Any  # (1,) 1 when the region's lists have to be made again
+    # Of the modal region: m modes, r = 3 MOST_BOUNDARY rows, d = 3 MOST_DRIVE columns.
+    drive_node: Any  # (n,) nodes of the region, then those at its edge
+    drive: Any  # (n, 3) N
+    drive_rows: Any  # (d, m) modes at the loads
+    edge_rows: Any  # (d + m, r) what each load and each mode does at the edge
+    edge_share: Any  # (d + m,) how much of it there is
+    edge_move: Any  # (r,) m
+    mode_sum: Any  # (m,)
+    mode_rest: Any  # (m,)
+    mode_move: Any  # (m,)
+    propagator: Any  # (5, m)
+    propagator_key: Any  # (3,)
+    field: Any  # (3n,) m
 
 
 @kernel
@@ -105,7 +128,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     count = state.count
     count[TICK] += 1
     advance_tools(state, settings, scratch)
-    forced = count[LOADED] == 1 or has_tip_force(state, settings)
+    forced = count[N_LOADED] > 0 or has_tip_force(state, settings)
     count[TOUCHING] = 0
     if count[ASLEEP] == 1:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
@@ -118,78 +141,153 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         choose_region(state, settings)
     if count[SNAPPED] == 1:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
-            lead_back(model, state)
+            find_back(model, state, settings)
+            check_cells(model, state)
             state.wrench[:] = 0.0
             return
         count[SNAPPED] = 0
     if len(model.spokes.parent) > 0:
         imply_boundary(model.spokes, state.position, model.return_target)
+    if count[REGION] != WHOLE:
+        prepare_region(model, state, settings, scratch)
     if count[REGION] == WHOLE:
         count[ACTIVE] = len(model.moving)
-    else:
-        prepare_region(model, state, settings, scratch)
 
     scratch.impulse[:] = 0.0
-    substeps = int(settings[WANTED_SUBSTEPS]) * count[BACKOFF]
+    substeps = int(settings[WANTED_SUBSTEPS if count[REGION] == WHOLE else REGION_SUBSTEPS]) * count[BACKOFF]
     count[SUBSTEPS] = substeps
-    set_mobility(model, settings, settings[TICK_TIME] / substeps, scratch.mobility)
+    set_mobility(model, settings, settings[TICK_TIME] / substeps, scratch)
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps)
+    if count[REGION] == MODAL:
+        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(settings))
     guard(model, state, settings, scratch)
+    check_cells(model, state)
     report_wrenches(state, settings, scratch)
-    if count[REGION] != WHOLE and settings[LOCAL_REGION] != MODAL_ALWAYS:
-        if total_load(state, settings) > settings[REGION_FORCE]:
-            leave_region(model, state)
-    if count[LOADED] == 1:
-        state.nodal_force[:] = 0.0
-        count[LOADED] = 0
-    rest_if_quiet(model, state, forced)
+    if settings[LOCAL_REGION] > 0.0:
+        change_region(model, state, settings, scratch)
+    unload_nodes(state)
+    count[ALONE] = 0 if forced or count[TOUCHING] > 0 else count[ALONE] + 1
+    if count[ALONE] > 0:
+        rest_if_quiet(model, state, settings, scratch)
 
 
 @kernel
 def choose_region(state: Any, settings: Any) -> None:
     """On waking: a local region if asked for, else the whole model."""
-    state.region_hop[:] = -1
-    state.contact_impulse[:] = 0.0
-    state.mode_position[:] = 0.0
-    state.mode_velocity[:] = 0.0
-    if settings[LOCAL_REGION] == FROZEN_SMALL:
-        state.count[REGION] = FROZEN
-    elif settings[LOCAL_REGION] in (MODAL_ALWAYS, MODAL_SMALL):
-        state.count[REGION] = MODAL
-    else:
+    if settings[LOCAL_REGION] == 0.0:
         state.count[REGION] = WHOLE
+        return
+    modal_region.forget_region(state)
+    state.count[CALM] = 0
+    state.count[REGION] = FROZEN if settings[LOCAL_REGION] == FROZEN_SMALL else MODAL
 
 
 @kernel
 def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Grow the local region to what is loaded, and move its edge."""
     count = state.count
-    grown = local_region.mark_loaded(model, state)
-    if grown:
-        if count[REGION] == MODAL:
-            modal_region.place_outside(model, state)
-        local_region.spread(model, state)
-    if grown or scratch.stale[0] == 1:
-        local_region.collect(model, state, scratch)
-        scratch.stale[0] = 0
+    modal = count[REGION] == MODAL
+    if scratch.stale[0] == 1:
+        local_region.list_nodes(state, scratch)
+        collect(model, state, scratch)
+        if modal:
+            modal_region.set_propagator(model, settings, scratch)
+            modal_region.project_load(model, state, settings, scratch)
+            modal_region.set_mode_move(model, state, scratch)
+    fresh = local_region.mark_loaded(state, scratch)
+    if fresh > 0:
+        nodes = count[REGION_NODES]
+        local_region.spread(
+            model, state, scratch, fresh, local_region.MODAL_HOPS if modal else local_region.FROZEN_HOPS
+        )
+        if modal:
+            modal_region.place_joined(model, state, settings, scratch, nodes)
+        collect(model, state, scratch)
     count[ACTIVE] = count[REGION_NODES]
-    if count[REGION] == FROZEN:
+    if not modal:
         count[FROZEN_TICKS] += 1
         return
+    if not modal_region.fits(state):
+        modal_region.place_outside(model, state, settings, scratch)
+        count[REGION] = WHOLE
+        return
     count[MODAL_TICKS] += 1
-    modal_region.gather_load(state, settings[TICK_TIME], scratch.load)
-    add_tip_forces(state, settings, scratch.load)
-    modal_region.advance_modes(model, state, settings, scratch, scratch.load)
-    modal_region.place_boundary(model, state, scratch)
+    modal_region.advance_modes(model, state, settings, scratch)
+    modal_region.place_boundary(model, state, settings, scratch)
 
 
 @kernel
-def leave_region(model: Any, state: Any) -> None:
-    """From here on the whole model moves, from where the region and the modes have it."""
+def collect(model: Any, state: Any, scratch: Any) -> None:
+    """Make the region's lists from its nodes."""
+    local_region.collect(model, state, scratch)
+    if state.count[REGION] == MODAL and modal_region.fits(state):
+        modal_region.gather_rows(model, state, scratch)
+    scratch.stale[0] = 0
+
+
+@kernel
+def change_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
+    count = state.count
+    if settings[LOCAL_REGION] == MODAL_ALWAYS:
+        return
+    load = total_load(state, settings)
+    if count[REGION] != WHOLE:
+        if load > settings[REGION_FORCE]:
+            leave_region(model, state, settings, scratch)
+            count[CALM] = 0
+        return
+    if settings[LOCAL_REGION] == FROZEN_SMALL or load > RETURN_SHARE * settings[REGION_FORCE] or load == 0.0:
+        count[CALM] = 0
+        return
+    count[CALM] += 1
+    if count[CALM] * settings[TICK_TIME] >= CALM_TIME:
+        count[CALM] = 0
+        if is_calm(model, state):
+            enter_region(model, state, settings, scratch)
+
+
+@kernel
+def is_calm(model: Any, state: Any) -> bool:
+    """True when no node moves faster than a new region could take up."""
+    for index in range(len(model.moving)):
+        velocity = state.velocity[model.moving[index]]
+        if velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2 > CALM_SPEED**2:
+            return False
+    return True
+
+
+@kernel
+def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """From here on the whole model moves, from where the region and the rest of the organ are."""
     if state.count[REGION] == MODAL:
-        modal_region.place_outside(model, state)
+        modal_region.place_outside(model, state, settings, scratch)
     state.count[REGION] = WHOLE
+
+
+@kernel
+def enter_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """From here on a modal region around the load moves, and the rest of the organ from where it is."""
+    modal_region.forget_region(state)
+    state.count[REGION] = MODAL
+    fresh = local_region.mark_loaded(state, scratch)
+    local_region.spread(model, state, scratch, fresh, local_region.MODAL_HOPS)
+    collect(model, state, scratch)
+    if not modal_region.fits(state):
+        state.count[REGION] = WHOLE
+        return
+    for entry in range(state.count[ENTRIES]):
+        for corner in range(3):
+            node, share = state.contact_node[entry, corner], state.contact_weight[entry, corner]
+            for c in range(3):
+                push = share * state.contact_push[0, entry, c] * state.count[SUBSTEPS]
+                state.contact_impulse[node, c] += push
+    local_region.clear_force(state, scratch)
+    local_region.region_forces(state, scratch)
+    modal_region.measure_drive(state, settings, scratch)
+    modal_region.absorb_load(state, settings, scratch, 1.0)
+    modal_region.keep_offset(model, state, settings, scratch)
 
 
 @kernel
@@ -204,77 +302,111 @@ def advance_substep(
         set_frame(pose, scratch.last_origin[tool], scratch.last_rotation[tool])
         step_pose(pose, state.tool_pose[tool], 1.0 / (substeps - substep))
         set_frame(pose, scratch.origin[tool], scratch.rotation[tool])
-    scratch.force[:] = 0.0
-    if state.count[REGION] != WHOLE:
-        nodes = scratch.region_node[: state.count[REGION_NODES]]
-        local_region.elastic_forces(model, state, scratch)
+    implicit = settings[INTEGRATOR] == IMPLICIT and state.count[REGION] == WHOLE
+    if state.count[REGION] == WHOLE:
+        scratch.force[:] = 0.0
+        if implicit:
+            predict(state.position, state.velocity, model.moving, step, scratch.predicted)
+            elastic_forces(model, scratch.predicted, scratch.force)
+        else:
+            elastic_forces(model, state.position, scratch.force)
+        scale_force(settings, scratch.force)
     else:
-        nodes = model.moving
-        elastic_forces(model, state.position, scratch.force)
+        local_region.clear_force(state, scratch)
+        local_region.region_forces(state, scratch)
+        if state.count[REGION] == MODAL and substep == substeps - 1:
+            modal_region.measure_drive(state, settings, scratch)
+        local_region.region_return_forces(model, state, scratch)
+        local_region.scale_force(state, scratch, settings[STIFFNESS_SCALE])
     add_loads(state, settings, scratch.force)
-    symplectic_euler(
-        state.position,
-        state.velocity,
-        scratch.force,
-        nodes,
-        model.inverse_mass,
-        model.damping,
-        settings[DAMPING_SCALE],
-        step,
-    )
+    integrate(model, state, settings, scratch, step, implicit)
     state.count[TOUCHING] = resolve_contacts(
-        state, shapes, scratch.mobility, scratch, settings[FRICTION], step, CONTACT_ITERATIONS
+        state, shapes, scratch.mobility, scratch, settings[FRICTION], step, implicit
     )
 
 
 @kernel
-def set_mobility(model: Any, settings: Any, step: float, mobility: Any) -> None:
-    """Velocity that an impulse gives each node within a substep, (n,) 1/kg.
+def integrate(model: Any, state: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
+    """Move the nodes by scratch.force for a step, s."""
+    if implicit:
+        add_contact_impulses(state, scratch.force, step)
+        slot, scale = int(settings[FACTOR_SLOT]), settings[DAMPING_SCALE]
+        implicit_euler(
+            state.position,
+            state.velocity,
+            scratch.force,
+            model.factor,
+            slot,
+            model.damping,
+            scale,
+            step,
+            scratch.change,
+        )
+        return
+    nodes = model.moving if state.count[REGION] == WHOLE else scratch.moved_node[: scratch.moved[0]]
+    if settings[INTEGRATOR] == EXPLICIT:
+        explicit_euler(
+            state.position,
+            state.velocity,
+            scratch.force,
+            nodes,
+            model.inverse_mass,
+            model.damping,
+            settings[DAMPING_SCALE],
+            step,
+        )
+    else:
+        symplectic_euler(
+            state.position,
+            state.velocity,
+            scratch.force,
+            nodes,
+            model.inverse_mass,
+            model.damping,
+            settings[DAMPING_SCALE],
+            step,
+        )
+
+
+@kernel
+def set_mobility(model: Any, settings: Any, step: float, scratch: Any) -> None:
+    """Velocity that an impulse gives each node within a substep, (n,) 1/kg, when settings have changed.
 
     The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With 1/m alone
-    a body at rest would press with a force short by h d/m.
+    a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
+    key, slot = scratch.mobility_key, settings[FACTOR_SLOT]
+    if key[0] == step and key[1] == settings[DAMPING_SCALE] and key[2] == slot:
+        return
+    key[0], key[1], key[2] = step, settings[DAMPING_SCALE], slot
     for index in range(len(model.moving)):
         node = model.moving[index]
         inverse = model.inverse_mass[node]
-        mobility[node] = inverse / (1.0 + step * inverse * settings[DAMPING_SCALE] * model.damping[node])
+        if settings[INTEGRATOR] == IMPLICIT:
+            scratch.mobility[node] = model.factor.mobility[int(slot), node]
+        elif settings[INTEGRATOR] == EXPLICIT:
+            scratch.mobility[node] = inverse
+        else:
+            scratch.mobility[node] = inverse / (1.0 + step * inverse * settings[DAMPING_SCALE] * model.damping[node])
 
 
 @kernel
-def elastic_forces(model: Any, position: Any, force: Any) -> None:
-    """Add the forces of every spring of the model to force (n, 3) N."""
-    spring_forces(
-        position,
-        model.spring_first,
-        model.spring_second,
-        model.spring_rest_length,
-        model.spring_stiffness,
-        force,
-    )
-    angular_forces(
-        position,
-        model.angular_nodes,
-        model.angular_weight,
-        model.angular_rest,
-        model.angular_stiffness,
-        model.angular_least_area,
-        force,
-    )
-    return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)
-
-
-@kernel
-def add_loads(state: Any, settings: Any, force: Any) -> None:
-    """Scale the elastic forces by the tissue's stiffness and add the external ones."""
+def scale_force(settings: Any, force: Any) -> None:
+    """Scale the elastic forces by the tissue's stiffness."""
     scale = settings[STIFFNESS_SCALE]
     if scale != 1.0:
         for node in range(len(force)):
             for c in range(3):
                 force[node, c] *= scale
-    if state.count[LOADED] == 1:
-        for node in range(len(force)):
-            for c in range(3):
-                force[node, c] += state.nodal_force[node, c]
+
+
+@kernel
+def add_loads(state: Any, settings: Any, force: Any) -> None:
+    """Add the external forces."""
+    for index in range(state.count[N_LOADED]):
+        node = state.loaded_node[index]
+        for c in range(3):
+            force[node, c] += state.nodal_force[node, c]
     add_tip_forces(state, settings, force)
 
 
@@ -301,10 +433,9 @@ def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
 def total_load(state: Any, settings: Any) -> float:
     """Sum of the magnitudes of contact, nodal and external tool forces, N."""
     load = 0.0
-    if state.count[LOADED] == 1:
-        for node in range(len(state.nodal_force)):
-            force = state.nodal_force[node]
-            load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    for index in range(state.count[N_LOADED]):
+        force = state.nodal_force[state.loaded_node[index]]
+        load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for tool in range(len(state.wrench)):
         load += math.sqrt(state.wrench[tool, 0] ** 2 + state.wrench[tool, 1] ** 2 + state.wrench[tool, 2] ** 2)
         if state.tip_node[tool, 0] >= 0:
@@ -312,53 +443,3 @@ def total_load(state: Any, settings: Any) -> float:
             fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
             load += fresh * math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     return load
-
-
-@kernel
-def rest_if_quiet(model: Any, state: Any, forced: bool) -> None:
-    """Fall asleep after a number of ticks without touch, load, speed and displacement.
-
-    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that
-    nobody touches and that stands still away from its rest shape is led back to it.
-    """
-    count = state.count
-    if forced or count[TOUCHING] > 0:
-        count[QUIET] = 0
-        return
-    speed, displacement = 0.0, 0.0
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        for c in range(3):
-            speed = max(speed, abs(state.velocity[node, c]))
-            displacement = max(displacement, abs(state.position[node, c] - model.rest[node, c]))
-    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back within seconds.
-    if speed > max(QUIET_SPEED, TREMBLING * displacement):
-        count[QUIET] = 0
-        return
-    count[QUIET] += 1
-    if displacement <= QUIET_DISPLACEMENT:
-        if count[QUIET] >= QUIET_TICKS and speed <= QUIET_SPEED:
-            count[ASLEEP] = 1
-            count[BACKOFF] = 1
-    elif count[QUIET] >= QUIET_TICKS and displacement > SNAPPED_DISPLACEMENT:
-        count[SNAPPED] = 1
-        count[SNAPS] += 1
-
-
-@kernel
-def lead_back(model: Any, state: Any) -> None:
-    """A step of the way back from a false rest shape, without forces: they hold the organ in it."""
-    displacement = 0.0
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        for c in range(3):
-            offset = (1.0 - WAY_BACK) * (state.position[node, c] - model.rest[node, c])
-            state.position[node, c] = model.rest[node, c] + offset
-            state.velocity[node, c] = 0.0
-            displacement = max(displacement, abs(offset))
-    # A fault on the way must not restore the false shape.
-    state.good_position[:] = state.position
-    state.good_velocity[:] = 0.0
-    if displacement <= QUIET_DISPLACEMENT:
-        state.count[SNAPPED] = 0
-        state.count[QUIET] = 0

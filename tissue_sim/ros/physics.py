@@ -9,10 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.contact.finder import ContactSet
+from tissue_sim.jit import handle
 from tissue_sim.model import realtime as rt
 from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats, Longs
+from tissue_sim.model.world import World
 
 
 class Timing(NamedTuple):
@@ -36,6 +38,7 @@ class Physics:
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
         self.box = rt.make_mailboxes(simulation.buffer)
+        self._box = handle(self.box)
         self.n_tools = len(simulation.shapes.kind)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._journal_read = 0
@@ -47,13 +50,13 @@ class Physics:
 
     def _run(self) -> None:
         simulation = self.simulation
+        # Settings of its own: those of the simulation change between ticks, when a parameter does.
+        own = World(
+            simulation.model, simulation.state, simulation.shapes, simulation.settings.copy(), simulation.scratch
+        )
         rt.run_loop(
-            simulation.model,
-            simulation.state,
-            simulation.shapes,
-            simulation.settings.copy(),
-            simulation.scratch,
-            self.box,
+            handle(own),
+            self._box,
             simulation.buffer.floats,
             simulation.buffer.integers,
             round(1e9 / simulation.rate),
@@ -146,10 +149,22 @@ class Physics:
     @property
     def surface_sequence(self) -> int:
         """Raised whenever the positions moved."""
-        return int(self.box.surface_sequence[0])
+        control = self.box.control
+        return int(control[rt.LOOP_TICKS] if control[rt.ON_DEMAND] else self.box.surface_sequence[0])
 
-    def positions(self, out: Floats) -> int:
-        """Copy the newest positions into out (n, 3) m; returns their tick."""
+    def positions(self, out: Floats, timeout: float = 0.02) -> int:
+        """Copy the newest positions into out (n, 3) m; returns their tick.
+
+        With a modal region the loop works them out for this, after its next tick; when it doesn't within timeout s,
+        they are the last ones that it did.
+        """
+        control = self.box.control
+        if control[rt.ON_DEMAND]:
+            asked = int(control[rt.SURFACE_ASKED]) + 1
+            control[rt.SURFACE_ASKED] = asked
+            deadline = time.monotonic() + timeout
+            while control[rt.SURFACE_DONE] < asked and time.monotonic() < deadline and self.alive:
+                time.sleep(2e-4)
         while True:
             sequence = int(self.box.surface_sequence[0])
             slot = sequence % rt.OUT_SLOTS

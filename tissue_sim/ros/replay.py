@@ -20,7 +20,7 @@ from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
-from tissue_sim.model.inputs import reset_state, take_force, take_pose
+from tissue_sim.model.inputs import take_force, take_pose
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
@@ -203,7 +203,7 @@ class _Player:
         result = Result()
         settings = self.recording.settings
         start = max((s for s in settings if s <= self.taken[2]), default=min(settings))
-        self.simulation.settings[:] = settings[start]
+        self.simulation.take_settings(settings[start])
         for tick in tqdm(range(self.tick + 1, self.last + 1), desc="replay", unit="tick", mininterval=0.5):
             row = self.inputs.get(tick)
             if row is not None:
@@ -212,23 +212,23 @@ class _Player:
             self.simulation.step()
             result.ticks += 1
             if tick in self.needed:
-                self.kept[tick] = self.state.position.copy()
+                self.kept[tick] = self.simulation.positions.copy()
             for tool, index in self.wrench_at.get(tick, ()):
                 if index < len(self.recording.wrenches[tool]):
                     result.compare_wrench(tick, self.recording.wrenches[tool][index], self.state.wrench[tool])
             index = self.surface_at.get(tick, -1)
             if 0 <= index < len(self.recording.surfaces):
                 recorded = self.recording.surfaces[index]
-                result.compare_surface(tick, recorded, self.state.position[: len(recorded)])
+                result.compare_surface(tick, recorded, self.simulation.positions[: len(recorded)])
         return result
 
     def _take(self, row: np.ndarray, result: Result) -> None:
         """Take up what is new in a journal row, in the order of the node's loop."""
         _, contacts, settings, resets = (int(value) for value in row[:4])
         if resets != self.taken[3]:
-            reset_state(self.simulation.model, self.state, self.simulation.scratch)
+            self.simulation.reset()
         if settings != self.taken[2]:
-            self.simulation.settings[:] = self.recording.settings[settings]
+            self.simulation.take_settings(self.recording.settings[settings])
         for tool in range(len(self.recording.poses)):
             pose, force = int(row[4 + 2 * tool]), int(row[5 + 2 * tool])
             if pose != self.taken[4 + 2 * tool]:

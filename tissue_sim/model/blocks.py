@@ -1,0 +1,37 @@
+"""Springs packed in blocks, the layout that the force kernels run on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.organ.organ import Floats, Ints
+
+BLOCK = 16  # springs in a block: a few vectors of the processor; more only pads small regions
+
+
+class Blocks(NamedTuple):
+    """Springs of one kind; the last block is filled up with springs without stiffness."""
+
+    nodes: Ints  # (b, BLOCK, c) nodes of each spring
+    constants: Floats  # (b, k BLOCK) k constants of the springs, one row of BLOCK after the other
+
+
+def pack(nodes: Ints, constants: Floats, filling: Floats) -> Blocks:
+    """Blocks of springs with nodes (s, c) and constants (s, k); `filling` (k,) those of springs that only fill up."""
+    blocks = -(-len(nodes) // BLOCK)
+    ends = np.zeros((blocks * BLOCK, nodes.shape[1]), dtype=np.int32)
+    ends[: len(nodes)] = nodes
+    values = np.empty((blocks * BLOCK, constants.shape[1]))
+    values[:] = filling
+    values[: len(nodes)] = constants
+    kinds = constants.shape[1]
+    rows = np.ascontiguousarray(values.reshape(blocks, BLOCK, kinds).transpose(0, 2, 1))
+    return Blocks(ends.reshape(blocks, BLOCK, nodes.shape[1]), rows.reshape(blocks, kinds * BLOCK))
+
+
+def empty_blocks(count: int, nodes: int, constants: int) -> Blocks:
+    """Room for `count` springs of so many nodes and constants."""
+    blocks = -(-count // BLOCK)
+    return Blocks(np.zeros((blocks, BLOCK, nodes), dtype=np.int32), np.zeros((blocks, constants * BLOCK)))

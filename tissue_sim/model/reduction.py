@@ -1,0 +1,102 @@
+"""What a modal region knows of the rest of the organ: its lowest modes, and its compliance where a table of it fits."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from tissue_sim.errors import UserError
+from tissue_sim.model.assembly import Model, Reduction
+from tissue_sim.model.blocks import BLOCK, pack
+from tissue_sim.model.modes import angular_slope, lowest_modes, stiffness_matrix
+from tissue_sim.organ.organ import Floats
+from tissue_sim.store import remembered
+
+LARGEST_TABLE = 2048  # nodes: 144 MiB of compliance; above it modes stand for all
+MODES_BESIDE_TABLE = 48  # they carry the motion alone; three times as many change it by under 1 %
+VERSION = "1"  # of what is remembered
+
+
+def reduce_model(model: Model, largest: int = LARGEST_TABLE) -> Reduction:
+    """The reduction of a model about its rest shape; found in the user's cache when it was made before.
+
+    Raises UserError when the organ can move as a whole without any force.
+    """
+    tabled = len(model.rest) <= largest
+    made = remembered("reduction", _key(model, tabled), lambda: _make(model, tabled))
+    return Reduction(
+        frequency=made["frequency"],
+        shape=made["shape"],
+        peak=np.abs(made["shape"]).max(axis=(0, 1), initial=0.0),
+        compliance=made["compliance"],
+        edge_slopes=_edge_slopes(model),
+        link_slopes=_link_slopes(model),
+    )
+
+
+def _make(model: Model, tabled: bool) -> dict[str, NDArray]:
+    modes = lowest_modes(model, MODES_BESIDE_TABLE) if tabled else lowest_modes(model)
+    table = compliance(model) if tabled and len(modes.frequency) else np.zeros((0, 0), dtype=np.float32)
+    return {"frequency": modes.frequency, "shape": modes.shape, "compliance": table}
+
+
+def _key(model: Model, tabled: bool) -> str:
+    digest = hashlib.sha256(f"{VERSION} {tabled}".encode())
+    for array in (
+        model.rest,
+        model.inverse_mass,
+        model.spring_first,
+        model.spring_second,
+        model.spring_stiffness,
+        model.angular_nodes,
+        model.angular_weight,
+        model.angular_stiffness,
+        model.return_nodes,
+        model.return_stiffness,
+    ):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def compliance(model: Model) -> NDArray[np.float32]:
+    """Displacement (3n, 3n) m/N of every node under a force on any, linear about rest; zero where held.
+
+    Raises UserError when nothing holds the organ.
+    """
+    n, moving = len(model.rest), model.moving.astype(np.int64)
+    free = (3 * moving[:, None] + np.arange(3)).ravel()
+    factor, failed = lapack.dpotrf(stiffness_matrix(model)[free][:, free].toarray(), lower=1, overwrite_a=1)
+    if failed:
+        raise UserError("nothing holds the organ: give it fixed nodes or return springs, or use local_region off")
+    inverse, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    table = np.zeros((3 * n, 3 * n), dtype=np.float32)
+    table[np.ix_(free, free)] = inverse
+    return table
+
+
+def _edge_slopes(model: Model) -> Floats:
+    """Rows for forces.subtract_linear_edges, as blocks of their own."""
+    ends = model.angular_nodes
+    i = model.rest[ends[:, 0]]
+    arms = np.concatenate([model.rest[ends[:, c]] - i for c in (1, 2, 3)], axis=1)
+    bending = np.sqrt(model.angular_stiffness)[:, None] * angular_slope(model)[:, 1:].reshape(-1, 9)
+    axial = model.edges.constants[:, 7 * BLOCK :].ravel()[: len(ends)]
+    along = np.sqrt(axial)[:, None] * _unit(arms[:, :3])
+    return pack(ends, np.concatenate([arms, bending, along], axis=1), np.zeros(21)).constants
+
+
+def _link_slopes(model: Model) -> Floats:
+    """Rows for forces.subtract_linear_springs."""
+    stiffness = model.links.constants[:, BLOCK:].ravel()
+    ends = model.links.nodes.reshape(-1, 2)
+    arm = model.rest[ends[:, 1]] - model.rest[ends[:, 0]]
+    return pack(ends, np.concatenate([arm, np.sqrt(stiffness)[:, None] * _unit(arm)], axis=1), np.zeros(6)).constants
+
+
+def _unit(vectors: Floats) -> Floats:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)

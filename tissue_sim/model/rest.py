@@ -1,0 +1,118 @@
+"""How an organ that nobody touches comes to rest: asleep, or led back from a false rest shape."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model import modal_region
+from tissue_sim.model.guard import lead_back
+from tissue_sim.model.state import (
+    ALONE,
+    ASLEEP,
+    BACKOFF,
+    COLLAPSING,
+    MODAL,
+    QUIET,
+    REGION,
+    REGION_NODES,
+    SNAPPED,
+    SNAPS,
+    TICK_TIME,
+    TURNED,
+    WHOLE,
+)
+
+QUIET_SPEED = 2e-5  # m/s
+QUIET_DISPLACEMENT = 5e-6  # m
+QUIET_TICKS = 20
+TREMBLING = 1.0  # 1/s, speed over displacement; a sound organ goes back at 20 or so
+SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
+TURNED_TIME = 0.3  # s that the inside may stay turned inside out with nothing acting
+
+
+@kernel
+def largest_motion(model: Any, state: Any, nodes: Any) -> tuple[float, float]:
+    """Largest components of velocity, m/s, and of displacement from rest, m, of the nodes."""
+    speed_x = speed_y = speed_z = away_x = away_y = away_z = 0.0
+    position, velocity, rest = state.position, state.velocity, model.rest
+    for index in range(len(nodes)):
+        node = nodes[index]
+        speed_x = max(speed_x, abs(velocity[node, 0]))
+        speed_y = max(speed_y, abs(velocity[node, 1]))
+        speed_z = max(speed_z, abs(velocity[node, 2]))
+        away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
+        away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
+        away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))
+    return max(speed_x, speed_y, speed_z), max(away_x, away_y, away_z)
+
+
+@kernel
+def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Fall asleep after a number of ticks without touch, load, speed and displacement.
+
+    Springs pushed through each other can come to rest in a false shape, finite and still. An organ that
+    nobody touches and that stands still away from its rest shape, or whose inside stays turned inside out, is led
+    back to it.
+    """
+    count = state.count
+    if count[TURNED] > 0 and count[ALONE] * settings[TICK_TIME] > TURNED_TIME:
+        snap(model, state, settings, scratch)
+        return
+    if count[REGION] == MODAL:
+        speed, away = largest_motion(model, state, scratch.region_node[: count[REGION_NODES]])
+        swing, swing_speed = 0.0, 0.0
+        for k in range(len(model.reduction.peak)):
+            swing += abs(state.mode_position[k]) * model.reduction.peak[k]
+            swing_speed += abs(state.mode_velocity[k]) * model.reduction.peak[k]
+        speed, away = max(speed, swing_speed), max(away, swing)
+    else:
+        speed, away = largest_motion(model, state, model.moving)
+    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back within seconds.
+    if speed > max(QUIET_SPEED, TREMBLING * away):
+        count[QUIET] = 0
+        return
+    count[QUIET] += 1
+    if count[QUIET] < QUIET_TICKS:
+        return
+    if away <= QUIET_DISPLACEMENT:
+        if speed <= QUIET_SPEED:
+            fall_asleep(model, state)
+    elif away > SNAPPED_DISPLACEMENT:
+        snap(model, state, settings, scratch)
+
+
+@kernel
+def fall_asleep(model: Any, state: Any) -> None:
+    """At rest, to the last bit."""
+    count = state.count
+    count[ASLEEP] = 1
+    count[BACKOFF] = 1
+    count[TURNED] = count[COLLAPSING] = 0
+    state.is_turned[:] = 0
+    state.position[:] = model.rest
+    state.good_position[:] = model.rest
+    state.velocity[:] = 0.0
+    state.good_velocity[:] = 0.0
+
+
+@kernel
+def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Start the way back from a false rest shape."""
+    if state.count[REGION] == MODAL:
+        modal_region.place_outside(model, state, settings, scratch)
+    state.count[REGION] = WHOLE
+    state.count[SNAPPED] = 1
+    state.count[SNAPS] += 1
+
+
+@kernel
+def find_back(model: Any, state: Any, settings: Any) -> None:
+    """A step of the way back from a false rest shape."""
+    displacement = lead_back(model, state, settings)
+    # A fault on the way must not restore the false shape.
+    state.good_position[:] = state.position
+    state.good_velocity[:] = 0.0
+    if displacement <= QUIET_DISPLACEMENT:
+        state.count[SNAPPED] = 0
+        state.count[QUIET] = 0

@@ -1,0 +1,44 @@
+"""All that a tick works on, as one argument that costs nothing to pass."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.inputs import load_nodes, reset_state
+from tissue_sim.model.modal_region import place_outside
+from tissue_sim.model.tick import tick
+
+
+class World(NamedTuple):
+    """What the kernels take; passed by reference (tissue_sim.jit.handle)."""
+
+    model: Any
+    state: Any
+    shapes: Any
+    settings: Any  # (N_SETTINGS,)
+    scratch: Any
+
+
+@kernel
+def tick_world(world: Any) -> None:
+    """Advance by one tick."""
+    tick(world.model, world.state, world.shapes, world.settings, world.scratch)
+
+
+@kernel
+def reset_world(world: Any) -> None:
+    """Back to the rest shape, asleep, without tools; the counters go on."""
+    reset_state(world.model, world.state)
+
+
+@kernel
+def show_world(world: Any) -> None:
+    """Bring the nodes outside a modal region up to date."""
+    place_outside(world.model, world.state, world.settings, world.scratch)
+
+
+@kernel
+def load_world(world: Any, nodes: Any, forces: Any) -> None:
+    """Add forces (k, 3) N to nodes (k,) for the coming tick."""
+    load_nodes(world.state, nodes, forces)
