@@ -237,7 +237,7 @@ def bench(*words):
 def test_quick_sweep_of_one_axis_writes_map_and_records(tmp_path, capsys):
     assert bench("--quick", "--axes", "rate", "--jobs", "2", "--out", str(tmp_path), "--json", "-") == 0
     report = json.loads(capsys.readouterr().out)
-    assert len(report["cells"]) == len(AXES["rate"].quick) * len(INTEGRATORS) * len(LOCAL_REGIONS)
+    assert len(report["cells"]) == len(cells_of(["rate"], SMALL_ORGAN, quick=True))
     assert report == json.loads((tmp_path / "stability.json").read_text())
     counted = report["summary"]
     assert counted["stable"] + counted["guarded"] + counted["diverged"] == len(report["cells"])

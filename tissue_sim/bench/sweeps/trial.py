@@ -229,11 +229,9 @@ class _Watch:
         """
         state = self.simulation.state
         count = state.count
-        if np.any(state.wrench):
-            self._least_energy = math.nan  # a tool that touches does work
+        if np.any(state.wrench) or count[st.SNAPPED] or count[st.COLLAPSING]:
+            self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
             return
-        if count[st.SNAPPED] or count[st.COLLAPSING]:
-            return  # led back along a line, which may lead uphill
         energy, modal = self._energy(), count[st.REGION] == st.MODAL
         if math.isnan(self._least_energy):
             self._least_energy, self._released = energy, int(count[st.TICK])
