@@ -67,7 +67,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 @structref.register
-class Handle(types.StructRef):
+class Handle(types.StructRef):  # type: ignore[name-defined]
     """Compiled type of a NamedTuple that is passed by reference; the tuples in it are by reference too."""
 
 

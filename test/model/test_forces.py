@@ -109,20 +109,21 @@ def naive_springs(x, model):
 
 
 def naive_angular(x, model):
-    """Chain rule on k/2 (s - s0)^2, with the derivative of the unit normal as a 3x3 matrix."""
+    """Chain rule on k/2 (s - s0)^2, with the derivative of the unit normal as a 3x3 matrix; its length is bounded."""
     force = np.zeros_like(x)
-    for nodes, weight, rest, stiffness in zip(
-        model.angular_nodes, model.angular_weight, model.angular_rest, model.angular_stiffness, strict=True
-    ):
+    for h, nodes in enumerate(model.angular_nodes):
         i, j, k, m = nodes
         edge, across = x[j] - x[i], x[k] - x[m]
-        long = np.cross(edge, across)
-        normal = long / np.linalg.norm(long)
-        curved = weight @ x[nodes]
-        push = -stiffness * (curved @ normal - rest)
-        turning = (np.eye(3) - np.outer(normal, normal)) @ curved / np.linalg.norm(long)
+        long, least = np.cross(edge, across), np.sqrt(model.angular_least_area[h])
+        collapsed = np.linalg.norm(long) <= least
+        length = least if collapsed else np.linalg.norm(long)
+        normal = long / length
+        curved = model.angular_weight[h] @ x[nodes]
+        push = -model.angular_stiffness[h] * (curved @ normal - model.angular_rest[h])
+        slope = np.eye(3) if collapsed else np.eye(3) - np.outer(normal, normal)
+        turning = slope @ curved / length
         for corner, node in enumerate(nodes):
-            force[node] += push * weight[corner] * normal
+            force[node] += push * model.angular_weight[h, corner] * normal
         for node, sign in ((i, -1.0), (j, 1.0)):
             force[node] += sign * push * np.cross(across, turning)
         for node, sign in ((k, 1.0), (m, -1.0)):

@@ -89,6 +89,7 @@ def test_region_solves_its_nodes_as_the_whole_model_does_with_the_rest_held():
     whole.model = whole.model._replace(
         inverse_mass=inverse_mass, moving=np.setdiff1d(whole.model.moving, held).astype(np.int32)
     )
+    whole.refer()
     for simulation in (local, whole):
         for _ in range(60):
             simulation.apply_force(TOP, [0.02, 0.01, -0.03])

@@ -10,6 +10,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.modal_region import FASTEST, advance_modes
 from tissue_sim.model.modes import lowest_modes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 
@@ -64,10 +65,14 @@ def test_modes_under_a_constant_load_follow_the_damped_oscillators():
     organ, force = ball(2), np.array([0.002, 0.0, -0.004])
     simulation = Simulation(organ, local_region="modal")
     node = int(np.argmax(organ.surface_positions[:, 2]))
+    simulation.apply_force(node, force)
+    simulation.step()
+    state, scratch = simulation.state, simulation.scratch
+    for moved in (state.static_load, state.mode_position, state.mode_velocity):
+        moved[:] = 0.0
+    state.static_load[node] = force
     for _ in range(40):
-        simulation.state.static_load[node] = force  # held against what the region makes of it
-        simulation.apply_force(node, force)
-        simulation.step()
+        advance_modes(simulation.model, state, simulation.settings, scratch)
     model, time = simulation.model, 0.040
     pull = model.reduction.shape[node].T @ force
     half = 0.5 * model.damping_rate
@@ -75,8 +80,11 @@ def test_modes_under_a_constant_load_follow_the_damped_oscillators():
     turn = np.sqrt((square - half**2).astype(complex))
     wave = np.cos(turn * time) + half * np.sin(turn * time) / turn
     expected = pull / square * (1.0 - np.exp(-half * time) * wave.real)
-    assert simulation.state.count[st.MODAL_TICKS] == 40
-    np.testing.assert_allclose(simulation.state.mode_position, expected, atol=1e-9 * np.abs(expected).max())
+    fast = model.reduction.frequency * 1e-3 > FASTEST
+    assert not fast.all()
+    # What is too fast for a tick follows the load; single precision in the loads.
+    expected[fast] = (pull / square)[fast]
+    np.testing.assert_allclose(state.mode_position, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_modal_region_settles_near_the_whole_model_and_frozen_does_not():

@@ -55,7 +55,7 @@ class Scene:
         state = self.simulation.state
         fresh = (state.tool_count[:, st.AGE] >= 0).astype(np.int64)
         pushing = (state.tool_count[:, st.FORCE_AGE] >= 0).astype(np.int64)
-        found = self.finder.find(state.position, state.tool_goal, np.zeros(len(fresh)), fresh, pushing)
+        found = self.finder.find(self.simulation.positions, state.tool_goal, np.zeros(len(fresh)), fresh, pushing)
         self._sequence += 1
         hand_over(state, found, self._sequence)
         self.contacts = found

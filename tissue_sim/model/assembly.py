@@ -19,7 +19,9 @@ ModelName = Literal["surface", "volume", "hybrid"]
 ReturnTarget = Literal["rest", "implied"]
 RETURN_TARGETS: tuple[str, ...] = get_args(ReturnTarget)
 LEAST_CELL = 0.05  # of the mean cell's volume, below which a cell tells nothing
-LEAST_AREA = 0.1  # of the rest area, below which a pair of triangles counts as collapsed
+# Of the rest area, below which a pair of triangles counts as collapsed. The turning of its normal goes with 1 / area:
+# with 0.1 the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is the same.
+LEAST_AREA = 0.6
 MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
 
@@ -233,6 +235,8 @@ def _cells(organ: Organ) -> tuple[Ints, Floats]:
     A cell that the surface folds over at rest, and so has no inside to lose, is left out.
     """
     x, triangles = organ.rest_positions, organ.surface_triangles
+    if organ.n_atoms == 0:
+        return _ints(np.zeros((0, 4))), np.zeros(0)
     atom = organ.n_surface + nearest_atoms(x[triangles].mean(axis=1), organ.atom_positions, 1)[0]
     cells = np.concatenate([triangles, atom], axis=1)
     a, b, c, d = (x[cells[:, k]] for k in range(4))

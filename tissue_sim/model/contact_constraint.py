@@ -106,29 +106,36 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
             near = pressed > 0.0 or gap_from_outside(state, shapes, entry, origin, rotation) < NEAR
         if not near:
             state.contact_pressed[0, entry] = 0.0
-            for c in range(3):
-                state.contact_push[0, entry, c] = 0.0
+            state.contact_held[0, entry] = 0.0
             continue
-        push = state.contact_push[0, entry]
-        _, nx, ny, nz = tool_normal(state, shapes, entry, origin, rotation)
         scratch.near_entry[found] = entry
         scratch.near_normal[found] = pressed
-        scratch.near_tangent[found, 0] = push[0] - pressed * nx
-        scratch.near_tangent[found, 1] = push[1] - pressed * ny
-        scratch.near_tangent[found, 2] = push[2] - pressed * nz
+        scratch.near_tangent[found] = state.contact_held[0, entry]
         found += 1
     return found
 
 
 @kernel
-def add_contact_impulses(state: Any, force: Any, step: float) -> None:
-    """Add the last substep's contact impulses to force (n, 3) N, for an integrator that spreads them over the organ."""
+def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[float, float, float]:
+    """The last substep's impulse on a contact point, N s, as it points now: along the tool's normal, and across it."""
+    _, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
+    pressed, held = state.contact_pressed[0, entry], state.contact_held[0, entry]
+    pressed -= held[0] * nx + held[1] * ny + held[2] * nz
+    return pressed * nx + held[0], pressed * ny + held[1], pressed * nz + held[2]
+
+
+@kernel
+def add_contact_impulses(state: Any, shapes: Any, scratch: Any, step: float) -> None:
+    """Add the last substep's contact impulses to scratch.force (n, 3) N, for an integrator that spreads them."""
+    force, shares = scratch.force, state.contact_weight
     for entry in range(state.count[ENTRIES]):
         if state.contact_pressed[0, entry] > 0.0 and state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
+            push = aim_impulse(state, shapes, entry, scratch)
             for corner in range(3):
-                node, share = state.contact_node[entry, corner], state.contact_weight[entry, corner] / step
-                for c in range(3):
-                    force[node, c] += share * state.contact_push[0, entry, c]
+                node, share = state.contact_node[entry, corner], shares[entry, corner] / step
+                force[node, 0] += share * push[0]
+                force[node, 1] += share * push[1]
+                force[node, 2] += share * push[2]
 
 
 @kernel
@@ -152,8 +159,11 @@ def resolve_contacts(
     for near in range(found):
         entry = scratch.near_entry[near]
         if scratch.near_normal[near] > 0.0:
-            push = state.contact_push[0, entry]
-            give_impulse(state, mobility, scratch, entry, push[0], push[1], push[2], 0.0 if spread else step)
+            px, py, pz = aim_impulse(state, shapes, entry, scratch)
+            _, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
+            pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
+            held[0], held[1], held[2] = px - pressed * nx, py - pressed * ny, pz - pressed * nz
+            give_impulse(state, mobility, scratch, entry, px, py, pz, 0.0 if spread else step)
     for _ in range(MOST_PASSES):
         change = total = 0.0
         for near in range(found):
@@ -165,10 +175,7 @@ def resolve_contacts(
     for near in range(found):
         entry, pressed = scratch.near_entry[near], scratch.near_normal[near]
         state.contact_pressed[0, entry] = pressed
-        _, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
-        state.contact_push[0, entry, 0] = pressed * nx + scratch.near_tangent[near, 0]
-        state.contact_push[0, entry, 1] = pressed * ny + scratch.near_tangent[near, 1]
-        state.contact_push[0, entry, 2] = pressed * nz + scratch.near_tangent[near, 2]
+        state.contact_held[0, entry] = scratch.near_tangent[near]
         if pressed > 0.0:
             touching += 1
     return touching

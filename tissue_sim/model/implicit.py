@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
@@ -28,7 +29,9 @@ def bounding_stiffness(model: Model) -> csc_array:
     weights; return springs are on the diagonal.
     """
     n = len(model.rest)
-    rows, columns, values = [np.arange(n)], [np.arange(n)], [np.zeros(n)]
+    rows: list[NDArray] = [np.arange(n)]
+    columns: list[NDArray] = [np.arange(n)]
+    values = [np.zeros(n)]
     values[0][model.return_nodes] = model.return_stiffness[model.return_nodes]
 
     def add(nodes: Ints, slope: Floats, stiffness: Floats) -> None:

@@ -119,9 +119,9 @@ def unload_nodes(state: Any) -> None:
 @kernel
 def carry_impulses(state: Any, entries: int, contact_tool: Any, contact_node: Any, contact_weight: Any) -> None:
     """Give the points of a new contact set that were pressed in the old one their impulses of the last substep."""
-    pressed, push = state.contact_pressed, state.contact_push
+    pressed, held = state.contact_pressed, state.contact_held
     pressed[1, :entries] = 0.0
-    push[1, :entries] = 0.0
+    held[1, :entries] = 0.0
     for old in range(state.count[ENTRIES]):
         if pressed[0, old] <= 0.0:
             continue
@@ -132,10 +132,10 @@ def carry_impulses(state: Any, entries: int, contact_tool: Any, contact_node: An
                 same = same and contact_weight[entry, c] == state.contact_weight[old, c]
             if same:
                 pressed[1, entry] = pressed[0, old]
-                push[1, entry] = push[0, old]
+                held[1, entry] = held[0, old]
                 break
     pressed[0, :entries] = pressed[1, :entries]
-    push[0, :entries] = push[1, :entries]
+    held[0, :entries] = held[1, :entries]
 
 
 @kernel
@@ -158,7 +158,7 @@ def reset_state(model: Any, state: Any) -> None:
     state.is_loaded[:] = 0
     state.is_turned[:] = 0
     state.contact_pressed[:] = 0.0
-    state.contact_push[:] = 0.0
+    state.contact_held[:] = 0.0
     forget_region(state)
     state.tool_pose[:] = 0.0
     state.tool_goal[:] = 0.0

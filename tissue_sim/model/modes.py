@@ -37,8 +37,8 @@ def stiffness_matrix(model: Model) -> csc_array:
 
     def add(nodes: np.ndarray, gradient: Floats, stiffness: Floats) -> None:
         """nodes (s, c), gradient (s, c, 3) of each spring's strain."""
-        index = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
-        flat = gradient.reshape(len(nodes), -1)
+        index = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 3 * nodes.shape[1])
+        flat = gradient.reshape(len(nodes), 3 * nodes.shape[1])
         block = stiffness[:, None, None] * flat[:, :, None] * flat[:, None, :]
         rows.append(np.broadcast_to(index[:, :, None], block.shape).ravel())
         columns.append(np.broadcast_to(index[:, None, :], block.shape).ravel())

@@ -83,7 +83,7 @@ def _edge_slopes(model: Model) -> Floats:
     ends = model.angular_nodes
     i = model.rest[ends[:, 0]]
     arms = np.concatenate([model.rest[ends[:, c]] - i for c in (1, 2, 3)], axis=1)
-    bending = np.sqrt(model.angular_stiffness)[:, None] * angular_slope(model)[:, 1:].reshape(-1, 9)
+    bending = np.sqrt(model.angular_stiffness)[:, None] * angular_slope(model)[:, 1:].reshape(len(ends), 9)
     axial = model.edges.constants[:, 7 * BLOCK :].ravel()[: len(ends)]
     along = np.sqrt(axial)[:, None] * _unit(arms[:, :3])
     return pack(ends, np.concatenate([arms, bending, along], axis=1), np.zeros(21)).constants

@@ -28,7 +28,7 @@ QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
 TREMBLING = 1.0  # 1/s, speed over displacement; a sound organ goes back at 20 or so
 SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
-TURNED_TIME = 0.3  # s that the inside may stay turned inside out with nothing acting
+TURNED_TIME = 0.15  # s that the inside may stay turned inside out with nothing acting
 
 
 @kernel

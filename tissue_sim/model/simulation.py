@@ -23,7 +23,7 @@ from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.shapes import SPHERE, Shapes
-from tissue_sim.model.stability import largest_frequency, model_step, substeps_for
+from tissue_sim.model.stability import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.state import Floats, State, StateBuffer
 from tissue_sim.model.tick import Scratch
 from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_world
@@ -31,6 +31,8 @@ from tissue_sim.organ.organ import Organ
 
 LocalRegion = Literal["off", "frozen", "modal", "auto"]
 LOCAL_REGIONS: tuple[str, ...] = get_args(LocalRegion)
+
+LONGEST_STEP = 5e-4  # s, however soft the organ: in a longer one a needle slips through what it pushes
 
 NO_TOOLS = Shapes(
     kind=np.zeros(0, dtype=np.int64),
@@ -47,8 +49,8 @@ class Simulation:
     local_region: off; frozen (the paper's: two layers around a small load move alone); modal (one layer moves by its
     springs, the rest as a linear body); auto (modal while the load is small, else the whole model);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
-    or the boundary that the skeleton, as it stands, has implied (once a tick; not with a modal region, whose
-    modes are those about rest); integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's
+    or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
+    skeleton, so for soft return springs; not with a modal region, whose modes are those about rest); integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's
     forward Euler: short steps), implicit (stable at any step; prefactored). The nodes of a local region are never
     stepped implicitly; substeps: in a tick, instead of those from the critical step.
     Raises UserError for a name, rate or number out of range.
@@ -80,6 +82,7 @@ class Simulation:
         self.shapes = shapes
         self.integrator = integrator
         self._fixed_substeps = substeps
+        self._made_for = (0.0, 0.0, 0.0)  # step, stiffness and damping of the implicit factor in use
         self.settings = np.zeros(st.N_SETTINGS)
         self.settings[st.TICK_TIME] = 1.0 / rate
         self.settings[st.FRICTION] = 0.6
@@ -185,6 +188,8 @@ class Simulation:
         local = "explicit" if self.integrator == "explicit" else "symplectic"
         for place, integrator in ((st.WANTED_SUBSTEPS, self.integrator), (st.REGION_SUBSTEPS, local)):
             longest = self._longest_step(integrator)
+            if integrator != "implicit":
+                longest = min(longest, LONGEST_STEP / SAFETY)
             settings[place] = self._fixed_substeps or substeps_for(settings[st.TICK_TIME], longest)
         if self.integrator == "implicit":
             self._set_factor()

@@ -98,7 +98,7 @@ class State(NamedTuple):
     contact_weight: Floats  # (C, 3) barycentric weights of the contact points
     contact_normal: Floats  # (C, 3) outward unit normals of the tissue there
     contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is room
-    contact_push: Floats  # (2, C, 3) N s in all
+    contact_held: Floats  # (2, C, 3) N s across it
     count: Longs  # type: ignore[assignment]  # (N_COUNT,) hides the tuple's method, which nobody needs
     tool_count: Longs  # (T, N_TOOL_COUNT)
     tip_node: Longs  # (T, 3) nodes of the triangle under the tip, -1 when none is near
@@ -134,7 +134,7 @@ class StateBuffer:
             "contact_weight": (MAX_ENTRIES, 3),
             "contact_normal": (MAX_ENTRIES, 3),
             "contact_pressed": (2, MAX_ENTRIES),
-            "contact_push": (2, MAX_ENTRIES, 3),
+            "contact_held": (2, MAX_ENTRIES, 3),
         }
         integer_shapes: dict[str, tuple[int, ...]] = {
             "count": (N_COUNT,),

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from tissue_sim.jit import kernel
 from tissue_sim.model import local_region, modal_region
-from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
+from tissue_sim.model.contact_constraint import add_contact_impulses, aim_impulse, is_touched, resolve_contacts
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.implied_boundary import imply_boundary
@@ -51,6 +51,7 @@ from tissue_sim.model.state import (
     TICK,
     TICK_TIME,
     TOUCHING,
+    TURNED,
     WANTED_SUBSTEPS,
     WHOLE,
 )
@@ -65,6 +66,7 @@ from tissue_sim.model.tool_motion import (
 
 RETURN_SHARE = 0.5  # of the region force: under it, an organ that moved as a whole takes a region again
 CALM_TIME = 0.2  # s for which it has to be
+CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 # Values of settings[LOCAL_REGION]; 0 is off.
@@ -154,7 +156,8 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         count[ACTIVE] = len(model.moving)
 
     scratch.impulse[:] = 0.0
-    substeps = int(settings[WANTED_SUBSTEPS if count[REGION] == WHOLE else REGION_SUBSTEPS]) * count[BACKOFF]
+    wanted = settings[WANTED_SUBSTEPS if count[REGION] == WHOLE else REGION_SUBSTEPS]
+    substeps = int(wanted) * count[BACKOFF] * caution(model, state)
     count[SUBSTEPS] = substeps
     set_mobility(model, settings, settings[TICK_TIME] / substeps, scratch)
     for substep in range(substeps):
@@ -165,11 +168,19 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     check_cells(model, state)
     report_wrenches(state, settings, scratch)
     if settings[LOCAL_REGION] > 0.0:
-        change_region(model, state, settings, scratch)
+        change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
     count[ALONE] = 0 if forced or count[TOUCHING] > 0 else count[ALONE] + 1
     if count[ALONE] > 0:
         rest_if_quiet(model, state, settings, scratch)
+
+
+@kernel
+def caution(model: Any, state: Any) -> int:
+    """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than those of any shape else."""
+    if state.count[TURNED] == 0:
+        return 1
+    return 4 if state.count[TURNED] > CRUMPLED * len(model.cells) else 2
 
 
 @kernel
@@ -227,7 +238,7 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def change_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
     count = state.count
     if settings[LOCAL_REGION] == MODAL_ALWAYS:
@@ -245,7 +256,7 @@ def change_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     if count[CALM] * settings[TICK_TIME] >= CALM_TIME:
         count[CALM] = 0
         if is_calm(model, state):
-            enter_region(model, state, settings, scratch)
+            enter_region(model, state, shapes, settings, scratch)
 
 
 @kernel
@@ -267,7 +278,7 @@ def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def enter_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """From here on a modal region around the load moves, and the rest of the organ from where it is."""
     modal_region.forget_region(state)
     state.count[REGION] = MODAL
@@ -278,11 +289,14 @@ def enter_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         state.count[REGION] = WHOLE
         return
     for entry in range(state.count[ENTRIES]):
-        for corner in range(3):
-            node, share = state.contact_node[entry, corner], state.contact_weight[entry, corner]
-            for c in range(3):
-                push = share * state.contact_push[0, entry, c] * state.count[SUBSTEPS]
-                state.contact_impulse[node, c] += push
+        if state.contact_pressed[0, entry] > 0.0:
+            push = aim_impulse(state, shapes, entry, scratch)
+            for corner in range(3):
+                node = state.contact_node[entry, corner]
+                share = state.contact_weight[entry, corner] * state.count[SUBSTEPS]
+                state.contact_impulse[node, 0] += share * push[0]
+                state.contact_impulse[node, 1] += share * push[1]
+                state.contact_impulse[node, 2] += share * push[2]
     local_region.clear_force(state, scratch)
     local_region.region_forces(state, scratch)
     modal_region.measure_drive(state, settings, scratch)
@@ -319,17 +333,17 @@ def advance_substep(
         local_region.region_return_forces(model, state, scratch)
         local_region.scale_force(state, scratch, settings[STIFFNESS_SCALE])
     add_loads(state, settings, scratch.force)
-    integrate(model, state, settings, scratch, step, implicit)
+    integrate(model, state, shapes, settings, scratch, step, implicit)
     state.count[TOUCHING] = resolve_contacts(
         state, shapes, scratch.mobility, scratch, settings[FRICTION], step, implicit
     )
 
 
 @kernel
-def integrate(model: Any, state: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
+def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
-        add_contact_impulses(state, scratch.force, step)
+        add_contact_impulses(state, shapes, scratch, step)
         slot, scale = int(settings[FACTOR_SLOT]), settings[DAMPING_SCALE]
         implicit_euler(
             state.position,

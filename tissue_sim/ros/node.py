@@ -63,7 +63,15 @@ class TissueNode(Node):
             self.get_logger().warning(warning)
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once for this machine: up to 30 s")
-        self.simulation = Simulation(self.organ, values["model"], values["rate"], values["local_region"], tools.shapes)
+        self.simulation = Simulation(
+            self.organ,
+            values["model"],
+            values["rate"],
+            values["local_region"],
+            tools.shapes,
+            values["return_target"],
+            values["integrator"],
+        )
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
         self.physics = Physics(self.simulation)
@@ -217,6 +225,8 @@ class TissueNode(Node):
         values["contact_p99_us"] = 1e6 * float(np.percentile(durations, 99)) if durations else 0.0
         counters = self.finder.counters
         values |= {
+            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
+            "turned_cells": int(count[st.TURNED]),
             "contact_sets": counters.sets,
             "skipped.tool_far": counters.far_skips,
             "skipped.contacts_unchanged": self.contacts.unchanged_skips,

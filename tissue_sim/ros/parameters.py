@@ -15,7 +15,8 @@ from rclpy.parameter import Parameter
 from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
-from tissue_sim.model.assembly import MODEL_NAMES
+from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
+from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS
 from tissue_sim.model.state import Floats
 
@@ -41,6 +42,8 @@ NODE_SPECS = (
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
     Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
+    Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
+    Spec("return_target", "rest", "where return springs pull to", choices=RETURN_TARGETS),
     Spec("local_region", "off", "what moves under a small load", choices=LOCAL_REGIONS),
     Spec("region_force", 0.3, "N above which the local region is skipped", 0.0, 100.0, True, setting=st.REGION_FORCE),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting=st.FRICTION),

@@ -163,7 +163,13 @@ class _Player:
         keys = ("shape", "radius", "length", "mesh")
         self.tools = ToolSet([Tool(name, **{key: parameters[f"{name}.{key}"] for key in keys}) for name in names])
         self.simulation = Simulation(
-            organ, parameters["model"], parameters["rate"], parameters["local_region"], self.tools.shapes
+            organ,
+            parameters["model"],
+            parameters["rate"],
+            parameters["local_region"],
+            self.tools.shapes,
+            parameters.get("return_target", "rest"),
+            parameters.get("integrator", "symplectic"),
         )
         self.simulation.restore(recording.state["floats"], recording.state["integers"])
         self.state = self.simulation.state
