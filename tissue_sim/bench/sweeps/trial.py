@@ -26,7 +26,7 @@ from tissue_sim.organ.topology import assemble_organ
 
 LEFT = 0.01  # of the peak displacement, that may be left
 QUIET_SPEED = 1e-4  # m/s, of the fastest node
-MOST_GAIN = 0.03  # of the energy at release
+MOST_GAIN = 0.05  # of the energy at release
 # The far field of a modal region takes up a changed load in some milliseconds, without inertia, and the energy of the
 # shape that it shows is no conserved one: it is compared with that at the release, later and more loosely.
 MOST_MODAL_GAIN, MODAL_TIME = 0.1, 0.01  # s
