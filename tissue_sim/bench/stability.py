@@ -1,0 +1,168 @@
+"""`tissue_sim bench stability`: where each integrator and local region is stable, as a map."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
+from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
+from tissue_sim.errors import UserError
+from tissue_sim.jit import is_compiled
+from tissue_sim.organ.shipped import shipped_organ
+
+OUTCOMES = ("stable", "guarded", "diverged")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "organ",
+        metavar="ORGAN",
+        nargs="?",
+        help="organ file (.npz); default: the kidney that ships, a small ellipsoid with --quick",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer cells and shorter times, within a minute")
+    parser.add_argument(
+        "--axes", default="all", help=f"axes to sweep, of {', '.join(AXES)}; force and depth mean each of theirs"
+    )
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument(
+        "--backend",
+        default="loky",
+        help="joblib backend: loky (processes here), or dask or ray where one is set up and registered",
+    )
+    parser.add_argument("--out", metavar="FOLDER", help="write stability.png and stability.json there")
+    parser.add_argument("--json", metavar="FILE", help="write the records as JSON; - for standard output")
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a cell with default settings diverged")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Sweep, map and report; returns 1 with --check when a cell with default settings diverged."""
+    axes = axes_named(args.axes)
+    if args.jobs < 1:
+        raise UserError(f"--jobs {args.jobs} is less than 1")
+    folder = _folder(args.out)
+    organ = args.organ or (SMALL_ORGAN if args.quick else str(shipped_organ()))
+    cells = cells_of(axes, organ, args.quick)
+    start = time.perf_counter()
+    records = sweep(cells, args.jobs, args.backend)
+    seconds = time.perf_counter() - start
+    report = _report(records, organ, args.quick, seconds)
+    text = json.dumps(report, indent=1)
+    if folder is not None:
+        from tissue_sim.bench.sweeps.stability_map import draw_map
+
+        draw_map(records, f"Stability of {report['organ']}: {len(records)} cells", folder / "stability.png")
+        _write(folder / "stability.json", text)
+    if args.json == "-":
+        print(text)
+    elif args.json:
+        _write(Path(args.json), text)
+    print(summary(records, seconds), file=sys.stderr if args.json == "-" else sys.stdout)
+    if folder is not None:
+        print(f"map: {folder / 'stability.png'}, records: {folder / 'stability.json'}", file=sys.stderr)
+    return int(bool(args.check and violations(records)))
+
+
+def sweep(cells: Sequence[Cell], jobs: int, backend: str = "loky") -> list[Record]:
+    """Run the cells on `jobs` processes, with a progress bar; the records in the order of the cells.
+
+    Raises UserError for a backend that joblib doesn't know, and what the first simulation raises.
+    """
+    from joblib import Parallel, delayed, parallel_config
+    from tqdm import tqdm
+
+    _compile(cells)
+    found: dict[tuple[str, float, str, str], Record] = {}
+    order = sorted(cells, key=made_for)  # those that use the same simulation after each other
+    try:
+        with parallel_config(backend=backend, n_jobs=jobs):
+            parallel = Parallel(return_as="generator_unordered", batch_size=1)
+    except (ValueError, ImportError) as error:
+        raise UserError(f"--backend {backend}: {str(error).splitlines()[0]}") from None
+    done = parallel(delayed(run_cell)(cell) for cell in order)
+    for record in tqdm(done, total=len(cells), desc="cells", unit="cell"):
+        found[record.axis, record.value, record.integrator, record.local_region] = record
+    return [found[cell.axis, cell.value, cell.integrator, cell.local_region] for cell in cells]
+
+
+def violations(records: Sequence[Record]) -> list[Record]:
+    """Records that break the requirement on the default settings."""
+    return [record for record in records if record.judged and record.outcome == "diverged"]
+
+
+def summary(records: Sequence[Record], seconds: float) -> str:
+    """What the terminal shows: counts by axis, then every cell that breaks the requirement."""
+    lines = [
+        f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'led back':>9} {'violations':>11}"
+    ]
+    for axis in dict.fromkeys(record.axis for record in records):
+        rows = [record for record in records if record.axis == axis]
+        outcome = Counter(record.outcome for record in rows)
+        led = sum(record.snaps > 0 for record in rows)
+        lines.append(
+            f"{axis:12} {len(rows):6} {outcome['stable']:7} {outcome['guarded']:8} {outcome['diverged']:9}"
+            f" {led:9} {len(violations(rows)):11}"
+        )
+    broken = violations(records)
+    judged = sum(record.judged for record in records)
+    lines.append(
+        f"{len(records)} cells in {seconds:.0f} s; with default settings {judged}, of which {len(broken)} failed"
+    )
+    for record in broken:
+        lines.append(
+            f"  {record.axis} {record.value:g}, {record.integrator}, region {record.local_region}:"
+            f" {'; '.join(record.problems)}"
+        )
+    return "\n".join(lines)
+
+
+def _report(records: Sequence[Record], organ: str, quick: bool, seconds: float) -> dict[str, Any]:
+    broken = violations(records)
+    return {
+        "organ": organ_of(organ).name,
+        "quick": quick,
+        "seconds": seconds,
+        "axes": {axis: AXES[axis].title for axis in dict.fromkeys(record.axis for record in records)},
+        "summary": {
+            **{outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES},
+            "led_back": sum(record.snaps > 0 for record in records),
+            "judged": sum(record.judged for record in records),
+            "violations": [[r.axis, r.value, r.integrator, r.local_region, list(r.problems)] for r in broken],
+        },
+        "cells": [record.as_json() for record in records],
+    }
+
+
+def _compile(cells: Sequence[Cell]) -> None:
+    """Compile here, once, what every worker then reads from the disk."""
+    if not is_compiled():
+        print("compiling the kernels, about half a minute, once", file=sys.stderr)
+    for integrator in dict.fromkeys(cell.integrator for cell in cells):
+        simulation_of(next(cell for cell in cells if cell.integrator == integrator)).step()
+
+
+def _folder(name: str | None) -> Path | None:
+    if name is None:
+        return None
+    folder = Path(name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make folder {folder}: {error.strerror}; name another with --out") from None
+    return folder
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,360 @@
+"""One cell of the sweep: load the organ, hold, let go, watch, judge. A pure function of its cell."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
+from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
+from tissue_sim.bench.sweeps.witness import Turned, Witness
+from tissue_sim.model import state as st
+from tissue_sim.model.assembly import assemble
+from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.modes import lowest_modes
+from tissue_sim.model.simulation import NO_TOOLS, Simulation, sphere_tools
+from tissue_sim.model.stability import largest_frequency, model_step
+from tissue_sim.model.state import Floats, Longs
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.topology import assemble_organ
+
+LEFT = 0.01  # of the peak displacement, that may be left
+QUIET_SPEED = 1e-4  # m/s, of the fastest node
+MOST_GAIN = 0.05  # of the energy at release
+# The far field of a modal region takes up a changed load in some milliseconds, without inertia, and the energy of the
+# shape that it shows is no conserved one: it is compared with that at the release, later and more loosely.
+MOST_MODAL_GAIN, MODAL_TIME = 0.1, 0.01  # s
+# Time constants of the slowest mode that the organ is given to come to rest: a swinging one has speed to lose.
+SWINGING, CREEPING = 9.0, 6.0
+LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
+QUICK_WATCHED = 1.5  # s, the most with --quick
+BRIEFLY_WATCHED = 0.03  # s
+MOST_SUBSTEPS = 400  # in a tick of the explicit integrator; what would need more goes wrong, and is shown so
+LATER_EVERY = 20  # ticks between two looks after the least time watched
+ENERGY_EVERY = 2  # ticks between two looks at the energy before that
+LOOK_EVERY = 10  # ticks between two looks at what is turned over
+
+
+@dataclass(frozen=True)
+class Record:
+    """What happened in a cell."""
+
+    axis: str
+    value: float
+    integrator: str
+    local_region: str
+    outcome: str  # stable, guarded (faults, recovered) or diverged
+    problems: tuple[str, ...]  # why diverged
+    judged: bool  # a fault here breaks the requirement on the default settings
+    settled: bool  # False when the organ was too slow to come to rest in the time that was watched
+    faults: int
+    snaps: int  # times that the organ had to be led back to rest
+    peak: float  # m, largest displacement of a node
+    left: float  # largest displacement at the end, over the peak
+    quiet_after: float | None  # s from the release until asleep
+    energy_gain: float  # largest rise after the release over the energy at the release
+    energy_caught: float  # the same, of what the guard took back
+    turned_most: int  # cells turned over under the load
+    turned: Turned  # what is turned over at the end
+    substeps: int  # in a tick, at most
+    ticks: int
+    newtons: float  # in all; 0 for the tool
+    seconds: float  # of computing
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; None where a number isn't finite."""
+        plain = {key: _plain(value) for key, value in asdict(self).items()}
+        plain["turned"] = {key: _plain(value) for key, value in self.turned._asdict().items()}
+        return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return list(value) if isinstance(value, tuple) else value
+
+
+@lru_cache(maxsize=2)
+def organ_of(organ: str) -> Organ:
+    """The organ of a cell, read once in a worker; SMALL_ORGAN is made up."""
+    return small_organ() if organ == SMALL_ORGAN else Organ.load(organ)
+
+
+def small_organ() -> Organ:
+    """An ellipsoid of 100 x 60 x 50 mm with 162 surface nodes and nine medial atoms, held below."""
+    mesh = trimesh.creation.icosphere(2)
+    # Turned a little, so that nothing lies along an axis by accident.
+    mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.2, 0.1))
+    half = np.array([0.05, 0.03, 0.025])
+    surface = np.asarray(mesh.vertices) * half
+    atoms = np.zeros((9, 3))
+    atoms[:, 0] = np.linspace(-0.6, 0.6, 9) * half[0]
+    return assemble_organ(
+        name=SMALL_ORGAN,
+        surface_positions=surface,
+        surface_triangles=mesh.faces,
+        atom_positions=atoms,
+        atom_radius=half[2] * np.sqrt(1.0 - (atoms[:, 0] / half[0]) ** 2),
+        atom_parent=np.arange(-1, 8),
+        fixed=np.flatnonzero(surface[:, 2] < -0.7 * half[2]),
+        provenance={"source": "tissue_sim bench stability"},
+    )
+
+
+def with_mass_ratio(organ: Organ, ratio: float) -> Organ:
+    """The organ with its mass shared between surface and atoms as ratio to 1; damping over mass stays."""
+    surface, total = organ.mass[: organ.n_surface].sum(), organ.mass.sum()
+    factor = np.full(organ.n_nodes, total / (1.0 + ratio) / (total - surface))
+    factor[: organ.n_surface] = ratio * total / (1.0 + ratio) / surface
+    return replace(organ, mass=factor * organ.mass, damping=factor * organ.damping)
+
+
+@lru_cache(maxsize=2)
+def witness_of(organ: str) -> Witness:
+    """The witness of an organ, made once in a worker."""
+    return Witness(organ_of(organ))
+
+
+@lru_cache(maxsize=2)
+def slowest_of(organ: str) -> tuple[float, float]:
+    """Lowest frequency, rad/s, and damping over mass, 1/s, of an organ."""
+    model = assemble(organ_of(organ))
+    return float(lowest_modes(model, 1).frequency[0]), model.damping_rate
+
+
+@lru_cache(maxsize=3)  # a model with a modal region may be large
+def _simulation(
+    organ: str, integrator: str, local_region: str, mass_ratio: float, tool: bool
+) -> tuple[Simulation, Floats, Floats, Longs]:
+    """A simulation to be used again, with its settings and buffers as they were when new."""
+    made = organ_of(organ)
+    if mass_ratio > 0.0:
+        made = with_mass_ratio(made, mass_ratio)
+    shapes = sphere_tools(PROBE.radius) if tool else NO_TOOLS
+    simulation = Simulation(made, rate=DEFAULT_RATE, local_region=local_region, shapes=shapes, integrator=integrator)
+    buffer = simulation.buffer
+    return simulation, simulation.settings.copy(), buffer.floats.copy(), buffer.integers.copy()
+
+
+def made_for(cell: Cell) -> tuple[str, str, str, float, bool]:
+    """What the cell's simulation is made for; cells that agree in it can use one after another."""
+    tool = AXES[cell.axis].load.startswith("tool")
+    return cell.organ, cell.integrator, cell.local_region, cell.at("mass_ratio", 0.0), tool
+
+
+def simulation_of(cell: Cell) -> Simulation:
+    """The cell's simulation, as if it were new."""
+    simulation, settings, floats, integers = _simulation(*made_for(cell))
+    settings = settings.copy()
+    rate, substeps = cell.at("rate", DEFAULT_RATE), 0
+    if cell.axis == "step":
+        step = cell.value * critical_step_of(cell.organ, "explicit" if cell.brief else "symplectic")
+        substeps = min(MOST_SUBSTEPS, max(1, round(1.0 / (DEFAULT_RATE * step))))
+        rate = 1.0 / (substeps * step)
+        settings[st.WANTED_SUBSTEPS] = settings[st.REGION_SUBSTEPS] = substeps
+    settings[st.TICK_TIME] = 1.0 / rate
+    settings[st.STIFFNESS_SCALE], settings[st.DAMPING_SCALE] = cell.at("stiffness", 1.0), cell.at("damping", 1.0)
+    simulation.rate = rate
+    simulation.take_settings(settings)
+    if not substeps:
+        simulation.set_substeps()
+        if cell.brief:
+            wanted = [st.WANTED_SUBSTEPS, st.REGION_SUBSTEPS]
+            simulation.settings[wanted] = np.minimum(simulation.settings[wanted], MOST_SUBSTEPS)
+    simulation.restore(floats, integers)
+    return simulation
+
+
+@lru_cache(maxsize=4)
+def critical_step_of(organ: str, integrator: str) -> float:
+    """Critical step of an integrator with an organ as it is, s."""
+    model = assemble(organ_of(organ))
+    return model_step(model, largest_frequency(model), integrator=integrator)
+
+
+def watched(cell: Cell) -> tuple[float, bool]:
+    """Seconds to watch after the release, and whether the organ comes to rest within them by its slowest mode."""
+    frequency, damping = slowest_of(cell.organ)
+    half, square = 0.5 * cell.at("damping", 1.0) * damping, cell.at("stiffness", 1.0) * frequency**2
+    if half**2 > square:
+        needed = CREEPING / (half - math.sqrt(half**2 - square))
+    else:
+        needed = SWINGING / half if half > 0.0 else math.inf
+    most = BRIEFLY_WATCHED if cell.brief else QUICK_WATCHED if cell.quick else MOST_WATCHED
+    enough = needed <= most
+    return min(most, max(LEAST_WATCHED, needed if enough else 0.0)), enough
+
+
+class _Watch:
+    """What is seen of a simulation, tick by tick."""
+
+    def __init__(self, simulation: Simulation, witness: Witness) -> None:
+        self.simulation, self.witness = simulation, witness
+        self._force = np.zeros_like(simulation.model.rest)
+        self.finite, self.gained = True, False
+        self.peak = 0.0
+        self.turned_most = self.substeps = 0
+        self.energy_gain = self.energy_caught = 0.0
+        self._energy_at_release, self._least_energy = 0.0, math.nan
+        self._faults = self._released = 0
+
+    def look(self) -> None:
+        """Look at the state after a tick: is it finite, how far did nodes go, what is turned over."""
+        state = self.simulation.state
+        positions = self.simulation.positions
+        reach = self.reach()
+        if not math.isfinite(reach + float(state.velocity.sum()) + float(state.wrench.sum())):
+            self.finite = False
+            return
+        self.peak = max(self.peak, reach)
+        self.substeps = max(self.substeps, int(state.count[st.SUBSTEPS]))
+        if state.count[st.TICK] % LOOK_EVERY == 0:
+            self.turned_most = max(self.turned_most, self.witness.look(positions).cells)
+
+    def reach(self) -> float:
+        """Largest displacement of a node, m."""
+        offset = self.simulation.positions - self.simulation.model.rest
+        return math.sqrt(float(np.einsum("ij,ij->i", offset, offset).max()))
+
+    def look_at_energy(self) -> None:
+        """Where nothing acts: note the largest rise over the least energy since, as a share of that at the release.
+
+        What the guard took back counts apart.
+        """
+        state = self.simulation.state
+        count = state.count
+        if np.any(state.wrench) or count[st.SNAPPED] or count[st.COLLAPSING]:
+            self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
+            return
+        energy, modal = self._energy(), count[st.REGION] == st.MODAL
+        if math.isnan(self._least_energy):
+            self._least_energy, self._released = energy, int(count[st.TICK])
+            self._energy_at_release = max(self._energy_at_release, energy)
+        if count[st.FAULTS] != self._faults:
+            self._faults = int(count[st.FAULTS])
+            self.energy_caught = max(self.energy_caught, self.energy_gain)
+            self.energy_gain, self.gained = 0.0, False
+        if modal and (count[st.TICK] - self._released) < MODAL_TIME * self.simulation.rate:
+            return
+        if not modal:
+            self._least_energy = min(self._least_energy, energy)
+        if self._energy_at_release > 0.0:
+            gain = (energy - self._least_energy) / self._energy_at_release
+            self.energy_gain = max(self.energy_gain, float(gain))
+            self.gained = self.gained or gain > (MOST_MODAL_GAIN if modal else MOST_GAIN)
+
+    def _energy(self) -> float:
+        """Kinetic and elastic energy, J, as the integrator keeps it where nothing is damped.
+
+        Symplectic Euler keeps E + h/2 v.f (of a linear model exactly); E alone ripples by as much as the fastest
+        modes hold, which near the critical step is no growth.
+        """
+        simulation, state = self.simulation, self.simulation.state
+        energy = simulation.energy.total
+        nodes = simulation.model.moving
+        if state.count[st.REGION] != st.WHOLE:
+            nodes = simulation.scratch.region_node[: state.count[st.REGION_NODES]]
+        elif simulation.integrator != "symplectic":
+            return energy
+        self._force[:] = 0.0
+        elastic_forces(simulation.model, state.position, self._force)
+        step = 1.0 / (simulation.rate * max(1, state.count[st.SUBSTEPS]))
+        push = float(np.vdot(state.velocity[nodes], self._force[nodes]))
+        return energy + 0.5 * step * float(simulation.settings[st.STIFFNESS_SCALE]) * push
+
+
+def run_cell(cell: Cell) -> Record:
+    """Load, hold, release and watch one cell."""
+    start = time.perf_counter()
+    simulation = simulation_of(cell)
+    axis = AXES[cell.axis]
+    newtons = NEWTONS_A_UNIT * axis.units * cell.at("stiffness", 1.0)
+    if cell.axis.startswith("force_"):
+        newtons *= cell.value
+    depth = cell.value if cell.axis.startswith("depth") else 0.0
+    tick_time = 1.0 / simulation.rate
+    pace = BRIEF if cell.brief else QUICK if cell.quick else FULL
+    load = load_on(organ_of(cell.organ), axis.load, newtons, depth, tick_time, pace)
+    seconds, enough = watched(cell)
+    watch = _Watch(simulation, witness_of(cell.organ))
+    # A load that overflows must not fill the terminal with warnings: the outcome says it.
+    with np.errstate(all="ignore"):
+        tick = 0
+        while tick < load.ticks and watch.finite:
+            load.act(simulation, tick)
+            simulation.step()
+            watch.look()
+            if load.over(tick):
+                watch.look_at_energy()
+            tick += 1
+        after = 0
+        while after * tick_time < seconds and watch.finite and not simulation.asleep:
+            simulation.step()
+            late = after * tick_time > LEAST_WATCHED
+            if not late or after % LATER_EVERY == 0:
+                watch.look()
+            if after % (LATER_EVERY if late else ENERGY_EVERY) == 0:
+                watch.look_at_energy()
+            after += 1
+        state = simulation.state
+        turned = watch.witness.look(simulation.positions)
+        speed = float(np.abs(state.velocity).max())
+        left = watch.reach() / max(watch.peak, 1e-12)
+    gain = watch.energy_gain if watch.gained else 0.0
+    problems = tuple(problems_of(watch.finite, gain, left, speed, simulation.asleep, turned, enough))
+    faults = int(state.count[st.FAULTS])
+    return Record(
+        axis=cell.axis,
+        value=cell.value,
+        integrator=cell.integrator,
+        local_region=cell.local_region,
+        outcome="diverged" if problems else "guarded" if faults else "stable",
+        problems=problems,
+        judged=cell.judged,
+        settled=enough,
+        faults=faults,
+        snaps=int(state.count[st.SNAPS]),
+        peak=watch.peak,
+        left=left,
+        quiet_after=after * tick_time if simulation.asleep else None,
+        energy_gain=watch.energy_gain,
+        energy_caught=watch.energy_caught,
+        turned_most=watch.turned_most,
+        turned=turned,
+        substeps=watch.substeps,
+        ticks=tick + after,
+        newtons=0.0 if depth else newtons,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def problems_of(
+    finite: bool, energy_gain: float, left: float, speed: float, asleep: bool, turned: Turned, enough: bool
+) -> list[str]:
+    """Why a cell counts as diverged; empty when it doesn't.
+
+    energy_gain: over that at release, 0 when it is none to speak of; left: displacement over its peak;
+    speed m/s; enough: the time watched suffices to come to rest.
+    """
+    if not finite:
+        return ["not finite"]
+    problems = []
+    if energy_gain > 0.0:
+        problems.append(f"energy gained from nothing ({100.0 * energy_gain:.3g} %)")
+    if not enough:
+        return problems
+    quiet = asleep or speed <= QUIET_SPEED
+    if not left <= LEFT:
+        where = "asleep off its rest shape" if asleep else "false rest shape" if quiet else "not back at rest"
+        problems.append(f"{where} ({100.0 * left:.3g} % of the peak left)")
+    elif not quiet:
+        problems.append(f"not quiet ({1e3 * speed:.3g} mm/s)")
+    if turned.cells or turned.folds or turned.volume <= 0.0:
+        problems.append(f"turned over ({turned.cells} cells, {turned.folds} folds)")
+    return problems
