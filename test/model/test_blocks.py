@@ -63,7 +63,7 @@ def test_every_spring_of_a_model_is_packed_once(organ, variant):
 
 def test_hinges_without_axial_springs_and_springs_without_hinges_are_packed_too():
     model = assembled(changed(ball(), spring_stiffness=0.0))
-    ends, rows = laws(model.edges)
+    _, rows = laws(model.edges)
     assert (rows[:, 4] > 0.0).sum() == len(model.angular_nodes)
     assert not rows[:, 7].any()
     assert len(model.links.nodes) == 0

@@ -96,7 +96,7 @@ def test_energy_decays(organ, options):
 
 
 def kept_energy(simulation):
-    """What symplectic Euler keeps where nothing damps, J: the energy and h/2 v.f, which swings between the two kinds."""
+    """What symplectic Euler keeps where nothing damps, J: the energy, and h/2 v.f that swings between its kinds."""
     model, force = simulation.model, np.zeros_like(simulation.positions)
     elastic_forces(model, simulation.positions, force)
     step = 1e-3 / simulation.state.count[st.SUBSTEPS]
@@ -121,18 +121,22 @@ def test_energy_never_grows_after_a_poke(organ, force):
 
 @pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
 def test_node_pulled_through_the_organ_gives_back_no_more_than_was_put_in(organ):
-    """So crumpled, the energy that a step keeps is known to some percent only."""
+    """So crumpled, the energy that a step keeps is known to some percent only; on the way back no springs act."""
     simulation = Simulation(organ)
     poke(simulation, 60, [0.6, 0.0, -3.0])
-    energies = [simulation.energy.total]
-    assert energies[0] > 0.01
+    first = least = simulation.energy.total
+    assert first > 0.01
     assert simulation.state.count[st.FAULTS] == 0
-    for _ in range(600):
+    ticks = 0
+    for _ in range(700):
         simulation.step()
-        energies.append(simulation.energy.total)
-    assert max(energies) == energies[0]
-    assert max(energies[150:]) < 0.1 * energies[0]
-    assert energies[-1] < 1e-3 * energies[0]
+        energy = simulation.energy.total
+        assert energy < first
+        if not simulation.state.count[st.SNAPPED] and not simulation.state.count[st.SNAPS]:
+            assert energy <= 1.1 * least + 1e-9 * first
+            least, ticks = min(least, energy), ticks + 1
+    assert ticks > 50
+    assert energy < 1e-3 * first
 
 
 def test_implicit_energy_never_grows_either():

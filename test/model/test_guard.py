@@ -26,7 +26,7 @@ def fault_of(simulation):
 
 # what is wrong with a state --------------------------------------------------------------------
 def found(spoil):
-    """What `check` says of a ball at 1 mm and 1 m/s after `spoil(position offsets, velocities)`; bounds 0.1, 100, 10."""
+    """What `check` says of a ball at 1 mm and 1 m/s that `spoil` has changed; the bounds are 0.1, 100 and 10."""
     simulation = Simulation(ball())
     model, state = simulation.model, simulation.state
     nodes = model.moving

@@ -108,8 +108,13 @@ def test_other_slot_is_written_and_the_one_in_use_stays():
     assert np.abs(model.factor.pivot[1] / pivot - 1.0).max() > 0.1
 
 
+each_organ = pytest.mark.parametrize(
+    "organ", [ball(2), pytest.param(kidney(), marks=pytest.mark.slow)], ids=["ball", "kidney"]
+)
+
+
 # whole ticks -----------------------------------------------------------------------------------
-@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+@each_organ
 @pytest.mark.parametrize("rate", [1000.0, 100.0, 10.0])
 @pytest.mark.parametrize("stiffness", [1.0, 1e4])
 def test_any_step_and_stiffness_stay_bounded_and_gain_no_energy(organ, rate, stiffness):
@@ -131,7 +136,7 @@ def test_any_step_and_stiffness_stay_bounded_and_gain_no_energy(organ, rate, sti
     assert simulation.critical_step == np.inf
 
 
-@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+@each_organ
 def test_settled_shape_is_that_of_the_symplectic_integrator(organ):
     forces = np.zeros((organ.n_surface, 3))
     forces[top_of(organ)] = [0.02, 0.0, -0.1]

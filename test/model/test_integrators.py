@@ -135,7 +135,9 @@ def swing(integrator, frequency, step, steps, damping=0.0):
     stiffness, inverse, drag = np.array([MASS * frequency**2]), np.array([1.0 / MASS]), np.array([damping])
     pivot = 1.0 / (MASS + step * damping + step**2 * stiffness)
     none = np.zeros(0, dtype=np.int32)
-    factor = Factor(ONE, np.zeros(2, dtype=np.int32), none, np.zeros((2, 0)), np.stack([pivot, pivot]), np.zeros((2, 1)))
+    factor = Factor(
+        ONE, np.zeros(2, dtype=np.int32), none, np.zeros((2, 0)), np.stack([pivot, pivot]), np.zeros((2, 1))
+    )
     path = []
     for _ in range(steps):
         at, force = x, np.zeros((1, 3))

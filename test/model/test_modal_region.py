@@ -1,4 +1,4 @@
-"""The modal local region against the linear model, the whole nonlinear one, and against jumps that a hand would feel."""
+"""The modal local region against the linear and the whole nonlinear model, and against jumps that a hand would feel."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import CALM_TIME, RETURN_SHARE
 
-from ..contact.test_scene import line
 from ..scenes import assembled, ball, kidney
 from .test_local_region import hops_from, near
 
