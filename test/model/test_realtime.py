@@ -36,7 +36,9 @@ class Loop:
     def _run(self):
         one = self.simulation
         world = World(one.model, one.state, one.shapes, one.settings.copy(), one.scratch)
-        rt.run_loop(handle(world), handle(self.box), one.buffer.floats, one.buffer.integers, round(1e9 / RATE))
+        rt.run_loop(
+            handle(world), one.tick, handle(self.box), one.buffer.floats, one.buffer.integers, round(1e9 / RATE)
+        )
 
     def __enter__(self):
         self.thread.start()

@@ -29,7 +29,6 @@ from tissue_sim.model.state import (
     Longs,
     StateBuffer,
 )
-from tissue_sim.model.tick import tick
 
 IN_SLOTS = 3
 OUT_SLOTS = 4
@@ -256,8 +255,8 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
 
 
 @kernel
-def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
-    """Tick every `period` ns until control[STOP]; floats and integers are the state's flat buffers."""
+def run_loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
+    """Tick every `period` ns until control[STOP]. tick: of model.world; floats, integers: the state's flat buffers."""
     model, state, settings = world.model, world.state, world.settings
     row = np.zeros(box.journal.shape[1], dtype=np.int64)
     deadline = now(box.clock)
@@ -279,7 +278,7 @@ def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> N
             box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
             fence()
             box.journal_written[0] += 1
-        tick(model, state, world.shapes, settings, world.scratch)
+        tick(world)
         moved = moved or state.count[ASLEEP] == 0
         post_results(world, box, moved)
         if moved:

@@ -56,6 +56,7 @@ class Physics:
         )
         rt.run_loop(
             handle(own),
+            simulation.tick,
             self._box,
             simulation.buffer.floats,
             simulation.buffer.integers,

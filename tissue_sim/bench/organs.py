@@ -1,0 +1,100 @@
+"""What benchmarks press on: organs of any number of points, patches and loads."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from tissue_sim.organ.organ import Floats, Ints, Organ
+from tissue_sim.organ.topology import assemble_organ
+
+PATCH_NODES = 19  # a node and the two rings around it
+ATOMS = 48
+HALF_AXES = np.array([0.016, 0.027, 0.055])  # m, of the shipped kidney, about
+BEND = 0.15  # how far the ends are bent sideways, as a share of the long half axis
+_FACING = 0.3  # least cosine between normals of the same side
+HELD = 0.05  # share of the points that is held, the lowest
+
+Longs = NDArray[np.int64]
+
+
+def bean(points: int) -> Organ:
+    """A bent ellipsoid of a kidney's size with any number of surface points, held at its lower end.
+
+    The points lie on a Fibonacci lattice, so there are 2 points - 4 triangles; 48 medial atoms on the axis.
+    """
+    k = np.arange(points) + 0.5
+    z = 1.0 - 2.0 * k / points
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
+    unit = np.stack([np.sqrt(1.0 - z**2) * np.cos(turn), np.sqrt(1.0 - z**2) * np.sin(turn), z], axis=1)
+    triangles = ConvexHull(unit).simplices.astype(np.int32)
+    a, b, c = (unit[triangles[:, corner]] for corner in range(3))
+    inward = np.einsum("tx,tx->t", np.cross(b - a, c - a), a) < 0.0
+    triangles[inward] = triangles[inward][:, [0, 2, 1]]
+    along = np.linspace(-0.9, 0.9, ATOMS)
+    surface = unit * HALF_AXES
+    surface[:, 1] += BEND * HALF_AXES[2] * unit[:, 2] ** 2
+    atoms = np.zeros((ATOMS, 3))
+    atoms[:, 1], atoms[:, 2] = BEND * HALF_AXES[2] * along**2, HALF_AXES[2] * along
+    return assemble_organ(
+        name=f"bean of {points} points",
+        surface_positions=surface,
+        surface_triangles=triangles,
+        atom_positions=atoms,
+        atom_radius=HALF_AXES[0] * np.sqrt(1.0 - along**2),
+        atom_parent=np.arange(-1, ATOMS - 1),
+        fixed=np.argsort(surface[:, 2])[: max(3, round(HELD * points))],
+    )
+
+
+def node_normals(positions: Floats, triangles: Ints) -> Floats:
+    """Outward unit normals (n, 3) of surface nodes, by the areas of their triangles."""
+    a, b, c = (positions[triangles[:, corner]] for corner in range(3))
+    normal = np.zeros_like(positions)
+    np.add.at(normal, triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def press_node(organ: Organ) -> int:
+    """The surface node in the middle of the broad side: where the axis of least extent leaves the organ."""
+    from_centre = organ.surface_positions - organ.surface_positions.mean(axis=0)
+    thin = np.linalg.svd(from_centre, full_matrices=False)[2][2]
+    thin = thin * np.sign(thin[np.argmax(np.abs(thin))])  # the same side whatever the factorisation's sign
+    ahead = from_centre @ thin
+    beside = np.linalg.norm(from_centre - ahead[:, None] * thin, axis=1)
+    score = np.where(ahead > 0.0, beside, np.inf)
+    score[organ.fixed] = np.inf
+    return int(np.argmin(score))
+
+
+def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
+    """The `count` free surface nodes nearest to a node, (count,), itself first."""
+    distance = np.linalg.norm(organ.surface_positions - organ.surface_positions[node], axis=1)
+    distance[organ.fixed] = np.inf
+    return np.argsort(distance, kind="stable")[:count].astype(np.int64)
+
+
+def patch_load(organ: Organ, newton: float, count: int = PATCH_NODES) -> tuple[Longs, Floats]:
+    """Nodes (count,) in the middle of the broad side, and forces (count, 3) N inward there, `newton` in all."""
+    nodes = patch(organ, press_node(organ), count)
+    normal = node_normals(organ.surface_positions, organ.surface_triangles)[nodes].mean(axis=0)
+    return nodes, np.tile(-newton / count * normal / np.linalg.norm(normal), (count, 1))
+
+
+def spread_nodes(organ: Organ, count: int) -> Longs:
+    """`count` nodes spread over the half of the surface that the broad side faces, (count,), its middle first.
+
+    Each is as far as can be from those before it and from the held nodes (farthest point sampling).
+    """
+    surface, first = organ.surface_positions, press_node(organ)
+    normals = node_normals(surface, organ.surface_triangles)
+    chosen = [first]
+    apart = np.linalg.norm(surface - surface[first], axis=1)
+    for node in organ.fixed:
+        apart = np.minimum(apart, np.linalg.norm(surface - surface[node], axis=1))
+    apart[normals @ normals[first] < _FACING] = 0.0
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.linalg.norm(surface - surface[chosen[-1]], axis=1))
+    return np.array(chosen, dtype=np.int64)

@@ -1,0 +1,84 @@
+"""Plots of `tissue_sim bench tick`: time of every row, and growth with the organ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.errors import UserError
+
+_OURS, _THEIRS, _LIMIT = "#2166ac", "#b2182b", "#777777"
+
+
+def write_plots(found: dict[str, Any], folder: Path) -> list[Path]:
+    """Write tick.png and growth.png from the figures of `bench tick`; returns their paths.
+
+    Raises UserError when the folder can't be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / "tick.png", folder / "growth.png"]
+        for path, draw in zip(paths, (_rows, _growth), strict=True):
+            draw(found).savefig(path, dpi=140)
+    except OSError as error:
+        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
+    return paths
+
+
+def _rows(found: dict[str, Any]) -> Any:
+    """Median and p99 of every row, on a logarithmic scale."""
+    from matplotlib.figure import Figure
+
+    rows = [row for row in found["rows"] if row["median_us"] is not None][::-1]
+    figure = Figure(figsize=(9.0, 0.36 * len(rows) + 1.3), layout="constrained")
+    axis = figure.subplots()
+    peers = ("MuJoCo", "compliance", "the same")
+    for place, row in enumerate(rows):
+        median = row["median_us"]
+        axis.barh(place, median, color=_THEIRS if row["name"].startswith(peers) else _OURS, height=0.62)
+        axis.plot([median, max(row["p99_us"], median)], [place, place], color="black", linewidth=1.0)
+        label = f"{median:.0f}" if median >= 100.0 else f"{median:.3g}"
+        axis.annotate(label, (max(row["p99_us"], median), place), (4, 0), textcoords="offset points", va="center")
+    axis.set_yticks(range(len(rows)), [row["name"] for row in rows])
+    axis.set_xscale("log")
+    axis.set_xlim(0.5 * min(row["median_us"] for row in rows), 4.0 * max(row["p99_us"] for row in rows))
+    axis.set_xlabel("median time (us); the line reaches to the 99th percentile")
+    axis.set_title(
+        f"{found['organ']}, {found['surface_points']} points, 1 ms of simulated time, one thread", loc="left"
+    )
+    _bare(axis)
+    return figure
+
+
+def _growth(found: dict[str, Any]) -> Any:
+    """Whole tick, substep and modal tick over the number of points."""
+    from matplotlib.figure import Figure
+
+    sizes = found["growth"]["sizes"]
+    points = [size["points"] for size in sizes]
+    figure = Figure(figsize=(6.6, 4.4), layout="constrained")
+    axis = figure.subplots()
+    lines = (
+        ("whole_us", "whole tick", _OURS, "o-"),
+        ("substep_us", "one of its substeps", _OURS, "s--"),
+        ("modal_us", "modal tick", _THEIRS, "o-"),
+    )
+    for key, label, colour, style in lines:
+        axis.plot(points, [size[key] for size in sizes], style, color=colour, label=label)
+    start = sizes[0]["substep_us"]
+    slope = [start * (count / points[0]) ** 1.1 for count in points]
+    axis.plot(points, slope, ":", color=_LIMIT, label="n^1.1 from the first substep")
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xticks(points, [str(count) for count in points])
+    axis.minorticks_off()
+    axis.set_xlabel("surface points")
+    axis.set_ylabel("median time (us)")
+    axis.legend(frameon=False)
+    _bare(axis)
+    return figure
+
+
+def _bare(axis: Any) -> None:
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)

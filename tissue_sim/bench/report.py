@@ -1,0 +1,43 @@
+"""What benchmarks print and write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.bench.timing import NOISY
+from tissue_sim.errors import UserError
+
+
+def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
+    """Lines of a table whose first `left` columns are aligned left and the others right; the first row heads it."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+
+    def line(cells: Sequence[str]) -> str:
+        parts = [c.ljust(w) if k < left else c.rjust(w) for k, (c, w) in enumerate(zip(cells, widths, strict=True))]
+        return "  ".join(parts).rstrip()
+
+    return [line(rows[0]), "  ".join("-" * width for width in widths), *map(line, rows[1:])]
+
+
+def noise_lines(noise: float) -> list[str]:
+    """A remark on noise, the p99 of a fixed loop over its median, where it is high; else nothing."""
+    if noise < NOISY:
+        return []
+    return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
+
+
+def check_json(path: str | None) -> None:
+    """Raise UserError when the file for JSON (None or - for no file) is an organ: `--json ORGAN` takes it for one."""
+    if path and path.endswith(".npz"):
+        raise UserError(f"--json {path} would write over an organ; put ORGAN before --json, or - after it")
+
+
+def write_json(found: Any, path: str) -> None:
+    """Write JSON to a file; raises UserError when it can't be written."""
+    try:
+        Path(path).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,232 @@
+"""Times of small pieces of work, all measured in one run: round-robin in bursts, so that noise hits all alike.
+
+Time is that of the processor in this thread, less what reading its clock costs: a piece of work that another
+program interrupts takes no longer for it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from tissue_sim.errors import UserError
+from tissue_sim.model import state as st
+from tissue_sim.model.guard import check_cells, guard
+from tissue_sim.model.inputs import load_nodes, take_pose
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.world import tick_world
+
+Floats = NDArray[np.float64]
+Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
+BURST = 0.02  # s, that one piece of work is measured for before it is the next one's turn
+LEAST_SAMPLES = 3
+_LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
+_NOISE_TURNS = 30_000  # of the fixed loop, about 0.1 ms
+
+CLOCK_THREAD_CPUTIME_ID = 3
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+
+
+class Timing(NamedTuple):
+    """Time of one piece of work: median and 99th percentile, s; how often it was measured."""
+
+    median: float
+    p99: float
+    samples: int
+
+
+class Phase(NamedTuple):
+    """Pieces of work that are measured in turns, the seconds of measuring that each gets, and what they are for."""
+
+    bursts: Mapping[str, Burst]
+    seconds: float
+    label: str
+
+
+def describe(samples: Floats) -> Timing:
+    """Timing of samples (k,) s; raises ValueError without any."""
+    median, p99 = np.percentile(samples, [50.0, 99.0])
+    return Timing(float(median), float(p99), len(samples))
+
+
+def interleave(phase: Phase) -> dict[str, Timing]:
+    """Measure every burst of a phase in turns, each for `seconds` in all (but at least three times)."""
+    rounds = max(LEAST_SAMPLES, round(phase.seconds / BURST))
+    counts = {name: max(1, int(BURST / max(float(burst(2).min()), 1e-9))) for name, burst in phase.bursts.items()}
+    samples: dict[str, list[Floats]] = {name: [] for name in phase.bursts}
+    for turn in tqdm(range(rounds), desc=phase.label, unit="round", leave=False):
+        for name, burst in phase.bursts.items():
+            spent = float(sum(part.sum() for part in samples[name]))
+            # What takes long comes less often, spread over the run.
+            due = len(samples[name]) < LEAST_SAMPLES * (turn + 1) / rounds
+            if due or spent <= phase.seconds * turn / rounds:
+                samples[name].append(burst(counts[name]))
+    return {name: describe(np.concatenate(parts)) for name, parts in samples.items()}
+
+
+def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> Result:
+    """Call a function of a module in a fresh process whose numerical libraries use one thread.
+
+    They read their number of threads when they are loaded, so it takes a process of its own.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            return pool.submit(function, *arguments).result()
+    except BrokenProcessPool:
+        raise UserError("the process that measures was ended from outside; was there enough memory?") from None
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+# the clock ---------------------------------------------------------------------------------------
+
+
+@numba.njit(nogil=True)
+def _now(clock: Any) -> int:
+    """Processor time of this thread, ns; clock (2,) holds the timespec."""
+    _clock_gettime(CLOCK_THREAD_CPUTIME_ID, clock.ctypes.data)
+    return clock[0] * 1_000_000_000 + clock[1]
+
+
+@numba.njit(nogil=True)
+def _time_nothing(clock: Any, times: Any) -> None:
+    for index in range(len(times)):
+        start = _now(clock)
+        times[index] = _now(clock) - start
+
+
+@cache
+def clock_cost() -> float:
+    """Seconds that reading the clock adds to a piece of work, the median."""
+    times = np.zeros(2000, dtype=np.int64)
+    _time_nothing(np.zeros(2, dtype=np.int64), times)
+    return 1e-9 * float(np.median(times))
+
+
+def time_calls(work: Callable[[], object], count: int) -> Floats:
+    """Seconds (count,) of calls from Python; two more before them warm the caches and don't count."""
+    seconds = np.zeros(count + 2)
+    for index in range(len(seconds)):
+        start = time.thread_time_ns()
+        work()
+        seconds[index] = 1e-9 * (time.thread_time_ns() - start)
+    return np.maximum(seconds[2:] - clock_cost(), 0.0)
+
+
+# ticks -------------------------------------------------------------------------------------------
+
+
+@numba.njit(nogil=True, error_model="numpy")
+def _time_ticks(
+    world: Any,
+    nodes: Any,
+    forces: Any,
+    phase: Any,
+    steady: bool,
+    guarded: bool,
+    clock: Any,
+    times: Any,
+) -> None:
+    """Step len(times) ticks and write the ns that each took, or its guard alone.
+
+    In a compiled loop, as in the node, so that no call from Python is in the figure. Not kept on disk, where nothing
+    would tell that the kernels of the model, in another layer, have changed.
+    """
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    for index in range(len(times)):
+        if len(nodes) > 0:
+            share = 1.0 if steady else 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
+            phase[0] = phase[0] % _LOAD_PERIOD + 1
+            load_nodes(state, nodes, share * forces)
+        for tool in range(len(state.tool_pose)):
+            take_pose(state, tool, state.tool_goal[tool].copy(), state.tool_count[tool, st.POSE_SEQUENCE] + 1)
+        start = _now(clock)
+        tick_world(world)
+        if guarded:  # once more, after a tick as in it
+            start = _now(clock)
+            guard(model, state, settings, scratch)
+            check_cells(model, state)
+        times[index] = _now(clock) - start
+
+
+class Ticks:
+    """Bursts of ticks of a simulation under forces (k, 3) N on nodes (k,), swelling and ebbing five times a second.
+
+    steady: every burst begins at rest, under all of the force. guard: of each tick its guard alone is timed. Without
+    nodes the organ is left alone. Tools are told again before each tick that they stand where they stand.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        nodes: NDArray[np.int64],
+        forces: Floats,
+        *,
+        steady: bool = False,
+        guard: bool = False,
+    ) -> None:
+        self.simulation = simulation
+        self.steady, self.guard = steady, guard
+        self._load = np.asarray(nodes, dtype=np.int64), np.ascontiguousarray(forces, dtype=np.float64)
+        self._phase = np.full(1, _LOAD_PERIOD // 4)
+        self._clock = np.zeros(2, dtype=np.int64)
+
+    def __call__(self, count: int) -> Floats:
+        """Seconds (count,) of count ticks; two more before them warm the caches and don't count."""
+        simulation = self.simulation
+        if self.steady:
+            simulation.reset()
+        times = np.zeros(count + 2, dtype=np.int64)
+        _time_ticks(
+            simulation.world,
+            *self._load,
+            self._phase,
+            self.steady,
+            self.guard,
+            self._clock,
+            times,
+        )
+        return np.maximum(1e-9 * times[2:] - clock_cost(), 0.0)
+
+
+# noise -------------------------------------------------------------------------------------------
+
+
+@numba.njit(nogil=True)
+def _time_arithmetic(clock: Any, times: Any) -> float:
+    """A fixed loop that touches no memory, and the ns that each turn of it took."""
+    x = 0.5
+    for index in range(len(times)):
+        start = _now(clock)
+        for _ in range(_NOISE_TURNS):
+            x = 3.7 * x * (1.0 - x)
+        times[index] = _now(clock) - start
+    return x
+
+
+def noise_burst(count: int) -> Floats:
+    """Seconds (count,) of a fixed pure-arithmetic loop: how they scatter is the machine's doing."""
+    times = np.zeros(count, dtype=np.int64)
+    _time_arithmetic(np.zeros(2, dtype=np.int64), times)
+    return np.maximum(1e-9 * times - clock_cost(), 0.0)
