@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from tissue_sim.model import state as st
-from tissue_sim.model.guard import CELLS_A_TICK, MAX_BACKOFF, MOST_TURNED, RUNAWAY_RATE, check, check_cells, lead_back
+from tissue_sim.model.guard import (
+    CELLS_A_TICK,
+    LANES,
+    MAX_BACKOFF,
+    MOST_TURNED,
+    RUNAWAY_RATE,
+    check,
+    check_cells,
+    is_bounded,
+    lead_back,
+)
 from tissue_sim.model.simulation import Simulation
 
 from ..scenes import ball, kidney
@@ -79,6 +89,19 @@ def test_nodes_that_are_held_or_not_asked_for_are_not_looked_at():
     assert check(model, simulation.state, model.moving, 0.1**2, 100.0**2, 10.0**2) == 0
     simulation.state.position[model.moving[5:]] = np.nan
     assert check(model, simulation.state, model.moving[:5], 0.1**2, 100.0**2, 10.0**2) == 0
+
+
+@pytest.mark.parametrize("size", [1, 15, 16, 17, 126])
+def test_sums_pass_no_state_that_a_look_at_each_node_would_not(size):
+    """One value at a time is put over its bound, or made no number; the same just under it passes."""
+    rest = np.random.default_rng(0).standard_normal(size)
+    for index in (0, size // 2, size - 1):
+        for value, passes in ((0.0999, True), (0.1001, False), (np.nan, False), (np.inf, False)):
+            for offsets, speeds in ((value, 0.0), (0.0, 100.0 * value)):
+                away, speed = np.zeros(size), np.zeros(size)
+                away[index], speed[index] = offsets, speeds
+                sums = np.full(2 * LANES, np.nan)
+                assert is_bounded(rest + away, speed, rest, sums, 0.1**2, 10.0**2) == passes
 
 
 # whole ticks -----------------------------------------------------------------------------------

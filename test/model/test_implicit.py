@@ -214,17 +214,13 @@ def held_force(integrator, region="off", depth=0.003):
     return np.array(forces)[-1]
 
 
-WRONG_MOBILITY = pytest.mark.xfail(strict=True, reason="contact in a region takes the implicit step's mobility")
-
-
-@pytest.mark.parametrize("region", ["off", *(pytest.param(r, marks=WRONG_MOBILITY) for r in ("modal", "frozen"))])
+@pytest.mark.parametrize("region", ["off", "modal", "frozen"])
 def test_held_poke_has_the_force_of_the_symplectic_integrator(region):
     expected, found = (held_force(integrator, region) for integrator in ("symplectic", "implicit"))
     assert expected[2] > 0.03
     assert np.linalg.norm(found - expected) <= 0.02 * np.linalg.norm(expected)
 
 
-@pytest.mark.xfail(strict=True, reason="the mobility is kept for a slot, whatever was written into it")
 def test_contact_knows_the_stiffness_that_was_set_last():
     """Set twice between two ticks, both slots of the factor are new, and the one in use has the number it had."""
     scene = Scene(ball(), [Tool("probe", radius=0.008)])
