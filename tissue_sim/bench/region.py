@@ -103,7 +103,7 @@ def measure(organ: Organ, patches: int) -> list[Case]:
             load[: 3 * organ.n_surface] = forces.ravel()
             straight = np.zeros_like(load)
             straight[free] = linear.solve(load[free])
-            straight = straight[: 3 * organ.n_surface].reshape(-1, 3)
+            surface = straight[: 3 * organ.n_surface].reshape(-1, 3)
             by_modes, modes_settled = modal.settle(forces, 1e-4, 10.0)
             by_freezing, _ = frozen.settle(forces, 1e-4, 10.0)
             cases.append(
@@ -112,13 +112,13 @@ def measure(organ: Organ, patches: int) -> list[Case]:
                     float(force),
                     dent,
                     bool(settled and modes_settled),
-                    off(by_modes, straight),
-                    off(by_modes[core], straight[core]),
+                    off(by_modes, surface),
+                    off(by_modes[core], surface[core]),
                     off(by_modes, answer),
                     off(by_modes[core], answer[core]),
                     off(by_freezing, answer),
                     off(by_freezing[core], answer[core]),
-                    off(straight, answer),
+                    off(surface, answer),
                 )
             )
     return cases
