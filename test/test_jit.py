@@ -4,11 +4,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import numba
+import numpy as np
 import pytest
 
 import tissue_sim
-from tissue_sim.jit import cache_folder, folder_of
+from tissue_sim.jit import cache_folder, folder_of, handle, is_compiled
 
 LOAD = "from tissue_sim.jit import folder_of; print(folder_of('model'))"
 
@@ -59,3 +62,54 @@ def test_second_process_finds_the_first_ones_kernels(tmp_path):
 def test_each_layer_has_a_folder_of_its_own():
     """A change in the organ's pipeline doesn't compile the tick again."""
     assert folder_of("organ") != folder_of("model") or os.environ.get("NUMBA_CACHE_DIR")
+
+
+class Inner(NamedTuple):
+    table: Any
+
+
+class Outer(NamedTuple):
+    values: Any
+    factor: float
+    inner: Any
+
+
+def add_table(outer):
+    for k in range(len(outer.values)):
+        outer.values[k] += outer.factor * outer.inner.table[k]
+
+
+def test_handle_shares_arrays_and_copies_numbers():
+    values, table = np.zeros(3), np.array([1.0, 2.0, 3.0])
+    made = handle(Outer(values, 2.0, Inner(table)))
+    add = numba.njit(add_table)
+    add(made)
+    np.testing.assert_array_equal(values, [2.0, 4.0, 6.0])
+    table[:] = 10.0
+    add(made)
+    np.testing.assert_array_equal(values, [22.0, 24.0, 26.0])
+
+
+def test_handle_keeps_its_arrays_alive():
+    add, values = numba.njit(add_table), np.zeros(1000)
+    made = handle(Outer(values, 1.0, Inner(np.ones(1000))))
+    for _ in range(100):
+        np.full(1000, 7.0)  # would lie where the table was
+    add(made)
+    np.testing.assert_array_equal(values, 1.0)
+
+
+def test_handle_is_the_tuple_itself_without_the_compiler(monkeypatch):
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+    outer = Outer(np.zeros(3), 2.0, Inner(np.ones(3)))
+    assert handle(outer) is outer
+    add_table(outer)
+    np.testing.assert_array_equal(outer.values, 2.0)
+
+
+def test_tick_counts_as_compiled_once_its_index_is_there(monkeypatch, tmp_path):
+    monkeypatch.setattr("tissue_sim.jit._chosen", {"model": str(tmp_path)})
+    assert not is_compiled()
+    (tmp_path / "model_1").mkdir()
+    (tmp_path / "model_1" / "world.tick_world-7.py312.nbi").write_bytes(b"")
+    assert is_compiled()

@@ -66,6 +66,15 @@ def kernel(function: Callable[..., Any]) -> Any:
     return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
 
 
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a kernel that one other kernel calls, as a part of that.
+
+    Every level of calls is optimised again with all that lies below it, so that deep ones take most of the time.
+    """
+    numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
+    return numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+
+
 @structref.register
 class Handle(types.StructRef):  # type: ignore[name-defined]
     """Compiled type of a NamedTuple that is passed by reference; the tuples in it are by reference too."""

@@ -26,7 +26,7 @@ from tissue_sim.model import state as st
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import load_nodes, take_pose
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.tick import tick
+from tissue_sim.model.world import tick_world
 
 Floats = NDArray[np.float64]
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
@@ -162,7 +162,7 @@ def _time_ticks(
         for tool in range(len(state.tool_pose)):
             take_pose(state, tool, state.tool_goal[tool].copy(), state.tool_count[tool, st.POSE_SEQUENCE] + 1)
         start = _now(clock)
-        tick(model, state, world.shapes, settings, scratch)
+        tick_world(world)
         if guarded:  # once more, after a tick as in it
             start = _now(clock)
             guard(model, state, settings, scratch)

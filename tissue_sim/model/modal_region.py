@@ -63,13 +63,21 @@ def fits(state: Any) -> bool:
 
 
 @kernel
+def list_drive(state: Any, scratch: Any) -> None:
+    """List the nodes of the region and those at its edge, in scratch.drive_node."""
+    nodes, boundary = state.count[REGION_NODES], state.count[REGION_BOUNDARY]
+    drive = scratch.drive_node
+    for index in range(nodes):
+        drive[index] = scratch.region_node[index]
+    for index in range(boundary):
+        drive[nodes + index] = scratch.boundary_node[index]
+
+
+@kernel
 def gather_rows(model: Any, state: Any, scratch: Any) -> None:
     """Copy what the edge of the region looks at: rows of C for each load and of F for each mode, and F at the loads."""
-    region = scratch.region_node[: state.count[REGION_NODES]]
     boundary = scratch.boundary_node[: state.count[REGION_BOUNDARY]]
-    drive = scratch.drive_node[: len(region) + len(boundary)]
-    drive[: len(region)] = region
-    drive[len(region) :] = boundary
+    drive = scratch.drive_node[: state.count[REGION_NODES] + len(boundary)]
     first = 0
     if len(model.reduction.compliance) > 0:
         _copy_compliance(model.reduction.compliance, drive, boundary, scratch.edge_rows)

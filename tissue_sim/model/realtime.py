@@ -14,7 +14,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import kernel, part
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.modal_region import place_outside
 from tissue_sim.model.state import (
@@ -29,7 +29,7 @@ from tissue_sim.model.state import (
     Longs,
     StateBuffer,
 )
-from tissue_sim.model.tick import tick
+from tissue_sim.model.world import tick_implied_world, tick_world
 
 IN_SLOTS = 3
 OUT_SLOTS = 4
@@ -255,9 +255,8 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
     box.control[SURFACE_DONE] = asked
 
 
-@kernel
-def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
-    """Tick every `period` ns until control[STOP]; floats and integers are the state's flat buffers."""
+@part
+def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
     model, state, settings = world.model, world.state, world.settings
     row = np.zeros(box.journal.shape[1], dtype=np.int64)
     deadline = now(box.clock)
@@ -279,7 +278,7 @@ def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> N
             box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
             fence()
             box.journal_written[0] += 1
-        tick(model, state, world.shapes, settings, world.scratch)
+        tick(world)
         moved = moved or state.count[ASLEEP] == 0
         post_results(world, box, moved)
         if moved:
@@ -295,3 +294,15 @@ def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> N
         box.timing[slot, 1] = now(box.clock) - start
         box.control[LOOP_TICKS] += 1
         fence()
+
+
+@kernel
+def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
+    """Tick every `period` ns until control[STOP]; floats and integers are the state's flat buffers."""
+    _loop(world, tick_world, box, floats, integers, period)
+
+
+@kernel
+def run_implied_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
+    """The same where return springs pull to the boundary that the skeleton implies."""
+    _loop(world, tick_implied_world, box, floats, integers, period)

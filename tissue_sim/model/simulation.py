@@ -17,6 +17,7 @@ from tissue_sim.model.blocks import BLOCK, empty_blocks
 from tissue_sim.model.contact_constraint import MOST_NEAR
 from tissue_sim.model.energy import Energy, energy_of
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.guard import LANES
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
 from tissue_sim.model.integrators import INTEGRATORS
@@ -26,7 +27,7 @@ from tissue_sim.model.shapes import SPHERE, Shapes
 from tissue_sim.model.stability import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.state import Floats, State, StateBuffer
 from tissue_sim.model.tick import Scratch
-from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_world
+from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_implied_world, tick_world
 from tissue_sim.organ.organ import Organ
 
 LocalRegion = Literal["off", "frozen", "modal", "auto"]
@@ -50,9 +51,10 @@ class Simulation:
     springs, the rest as a linear body); auto (modal while the load is small, else the whole model);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
     or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
-    skeleton, so for soft return springs; not with a modal region, whose modes are those about rest); integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's
-    forward Euler: short steps), implicit (stable at any step; prefactored). The nodes of a local region are never
-    stepped implicitly; substeps: in a tick, instead of those from the critical step.
+    skeleton, so for soft return springs; not with a modal region, whose modes are those about rest);
+    integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's forward Euler: short steps),
+    implicit (stable at any step; prefactored). The nodes of a local region are never stepped implicitly;
+    substeps: in a tick, instead of those from the critical step.
     Raises UserError for a name, rate or number out of range.
     """
 
@@ -81,6 +83,9 @@ class Simulation:
         self.rate = float(rate)
         self.shapes = shapes
         self.integrator = integrator
+        # A kernel of its own, so that the usual one is not compiled with what it doesn't need.
+        self.implied = return_target == "implied"
+        self._tick = tick_implied_world if self.implied else tick_world
         self._fixed_substeps = substeps
         self._made_for = (0.0, 0.0, 0.0)  # step, stiffness and damping of the implicit factor in use
         self.settings = np.zeros(st.N_SETTINGS)
@@ -165,7 +170,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by 1/rate seconds."""
-        tick_world(self.world)
+        self._tick(self.world)
 
     def reset(self) -> None:
         """Back to the rest shape, asleep, without tools; the counters go on."""
@@ -320,7 +325,7 @@ def _scratch(model: Model, n_tools: int) -> Scratch:
         force=empty(n, 3),
         impulse=empty(n_tools, 6),
         mobility=empty(n),
-        mobility_key=empty(3),
+        mobility_key=empty(4),
         predicted=model.rest.copy(),
         change=empty(len(model.factor.order), 3),
         origin=empty(n_tools, 3),
@@ -332,6 +337,7 @@ def _scratch(model: Model, n_tools: int) -> Scratch:
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
         work=empty(9 * BLOCK),
+        sums=empty(2 * LANES),
         fresh=ints(local),
         was=longs(local),
         region_node=ints(local),

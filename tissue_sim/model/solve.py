@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES
+from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", choices=MODEL_NAMES, default="hybrid", help="the paper's model variant")
     parser.add_argument("--local-region", choices=LOCAL_REGIONS, default="off", help="what moves under a small load")
+    parser.add_argument("--integrator", choices=INTEGRATORS, default="symplectic", help="how nodes are stepped")
     parser.add_argument("--rate", type=float, default=1000.0, help="ticks a second, Hz")
     parser.add_argument("--tolerance", type=float, default=1e-3, help="residual force over load that counts as settled")
     parser.add_argument("--longest", type=float, default=5.0, help="simulated seconds after which a load is given up")
@@ -43,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--longest {args.longest:g} is outside 0..3600 s")
     organ = Organ.load(args.organ)
     forces = read_loads(args.loads, organ.n_surface)
-    simulation = Simulation(organ, args.model, args.rate, args.local_region)
+    simulation = Simulation(organ, args.model, args.rate, args.local_region, integrator=args.integrator)
     simulation.step()  # compile before the clock runs
     displacements = np.zeros_like(forces)
     seconds = np.zeros(len(forces))

@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import add_contact_impulses, aim_impulse, is_touched, resolve_contacts
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard
-from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
 from tissue_sim.model.rest import find_back, rest_if_quiet
@@ -81,7 +80,7 @@ class Scratch(NamedTuple):
     force: Any  # (n, 3) N
     impulse: Any  # (T, 6) N s on the tissue
     mobility: Any  # (n,) 1/kg
-    mobility_key: Any  # (3,) settings that it was worked out for
+    mobility_key: Any  # (4,) settings that it was worked out for
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
@@ -93,6 +92,7 @@ class Scratch(NamedTuple):
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
     work: Any  # (9 BLOCK,)
+    sums: Any  # (2 LANES,) of the guard
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
     was: Any
@@ -124,7 +124,7 @@ class Scratch(NamedTuple):
     field: Any  # (3n,) m
 
 
-@kernel
+@part
 def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Advance the organ by one tick of settings[TICK_TIME] seconds."""
     count = state.count
@@ -148,8 +148,6 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
             state.wrench[:] = 0.0
             return
         count[SNAPPED] = 0
-    if len(model.spokes.parent) > 0:
-        imply_boundary(model.spokes, state.position, model.return_target)
     if count[REGION] != WHOLE:
         prepare_region(model, state, settings, scratch)
     if count[REGION] == WHOLE:
@@ -159,7 +157,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     wanted = settings[WANTED_SUBSTEPS if count[REGION] == WHOLE else REGION_SUBSTEPS]
     substeps = int(wanted) * count[BACKOFF] * caution(model, state)
     count[SUBSTEPS] = substeps
-    set_mobility(model, settings, settings[TICK_TIME] / substeps, scratch)
+    set_mobility(model, state, settings, settings[TICK_TIME] / substeps, scratch)
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps)
     if count[REGION] == MODAL:
@@ -175,15 +173,15 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         rest_if_quiet(model, state, settings, scratch)
 
 
-@kernel
+@part
 def caution(model: Any, state: Any) -> int:
-    """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than those of any shape else."""
+    """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than sound ones."""
     if state.count[TURNED] == 0:
         return 1
     return 4 if state.count[TURNED] > CRUMPLED * len(model.cells) else 2
 
 
-@kernel
+@part
 def choose_region(state: Any, settings: Any) -> None:
     """On waking: a local region if asked for, else the whole model."""
     if settings[LOCAL_REGION] == 0.0:
@@ -194,7 +192,7 @@ def choose_region(state: Any, settings: Any) -> None:
     state.count[REGION] = FROZEN if settings[LOCAL_REGION] == FROZEN_SMALL else MODAL
 
 
-@kernel
+@part
 def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Grow the local region to what is loaded, and move its edge."""
     count = state.count
@@ -232,12 +230,14 @@ def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 def collect(model: Any, state: Any, scratch: Any) -> None:
     """Make the region's lists from its nodes."""
     local_region.collect(model, state, scratch)
-    if state.count[REGION] == MODAL and modal_region.fits(state):
-        modal_region.gather_rows(model, state, scratch)
+    if state.count[REGION] == MODAL:
+        modal_region.list_drive(state, scratch)
+        if modal_region.fits(state):
+            modal_region.gather_rows(model, state, scratch)
     scratch.stale[0] = 0
 
 
-@kernel
+@part
 def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
     count = state.count
@@ -259,7 +259,7 @@ def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: A
             enter_region(model, state, shapes, settings, scratch)
 
 
-@kernel
+@part
 def is_calm(model: Any, state: Any) -> bool:
     """True when no node moves faster than a new region could take up."""
     for index in range(len(model.moving)):
@@ -269,7 +269,7 @@ def is_calm(model: Any, state: Any) -> bool:
     return True
 
 
-@kernel
+@part
 def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """From here on the whole model moves, from where the region and the rest of the organ are."""
     if state.count[REGION] == MODAL:
@@ -277,7 +277,7 @@ def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     state.count[REGION] = WHOLE
 
 
-@kernel
+@part
 def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """From here on a modal region around the load moves, and the rest of the organ from where it is."""
     modal_region.forget_region(state)
@@ -304,7 +304,7 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
     modal_region.keep_offset(model, state, settings, scratch)
 
 
-@kernel
+@part
 def advance_substep(
     model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int
 ) -> None:
@@ -339,7 +339,7 @@ def advance_substep(
     )
 
 
-@kernel
+@part
 def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
@@ -382,29 +382,32 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
         )
 
 
-@kernel
-def set_mobility(model: Any, settings: Any, step: float, scratch: Any) -> None:
+@part
+def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any) -> None:
     """Velocity that an impulse gives each node within a substep, (n,) 1/kg, when settings have changed.
 
     The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With 1/m alone
     a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
-    key, slot = scratch.mobility_key, settings[FACTOR_SLOT]
-    if key[0] == step and key[1] == settings[DAMPING_SCALE] and key[2] == slot:
+    implicit = settings[INTEGRATOR] == IMPLICIT and state.count[REGION] == WHOLE
+    slot = settings[FACTOR_SLOT] if implicit else -1.0
+    key, damping, scale = scratch.mobility_key, settings[DAMPING_SCALE], settings[STIFFNESS_SCALE]
+    if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale:
         return
-    key[0], key[1], key[2] = step, settings[DAMPING_SCALE], slot
-    for index in range(len(model.moving)):
-        node = model.moving[index]
-        inverse = model.inverse_mass[node]
-        if settings[INTEGRATOR] == IMPLICIT:
-            scratch.mobility[node] = model.factor.mobility[int(slot), node]
+    key[0], key[1], key[2], key[3] = step, damping, slot, scale
+    mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
+    for index in range(len(moving)):
+        node = moving[index]
+        inverse = inverse_mass[node]
+        if implicit:
+            mobility[node] = model.factor.mobility[int(slot), node]
         elif settings[INTEGRATOR] == EXPLICIT:
-            scratch.mobility[node] = inverse
+            mobility[node] = inverse
         else:
-            scratch.mobility[node] = inverse / (1.0 + step * inverse * settings[DAMPING_SCALE] * model.damping[node])
+            mobility[node] = inverse / (1.0 + step * inverse * damping * model.damping[node])
 
 
-@kernel
+@part
 def scale_force(settings: Any, force: Any) -> None:
     """Scale the elastic forces by the tissue's stiffness."""
     scale = settings[STIFFNESS_SCALE]
@@ -414,7 +417,7 @@ def scale_force(settings: Any, force: Any) -> None:
                 force[node, c] *= scale
 
 
-@kernel
+@part
 def add_loads(state: Any, settings: Any, force: Any) -> None:
     """Add the external forces."""
     for index in range(state.count[N_LOADED]):
@@ -424,7 +427,7 @@ def add_loads(state: Any, settings: Any, force: Any) -> None:
     add_tip_forces(state, settings, force)
 
 
-@kernel
+@part
 def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
     """What each hand should feel: minus the mean force on the tissue, faded when stale, clamped."""
     cut = False

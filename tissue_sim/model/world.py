@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import load_nodes, reset_state
 from tissue_sim.model.modal_region import place_outside
+from tissue_sim.model.state import ASLEEP
 from tissue_sim.model.tick import tick
 
 
@@ -24,6 +26,14 @@ class World(NamedTuple):
 def tick_world(world: Any) -> None:
     """Advance by one tick."""
     tick(world.model, world.state, world.shapes, world.settings, world.scratch)
+
+
+@kernel
+def tick_implied_world(world: Any) -> None:
+    """The same, after the return springs were led to the boundary that the skeleton implies."""
+    if world.state.count[ASLEEP] == 0:
+        imply_boundary(world.model.spokes, world.state.position, world.model.return_target)
+    tick_world(world)
 
 
 @kernel

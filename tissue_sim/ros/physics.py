@@ -54,7 +54,8 @@ class Physics:
         own = World(
             simulation.model, simulation.state, simulation.shapes, simulation.settings.copy(), simulation.scratch
         )
-        rt.run_loop(
+        run = rt.run_implied_loop if simulation.implied else rt.run_loop
+        run(
             handle(own),
             self._box,
             simulation.buffer.floats,

@@ -1,0 +1,84 @@
+"""Which springs each node has, and the lists of a region, against naive loops and sets."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.model import state as st
+from tissue_sim.model.adjacency import adjacency_of
+from tissue_sim.model.blocks import BLOCK
+from tissue_sim.model.simulation import Simulation
+
+from ..scenes import assembled, ball, kidney
+from .test_local_region import hops_from, near
+
+
+def slots_with(nodes, constants, stiff_rows):
+    """For every node the slots of its springs, by a loop; fillings have no stiffness in any of the rows."""
+    found = {}
+    for slot, ends in enumerate(nodes.reshape(-1, nodes.shape[2])):
+        block, row = divmod(slot, BLOCK)
+        if any(constants[block, k * BLOCK + row] != 0.0 for k in stiff_rows):
+            for node in ends:
+                found.setdefault(int(node), []).append(slot)
+    return found
+
+
+@pytest.mark.parametrize("variant", ["surface", "volume", "hybrid"])
+@pytest.mark.parametrize("organ", [ball(), ball(3)], ids=["ball", "fine ball"])
+def test_rows_are_those_of_a_naive_loop(organ, variant):
+    model = assembled(organ, variant)
+    made = adjacency_of(model)
+    for start, slots, blocks, rows in (
+        (made.edge_start, made.edges, model.edges, (4, 7)),
+        (made.link_start, made.links, model.links, (1,)),
+    ):
+        expected = slots_with(*blocks, rows)
+        assert len(start) == organ.n_nodes + 1
+        for node in range(organ.n_nodes):
+            assert list(slots[start[node] : start[node + 1]]) == expected.get(node, []), node
+
+
+@pytest.mark.parametrize("organ", [ball(3), kidney()], ids=["ball", "kidney"])
+@pytest.mark.parametrize(("region", "hops"), [("frozen", 2), ("modal", 1)])
+@pytest.mark.parametrize("tabled", [True, False], ids=["hop table", "searched"])
+def test_lists_of_a_region_are_those_of_naive_sets(organ, region, hops, tabled):
+    """Its nodes, the springs that they have, and the other ends of these; also after the load has wandered."""
+    simulation = Simulation(organ, local_region=region)
+    if not tabled:
+        simulation.model = simulation.model._replace(hops=np.zeros((0, 0), dtype=np.uint8))
+        simulation.refer()
+    model, state, scratch = simulation.model, simulation.state, simulation.scratch
+    first = near(organ, (0.0, 0.0, 1.0))[0]
+    loaded = [first, int(np.flatnonzero(hops_from(organ, [first]) == 2)[0])]
+    for count in (1, 2):
+        for _ in range(3):
+            simulation.apply_force(loaded[:count], np.tile([0.0, 0.0, -0.01], (count, 1)))
+            simulation.step()
+        hop = hops_from(organ, loaded[:count])
+        nodes = set(np.flatnonzero(hop <= hops).tolist())
+        expected_hop = np.full(organ.n_nodes, -1)
+        expected_hop[sorted(nodes)] = hop[sorted(nodes)]
+        np.testing.assert_array_equal(state.region_hop, expected_hop)
+        assert scratch.region_node[: state.count[st.REGION_NODES]].tolist() == sorted(nodes)
+        assert scratch.moved_node[: scratch.moved[0]].tolist() == sorted(nodes - set(organ.fixed.tolist()))
+        boundary = set()
+        for kind, blocks, local, listed, rows in (
+            ("edges", model.edges, scratch.edges, state.count[st.REGION_HINGES], (4, 7)),
+            ("links", model.links, scratch.links, state.count[st.REGION_SPRINGS], (1,)),
+        ):
+            every = slots_with(*blocks, rows)
+            slots = {slot for node in nodes for slot in every.get(node, [])}
+            ends = blocks.nodes.reshape(-1, blocks.nodes.shape[2])
+            laws = blocks.constants.reshape(len(blocks.nodes), -1, BLOCK).transpose(0, 2, 1).reshape(len(ends), -1)
+            local_ends = local.nodes.reshape(-1, local.nodes.shape[2])
+            local_laws = local.constants.reshape(len(local.nodes), -1, BLOCK).transpose(0, 2, 1)
+            local_laws = local_laws.reshape(len(local_ends), -1)
+            assert listed == len(slots) > 0, kind
+            wanted = sorted((*ends[slot].tolist(), *laws[slot].tolist()) for slot in slots)
+            found = sorted((*local_ends[k].tolist(), *local_laws[k].tolist()) for k in range(listed))
+            assert found == wanted, kind
+            filling = local_laws[listed : -(-listed // BLOCK) * BLOCK]
+            assert np.all(filling[:, list(rows)] == 0.0)
+            boundary |= {int(node) for slot in slots for node in ends[slot]} - nodes
+        assert set(scratch.boundary_node[: state.count[st.REGION_BOUNDARY]].tolist()) == boundary
+        assert state.count[st.REGION_BOUNDARY] == len(boundary)

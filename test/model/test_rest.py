@@ -1,0 +1,118 @@
+"""How an organ that nobody touches comes to rest: asleep at rest, to the last bit, from wherever it was left."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.model import state as st
+from tissue_sim.model.rest import QUIET_TICKS, TURNED_TIME, largest_motion
+from tissue_sim.model.simulation import Simulation
+
+from ..scenes import ball, changed, kidney
+
+
+def awake(organ, **options):
+    simulation = Simulation(organ, **options)
+    simulation.state.count[st.ASLEEP] = 0
+    return simulation
+
+
+def settles(simulation, ticks=1500):
+    """Ticks until the organ is asleep, at rest exactly."""
+    taken = 0
+    while taken < ticks and not simulation.asleep:
+        simulation.step()
+        taken += 1
+    assert simulation.asleep
+    np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
+    np.testing.assert_array_equal(simulation.velocities, 0.0)
+    assert simulation.state.count[st.TURNED] == 0
+    return taken
+
+
+def test_largest_motion_is_that_of_a_naive_loop():
+    simulation = Simulation(ball())
+    model, state = simulation.model, simulation.state
+    random = np.random.default_rng(0)
+    state.position[:] = model.rest + random.standard_normal(model.rest.shape)
+    state.velocity[:] = random.standard_normal(model.rest.shape)
+    nodes = model.moving[2:30]
+    speed, away = largest_motion(model, state, nodes)
+    assert speed == np.abs(state.velocity[nodes]).max()
+    assert away == np.abs(state.position - model.rest)[nodes].max()
+
+
+SLACK = changed(ball(2), spring_stiffness=0.0, angular_stiffness=0.0, return_stiffness=0.0)
+
+
+def test_slack_organ_left_aside_is_led_back():
+    """Nothing pulls it to rest: a false rest shape in its purest form, every cell the right way round."""
+    simulation = awake(SLACK)
+    state, nodes = simulation.state, simulation.model.moving
+    state.position[nodes, 0] += 0.002
+    state.good_position[:] = state.position
+    still = state.position.copy()
+    for _ in range(QUIET_TICKS - 1):
+        simulation.step()
+    np.testing.assert_array_equal(simulation.positions, still)
+    assert state.count[st.SNAPS] == 0
+    simulation.step()
+    assert state.count[st.SNAPPED] == 1
+    assert settles(simulation) < 500
+    assert state.count[st.SNAPS] == 1
+    assert state.count[st.FAULTS] == 0
+
+
+def test_load_keeps_an_organ_that_stands_still_away_from_rest_where_it_is():
+    simulation = Simulation(ball(2))
+    node = int(np.argmax(ball(2).surface_positions[:, 2]))
+    for _ in range(1200):
+        simulation.apply_force(node, [0.0, 0.0, -0.1])
+        simulation.step()
+    assert np.abs(simulation.velocities).max() < 1e-6
+    assert simulation.state.count[st.SNAPS] == 0
+    assert simulation.state.count[st.SNAPPED] == 0
+    assert np.abs(simulation.positions - simulation.model.rest).max() > 5e-4
+    settles(simulation)
+    assert simulation.state.count[st.SNAPS] == 0, "a sound organ finds back by itself"
+
+
+@pytest.mark.parametrize(
+    ("organ", "integrator", "longest"),
+    [
+        (ball(2), "symplectic", 1000),
+        (ball(2), "implicit", 1000),
+        (kidney(), "symplectic", 1000),
+        (kidney(), "implicit", 2000),  # what is stiff in it swings longer, by micrometres
+    ],
+)
+def test_cap_pushed_through_the_organ_is_at_rest_soon(organ, integrator, longest):
+    simulation = awake(organ, integrator=integrator)
+    state, model = simulation.state, simulation.model
+    middle = model.rest[model.moving].mean(axis=0)
+    offset = model.rest - middle
+    cap = (offset[:, 0] > 0.5 * offset[:, 0].max()) & (model.inverse_mass > 0.0)
+    assert 0.03 < cap.mean() < 0.4
+    state.position[cap, 0] -= 2.0 * offset[cap, 0]
+    state.good_position[:] = state.position
+    settles(simulation, longest)
+
+
+def test_inside_may_be_turned_for_a_moment_before_it_is_led_back():
+    """With nothing to bring it back by itself, the organ is taken after TURNED_TIME, not before."""
+    simulation = awake(changed(SLACK, damping=0.0))
+    state, model = simulation.state, simulation.model
+    state.position[model.moving, 2] *= -1.0
+    state.velocity[model.moving] = [0.1, 0.0, 0.0]  # so that it is not the stillness that tells
+    state.good_position[:], state.good_velocity[:] = state.position, state.velocity
+    # A third of it the right way round, so that it isn't collapsed.
+    upright = model.moving[model.rest[model.moving, 0] < 0.002]
+    state.position[upright] = state.good_position[upright] = model.rest[upright]
+    begun = None
+    for tick in range(400):
+        simulation.step()
+        if begun is None and state.count[st.SNAPPED]:
+            begun = tick
+    assert state.count[st.FAULTS] == 0
+    assert begun is not None
+    assert begun * 1e-3 == pytest.approx(TURNED_TIME, abs=0.003)
+    settles(simulation)
