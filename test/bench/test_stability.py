@@ -49,7 +49,7 @@ def test_force_names_every_kind_of_force():
     named = axes_named("force,depth")
     assert named == [axis for axis in AXES if axis.split("_")[0] in ("force", "depth")]
     assert axes_named("all") == list(AXES)
-    assert axes_named("depth,depth,force_ten") == [*axes_named("depth"), "force_ten"]
+    assert axes_named("depth,depth,force_ten") == ["depth_side", "depth_far", "force_ten"]
     assert len(axes_named("force")) > 2
 
 
@@ -134,7 +134,7 @@ def test_load_beyond_all_bounds_is_guarded():
 
 
 def test_probe_through_a_part_of_the_organ_comes_back():
-    record = run_cell(cell("depth", 0.1))
+    record = run_cell(cell("depth_side", 0.1))
     assert record.outcome == "stable"
     assert record.peak > 0.05 * 0.05
     assert record.newtons == 0.0

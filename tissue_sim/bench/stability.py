@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
+from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quick", action="store_true", help="fewer cells and shorter times, within a minute")
     parser.add_argument(
-        "--axes", default="all", help=f"axes to sweep, of {', '.join(AXES)}; force and depth mean each of theirs"
+        "--axes",
+        metavar="A,B",
+        help=f"of {', '.join(AXES)}; force and depth mean each of theirs (default: all, some fewer with --quick)",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument(
@@ -46,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Sweep, map and report; returns 1 with --check when a cell with default settings diverged."""
-    axes = axes_named(args.axes)
+    axes = axes_named(args.axes or (",".join(QUICK_AXES) if args.quick else "all"))
     if args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     folder = _folder(args.out)

@@ -48,9 +48,10 @@ AXES: dict[str, Axis] = {
     "force_far": Axis("force on 19 nodes at the far end", _MULTIPLES, _QUICK_MULTIPLES, "far"),
     "force_pull": Axis("pull on 19 nodes / paper's 100", _MULTIPLES, _QUICK_MULTIPLES, "pull"),
     "force_ten": Axis("force on ten points / paper's 500", _MULTIPLES, _QUICK_MULTIPLES, "ten", 500.0),
-    "depth": Axis("poke depth / thickness", _DEPTHS, _QUICK_DEPTHS, "tool"),
+    "depth_side": Axis("poke depth / thickness, from the side", _DEPTHS, _QUICK_DEPTHS, "tool"),
     "depth_far": Axis("poke depth / length, from the far end", _DEPTHS, _QUICK_DEPTHS, "tool_far"),
 }
+QUICK_AXES = [axis for axis in AXES if axis not in ("force_far", "force_pull", "depth_far")]  # without being named
 
 
 @dataclass(frozen=True)
