@@ -136,10 +136,7 @@ def test_looking_changes_nothing():
     np.testing.assert_array_equal(watched.state.mode_position, alone.state.mode_position)
 
 
-STALE = pytest.mark.xfail(strict=True, reason="loads of the old list are counted again for each node of the new one")
-
-
-@pytest.mark.parametrize("first", [pytest.param(0, id="node 0", marks=STALE), pytest.param(7, id="node 7")])
+@pytest.mark.parametrize("first", [pytest.param(0, id="node 0"), pytest.param(7, id="node 7")])
 def test_region_that_does_not_fit_goes_whole(first):
     organ = kidney()
     simulation = Simulation(organ, local_region="modal")

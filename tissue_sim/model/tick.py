@@ -357,6 +357,7 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
             scratch.change,
         )
         return
+    scale = damping_scale(state, settings)
     nodes = model.moving if state.count[REGION] == WHOLE else scratch.moved_node[: scratch.moved[0]]
     if settings[INTEGRATOR] == EXPLICIT:
         explicit_euler(
@@ -366,7 +367,7 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
             nodes,
             model.inverse_mass,
             model.damping,
-            settings[DAMPING_SCALE],
+            scale,
             step,
         )
     else:
@@ -377,9 +378,19 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
             nodes,
             model.inverse_mass,
             model.damping,
-            settings[DAMPING_SCALE],
+            scale,
             step,
         )
+
+
+@part
+def damping_scale(state: Any, settings: Any) -> float:
+    """Factor on the damping; a modal region has at least the organ's own.
+
+    Its surroundings follow the load a little late, which swings up what nothing damps.
+    """
+    scale = settings[DAMPING_SCALE]
+    return max(scale, 1.0) if state.count[REGION] == MODAL else scale
 
 
 @part
@@ -391,7 +402,7 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
     """
     implicit = settings[INTEGRATOR] == IMPLICIT and state.count[REGION] == WHOLE
     slot = settings[FACTOR_SLOT] if implicit else -1.0
-    key, damping, scale = scratch.mobility_key, settings[DAMPING_SCALE], settings[STIFFNESS_SCALE]
+    key, damping, scale = scratch.mobility_key, damping_scale(state, settings), settings[STIFFNESS_SCALE]
     if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale:
         return
     key[0], key[1], key[2], key[3] = step, damping, slot, scale
