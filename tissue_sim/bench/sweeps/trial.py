@@ -35,11 +35,11 @@ SWINGING, CREEPING = 9.0, 6.0
 LEAST_WATCHED, MOST_WATCHED = 3.0, 150.0  # s
 QUICK_WATCHED = 1.5  # s, the most with --quick
 BRIEFLY_WATCHED = 0.03  # s
-# Substeps in a tick of the explicit integrator, at most; what would need more goes wrong, and is shown so.
+# Substeps in a millisecond of the explicit integrator, at most; what would need more goes wrong, and is shown so.
 MOST_SUBSTEPS, QUICK_SUBSTEPS = 400, 100
 LATER_EVERY = 20  # ticks between two looks after the least time watched
 ENERGY_EVERY = 2  # ticks between two looks at the energy before that
-LOOK_EVERY = 10  # ticks between two looks at what is turned over
+LOOK_EVERY = 20  # ticks between two looks at what is turned over
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def simulation_of(cell: Cell) -> Simulation:
     simulation, settings, floats, integers = _simulation(*made_for(cell))
     settings = settings.copy()
     rate, substeps = cell.at("rate", DEFAULT_RATE), 0
-    most = QUICK_SUBSTEPS if cell.quick else MOST_SUBSTEPS
+    most = math.ceil((QUICK_SUBSTEPS if cell.quick else MOST_SUBSTEPS) * DEFAULT_RATE / rate)
     if cell.axis == "step":
         step = cell.value * critical_step_of(cell.organ, "explicit" if cell.brief else "symplectic")
         substeps = min(most, max(1, round(1.0 / (DEFAULT_RATE * step))))
