@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import signed_distance
 from tissue_sim.model.state import ENGAGED, ENTRIES, MODAL, REGION
 
@@ -110,7 +111,7 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
             continue
         scratch.near_entry[found] = entry
         scratch.near_normal[found] = pressed
-        scratch.near_tangent[found] = state.contact_held[0, entry]
+        copy(state.contact_held[0, entry], scratch.near_tangent[found])
         found += 1
     return found
 
@@ -175,7 +176,7 @@ def resolve_contacts(
     for near in range(found):
         entry, pressed = scratch.near_entry[near], scratch.near_normal[near]
         state.contact_pressed[0, entry] = pressed
-        state.contact_held[0, entry] = scratch.near_tangent[near]
+        copy(scratch.near_tangent[near], state.contact_held[0, entry])
         if pressed > 0.0:
             touching += 1
     return touching

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel, part
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.modal_region import forget_region
 from tissue_sim.model.state import (
     BACKOFF,
@@ -133,13 +134,6 @@ def is_bounded(position: Any, velocity: Any, rest: Any, sums: Any, span: float, 
 
 
 @kernel
-def copy_flat(source: Any, target: Any) -> None:
-    """Copy an array."""
-    for index in range(len(source)):
-        target[index] = source[index]
-
-
-@kernel
 def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy: float) -> int:
     """What is wrong with the nodes, NOT_FINITE or RUNAWAY; 0 for nothing.
 
@@ -169,9 +163,8 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
 def keep(state: Any, scratch: Any) -> None:
     """Take this state as the last good one."""
     if state.count[REGION] == WHOLE:
-        size = state.position.size
-        copy_flat(state.position.reshape(size), state.good_position.reshape(size))
-        copy_flat(state.velocity.reshape(size), state.good_velocity.reshape(size))
+        copy(state.position, state.good_position)
+        copy(state.velocity, state.good_velocity)
         return
     nodes = scratch.drive_node if state.count[REGION] == MODAL else scratch.region_node
     position, velocity = state.position, state.velocity
@@ -192,9 +185,9 @@ def restore(state: Any, scratch: Any) -> None:
             node = scratch.drive_node[index]
             for c in range(3):
                 position[node, c] = good_position[node, c]
-        good_position[:] = position
+        copy(position, good_position)
     else:
-        state.position[:] = state.good_position
+        copy(state.good_position, state.position)
     state.velocity[:] = 0.0
     state.good_velocity[:] = 0.0
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.arrays import copy
 from tissue_sim.organ.medial import neighbours, represent
 from tissue_sim.organ.organ import Floats, Ints, Organ
 
@@ -115,7 +116,7 @@ def transport_frames(spokes: Any, position: Any) -> None:
             new[i] /= length
         apply(carried, spokes.bone[a], old, False)
         if new[0] == 0.0 and new[1] == 0.0 and new[2] == 0.0:
-            spokes.frame[a] = carried
+            copy(carried, spokes.frame[a])
             continue
         smallest(old, new, small)
         for i in range(3):
@@ -140,7 +141,7 @@ def whole_rotation(spokes: Any, position: Any) -> None:
         for i in range(3):
             for j in range(3):
                 spread[i, j] += (position[first + a, i] - middle[i]) * spokes.offset[a, j]
-    axis[:] = spokes.axis
+    copy(spokes.axis, axis)
     size = 0.0
     for _ in range(_POWER_STEPS):
         size = apply(spread, axis, image, False)
@@ -148,8 +149,8 @@ def whole_rotation(spokes: Any, position: Any) -> None:
             break
         apply(spread, image, axis, True)
     if size == 0.0:
-        axis[:] = spokes.axis
-        image[:] = axis
+        copy(spokes.axis, axis)
+        copy(axis, image)
     else:
         apply(spread, axis, image, False)
     smallest(axis, image, straight)
@@ -190,7 +191,7 @@ def turn_best(start: Any, spread: Any, axis: Any, best: Any, product: Any) -> No
 
     The turn about the axis is known in closed form; Newton steps do the rest.
     """
-    best[:] = start
+    copy(start, best)
     for step in range(_NEWTON_STEPS + 1):
         for i in range(3):
             for j in range(3):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.modal_region import forget_region
 from tissue_sim.model.state import (
     AGE,
@@ -39,11 +40,11 @@ def take_pose(state: Any, tool: int, pose: Any, sequence: int) -> None:
     """
     tools = state.tool_count[tool]
     if tools[ENGAGED] == 0:
-        state.tool_pose[tool] = pose
+        copy(pose, state.tool_pose[tool])
         tools[REMAINING] = 0
     else:
         tools[REMAINING] = min(max(tools[AGE], 1), LONGEST_PERIOD)
-    state.tool_goal[tool] = pose
+    copy(pose, state.tool_goal[tool])
     tools[AGE] = 0
     tools[POSE_SEQUENCE] = sequence
 
@@ -51,7 +52,7 @@ def take_pose(state: Any, tool: int, pose: Any, sequence: int) -> None:
 @kernel
 def take_force(state: Any, tool: int, force: Any, sequence: int) -> None:
     """Take up the newest external force (3,) N on the tissue at a tool's tip."""
-    state.tool_force[tool] = force
+    copy(force, state.tool_force[tool])
     state.tool_count[tool, FORCE_AGE] = 0
     state.tool_count[tool, FORCE_SEQUENCE] = sequence
 
@@ -132,10 +133,10 @@ def carry_impulses(state: Any, entries: int, contact_tool: Any, contact_node: An
                 same = same and contact_weight[entry, c] == state.contact_weight[old, c]
             if same:
                 pressed[1, entry] = pressed[0, old]
-                held[1, entry] = held[0, old]
+                copy(held[0, old], held[1, entry])
                 break
-    pressed[0, :entries] = pressed[1, :entries]
-    held[0, :entries] = held[1, :entries]
+    copy(pressed[1, :entries], pressed[0, :entries])
+    copy(held[1, :entries], held[0, :entries])
 
 
 @kernel
@@ -150,8 +151,8 @@ def reset_state(model: Any, state: Any) -> None:
     state.count[SNAPS] = snaps
     state.count[ASLEEP] = 1
     state.count[BACKOFF] = 1
-    state.position[:] = model.rest
-    state.good_position[:] = model.rest
+    copy(model.rest, state.position)
+    copy(model.rest, state.good_position)
     state.velocity[:] = 0.0
     state.good_velocity[:] = 0.0
     state.nodal_force[:] = 0.0

@@ -18,6 +18,7 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model import local_region
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.forces import subtract_linear_edges, subtract_linear_springs
 from tissue_sim.model.state import (
@@ -369,7 +370,7 @@ def keep_offset(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         state.mode_velocity[k] = 0.0
     set_mode_move(model, state, scratch)
     state.blend[0] = 0.0
-    state.offset[:] = state.position
+    copy(state.position, state.offset)
     place_outside(model, state, settings, scratch)
     for node in range(len(model.rest)):
         for c in range(3):

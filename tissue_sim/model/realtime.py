@@ -15,6 +15,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from tissue_sim.jit import kernel, part
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.modal_region import place_outside
 from tissue_sim.model.state import (
@@ -87,6 +88,7 @@ class Mailboxes(NamedTuple):
     journal: Longs  # (JOURNAL_ROWS, ROW_TOOLS + 2 T) what each tick took up, where anything changed
     timing: Longs  # (TIMING_ROWS, 2) ns: lateness and duration of each tick
     clock: Longs  # (4,) timespecs of the loop
+    row: Longs  # (ROW_TOOLS + 2 T,) of the journal, as the last tick took it up
 
 
 def make_mailboxes(buffer: StateBuffer) -> Mailboxes:
@@ -131,6 +133,7 @@ def make_mailboxes(buffer: StateBuffer) -> Mailboxes:
         journal=longs(JOURNAL_ROWS, ROW_TOOLS + 2 * n_tools),
         timing=longs(TIMING_ROWS, 2),
         clock=longs(4),
+        row=longs(ROW_TOOLS + 2 * n_tools),
     )
 
 
@@ -181,7 +184,7 @@ def take_inputs(model: Any, state: Any, settings: Any, box: Any, row: Any) -> bo
     while box.settings_sequence[0] != row[ROW_SETTINGS]:
         sequence = box.settings_sequence[0]
         fence()
-        settings[:] = box.settings[sequence % IN_SLOTS]
+        copy(box.settings[sequence % IN_SLOTS], settings)
         changed = True
         if is_whole(box.settings_sequence, 0, sequence):
             row[ROW_SETTINGS] = sequence
@@ -191,7 +194,7 @@ def take_inputs(model: Any, state: Any, settings: Any, box: Any, row: Any) -> bo
         while box.pose_sequence[tool] != row[column]:
             sequence = box.pose_sequence[tool]
             fence()
-            box.taken_pose[tool] = box.pose[sequence % IN_SLOTS, tool]
+            copy(box.pose[sequence % IN_SLOTS, tool], box.taken_pose[tool])
             changed = True
             if is_whole(box.pose_sequence, tool, sequence):
                 row[column] = sequence
@@ -234,9 +237,9 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
     """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
     state = world.state
     slot = (box.out_sequence[0] + 1) % OUT_SLOTS
-    box.out_wrench[slot] = state.wrench
-    box.out_count[slot] = state.count
-    box.out_tool_count[slot] = state.tool_count
+    copy(state.wrench, box.out_wrench[slot])
+    copy(state.count, box.out_count[slot])
+    copy(state.tool_count, box.out_tool_count[slot])
     fence()
     box.out_sequence[0] += 1
     lazy = state.count[REGION] == MODAL and state.count[ASLEEP] == 0
@@ -247,7 +250,7 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
         lazy, moved = False, True
     if moved and not lazy:
         slot = (box.surface_sequence[0] + 1) % OUT_SLOTS
-        box.surface[slot] = state.position
+        copy(state.position, box.surface[slot])
         box.surface_tick[slot] = state.count[TICK]
         fence()
         box.surface_sequence[0] += 1
@@ -258,7 +261,7 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
 @part
 def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
     model, state, settings = world.model, world.state, world.settings
-    row = np.zeros(box.journal.shape[1], dtype=np.int64)
+    row = box.row
     deadline = now(box.clock)
     moved = True  # the first tick hands out the rest shape
     while box.control[STOP] == 0:
@@ -275,7 +278,7 @@ def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: i
         if take_inputs(model, state, settings, box, row):
             moved = moved or row[ROW_RESETS] != resets
             row[ROW_TICK] = state.count[TICK] + 1
-            box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
+            copy(row, box.journal[box.journal_written[0] % JOURNAL_ROWS])
             fence()
             box.journal_written[0] += 1
         tick(world)
@@ -285,8 +288,8 @@ def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: i
             box.control[AWAKE_TICK] = state.count[TICK]
         moved = False
         if box.control[SNAPSHOT_ASKED] != box.control[SNAPSHOT_DONE]:
-            box.snapshot_floats[:] = floats
-            box.snapshot_integers[:] = integers
+            copy(floats, box.snapshot_floats)
+            copy(integers, box.snapshot_integers)
             fence()
             box.control[SNAPSHOT_DONE] = box.control[SNAPSHOT_ASKED]
         slot = box.control[LOOP_TICKS] % TIMING_ROWS

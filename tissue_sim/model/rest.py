@@ -6,6 +6,7 @@ from typing import Any
 
 from tissue_sim.jit import kernel, part
 from tissue_sim.model import modal_region
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.guard import lead_back
 from tissue_sim.model.state import (
     ALONE,
@@ -90,8 +91,8 @@ def fall_asleep(model: Any, state: Any) -> None:
     count[BACKOFF] = 1
     count[TURNED] = count[COLLAPSING] = 0
     state.is_turned[:] = 0
-    state.position[:] = model.rest
-    state.good_position[:] = model.rest
+    copy(model.rest, state.position)
+    copy(model.rest, state.good_position)
     state.velocity[:] = 0.0
     state.good_velocity[:] = 0.0
 
@@ -111,7 +112,7 @@ def find_back(model: Any, state: Any, settings: Any) -> None:
     """A step of the way back from a false rest shape."""
     displacement = lead_back(model, state, settings)
     # A fault on the way must not restore the false shape.
-    state.good_position[:] = state.position
+    copy(state.position, state.good_position)
     state.good_velocity[:] = 0.0
     if displacement <= QUIET_DISPLACEMENT:
         state.count[SNAPPED] = 0

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import rotation_matrix
 from tissue_sim.model.state import AGE, ENGAGED, FORCE_AGE, RAMP_TIME, REMAINING, STALE_TIME, TICK_TIME
 
@@ -26,7 +27,7 @@ def advance_tools(state: Any, settings: Any, scratch: Any) -> None:
     """Move each tool towards its newest pose, and let go of it when poses stop."""
     for tool in range(len(state.tool_pose)):
         tools = state.tool_count[tool]
-        scratch.start_pose[tool] = state.tool_pose[tool]
+        copy(state.tool_pose[tool], scratch.start_pose[tool])
         if tools[AGE] >= 0:
             tools[AGE] += 1
             if tools[AGE] * settings[TICK_TIME] > settings[STALE_TIME] + settings[RAMP_TIME]:
@@ -44,7 +45,7 @@ def advance_tools(state: Any, settings: Any, scratch: Any) -> None:
 def step_pose(pose: Any, goal: Any, share: float) -> None:
     """Move a pose (7,) by a share of the way to a goal; the quaternion by normalised lerp."""
     if share >= 1.0:
-        pose[:] = goal
+        copy(goal, pose)
         return
     for c in range(3):
         pose[c] += share * (goal[c] - pose[c])
@@ -62,7 +63,7 @@ def step_pose(pose: Any, goal: Any, share: float) -> None:
 @kernel
 def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
     """Origin (3,) and rotation matrix (9,) of a pose (7,)."""
-    origin[:] = pose[:3]
+    copy(pose[:3], origin)
     rotation_matrix(pose[3:], rotation)
 
 
