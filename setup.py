@@ -53,7 +53,7 @@ setup(
         "calibration": ["scikit-fem", "pytetwild"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         # `colcon test` runs pytest because this extra names it.
-        "test": ["pytest", "pytest-timeout", "ruff", "mypy"],
+        "test": ["pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
         "colcon": ["colcon-common-extensions"],
     },
     entry_points={

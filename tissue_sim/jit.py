@@ -69,7 +69,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     what the replay of a bag stands on.
     """
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
-    # The model's kernels allocate nothing: without reference counts they are smaller, and compiled in half the time.
+    # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
     counts = not function.__module__.startswith("tissue_sim.model.")
     return numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=counts)(function)
 

@@ -49,6 +49,7 @@ def test_simulation_takes_the_modes_and_keeps_nothing(carried, monkeypatch, tmp_
     assert np.mean((simulation.positions - simulation.model.rest)[nodes] @ forces[0]) > 0.0
 
 
+@pytest.mark.slow
 def test_growth_is_measured_at_every_size():
     found = as_json(measure((300, 600), 0.05))
     assert [size["points"] for size in found["sizes"]] == [300, 600]
