@@ -8,7 +8,7 @@ from scipy.sparse.linalg import splu
 
 from tissue_sim.bench.timing import time_calls
 from tissue_sim.model.assembly import Model
-from tissue_sim.model.modes import stiffness_matrix
+from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.state import Floats
 
 AT_ONCE = 300  # columns solved together
@@ -19,8 +19,7 @@ def surface_compliance(model: Model, nodes: NDArray[np.int64]) -> NDArray[np.flo
 
     The inverse of its tangent stiffness, kept in single precision as such products are.
     """
-    moving = model.moving.astype(np.int64)
-    free = (3 * moving[:, None] + np.arange(3)).ravel()
+    free = free_axes(model)
     place = np.full(3 * len(model.rest), -1, dtype=np.int64)
     place[free] = np.arange(len(free))
     factors = splu(stiffness_matrix(model)[free][:, free], permc_spec="MMD_AT_PLUS_A")

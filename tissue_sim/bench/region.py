@@ -15,7 +15,7 @@ from tissue_sim.bench.report import aligned, check_json, write_json
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.hops import hop_table
-from tissue_sim.model.modes import stiffness_matrix
+from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -77,13 +77,13 @@ def measure(organ: Organ, patches: int) -> list[Case]:
     for simulation in (modal, frozen):
         simulation.settings[st.REGION_FORCE] = np.inf  # no handing over here
     model = whole.model
-    free = (3 * model.moving.astype(np.int64)[:, None] + np.arange(3)).ravel()
+    free = free_axes(model)
     linear = splu(stiffness_matrix(model)[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A")
     normals = node_normals(organ.surface_positions, organ.surface_triangles)
     hops = hop_table(model, organ.n_surface)
     far = hops[organ.fixed].min(axis=0) > 5 if len(organ.fixed) else np.ones(organ.n_surface, dtype=bool)
     centres = np.random.default_rng(SEED).choice(np.flatnonzero(far), patches)
-    largest = Simulation(organ).settings[st.REGION_FORCE]
+    largest = whole.settings[st.REGION_FORCE]
     cases = []
     for number, centre in enumerate(tqdm(centres, desc="region", unit="patch")):
         nodes = patch(organ, int(centre), PATCH_NODES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
@@ -23,7 +24,9 @@ class Modes(NamedTuple):
     shape: Floats  # (n, 3, m) p, 1/sqrt(kg); 0 where a node is held
 
 
-NO_MODES = Modes(np.zeros(0), np.zeros((1, 3, 0)))
+def free_axes(model: Model) -> NDArray[np.int64]:
+    """Which of the 3n coordinates of the nodes may move."""
+    return (3 * model.moving.astype(np.int64)[:, None] + np.arange(3)).ravel()
 
 
 def stiffness_matrix(model: Model) -> csc_array:
@@ -62,8 +65,7 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
 
     Raises UserError when the organ can move as a whole without any force.
     """
-    n, moving = len(model.rest), model.moving.astype(np.int64)
-    free = (3 * moving[:, None] + np.arange(3)).ravel()
+    n, moving, free = len(model.rest), model.moving, free_axes(model)
     count = min(count, len(free) - 2)
     if count < 1:
         return Modes(np.zeros(0), np.zeros((n, 3, 0)))

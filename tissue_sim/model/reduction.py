@@ -11,7 +11,7 @@ from scipy.linalg import lapack
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model, Reduction
 from tissue_sim.model.blocks import BLOCK, pack
-from tissue_sim.model.modes import angular_slope, lowest_modes, stiffness_matrix
+from tissue_sim.model.modes import angular_slope, free_axes, lowest_modes, stiffness_matrix
 from tissue_sim.organ.organ import Floats
 from tissue_sim.store import remembered
 
@@ -66,8 +66,7 @@ def compliance(model: Model) -> NDArray[np.float32]:
 
     Raises UserError when nothing holds the organ.
     """
-    n, moving = len(model.rest), model.moving.astype(np.int64)
-    free = (3 * moving[:, None] + np.arange(3)).ravel()
+    n, free = len(model.rest), free_axes(model)
     factor, failed = lapack.dpotrf(stiffness_matrix(model)[free][:, free].toarray(), lower=1, overwrite_a=1)
     if failed:
         raise UserError("nothing holds the organ: give it fixed nodes or return springs, or use local_region off")
