@@ -20,6 +20,8 @@ from numba.experimental import structref
 from numba.experimental.jitclass.base import imp_dtor
 from numba.extending import intrinsic
 
+from tissue_sim.store import user_cache
+
 
 def cache_folder(layer: str) -> Path:
     """Folder of a layer's compiled kernels, one for each version of their source.
@@ -31,11 +33,10 @@ def cache_folder(layer: str) -> Path:
     digest = hashlib.sha256(Path(__file__).read_bytes())
     for source in sorted((Path(__file__).parent / layer).rglob("*.py")):
         content = source.read_bytes()
-        if b"@kernel" in content or b"NamedTuple" in content:  # kernels and what they are given
+        if any(word in content for word in (b"@kernel", b"@part", b"NamedTuple")):  # kernels and what they are given
             digest.update(content)
     name = f"{layer}-numba-{numba.__version__}-{digest.hexdigest()[:16]}"
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    for base in (Path(home) / "tissue_sim", Path(tempfile.gettempdir()) / f"tissue_sim-{os.getuid()}"):
+    for base in (user_cache(), Path(tempfile.gettempdir()) / f"tissue_sim-{os.getuid()}"):
         folder = base / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -68,10 +69,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     Strict IEEE arithmetic makes ticks repeat bit for bit, on other x86-64 machines too, which is
     what the replay of a bag stands on.
     """
-    numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
-    # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
-    counts = not function.__module__.startswith("tissue_sim.model.")
-    return numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=counts)(function)
+    return _compiled(function, "never")
 
 
 def part(function: Callable[..., Any]) -> Any:
@@ -79,8 +77,14 @@ def part(function: Callable[..., Any]) -> Any:
 
     Every level of calls is optimised again with all that lies below it, so that deep ones take most of the time.
     """
+    return _compiled(function, "always")
+
+
+def _compiled(function: Callable[..., Any], inline: str) -> Any:
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
-    return numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+    # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
+    counts = not function.__module__.startswith("tissue_sim.model.")
+    return numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=counts, inline=inline)(function)
 
 
 class Handle(types.StructRef):  # type: ignore[name-defined]

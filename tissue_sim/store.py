@@ -14,13 +14,18 @@ from numpy.typing import NDArray
 KEPT = 8  # of a kind; the ones used longest ago go
 
 
+def user_cache() -> Path:
+    """The folder of this package in the user's cache; it need not exist."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(home) / "tissue_sim"
+
+
 def remembered(kind: str, key: str, make: Callable[[], dict[str, NDArray]]) -> dict[str, NDArray]:
     """Arrays made by `make`, or those of the same kind and key that were kept before.
 
     A damaged file, a full disk or a home that may not be written to cost time and nothing else.
     """
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = Path(home) / "tissue_sim"
+    folder = user_cache()
     path = folder / f"{kind}-{key[:24]}.npz"
     try:
         with np.load(path, allow_pickle=False) as stored:
