@@ -14,3 +14,12 @@ def copy(source: Any, target: Any) -> None:
     flat_source, flat_target = source.reshape(size), target.reshape(size)
     for index in range(size):
         flat_target[index] = flat_source[index]
+
+
+@kernel
+def copy_nodes(source: Any, target: Any, nodes: Any) -> None:
+    """Copy the rows of nodes (k,) from one array (n, 3) to another."""
+    for index in range(len(nodes)):
+        node = nodes[index]
+        for c in range(3):
+            target[node, c] = source[node, c]

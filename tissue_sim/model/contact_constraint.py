@@ -57,11 +57,11 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
     """
     tool = state.contact_tool[entry]
     _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
-    gap, mx, my, mz = signed_distance(shapes, tool, lx, ly, lz)
-    r, normal = rotation[tool], state.contact_normal[entry]
-    facing = normal[0] * (r[0] * mx + r[1] * my + r[2] * mz)
-    facing += normal[1] * (r[3] * mx + r[4] * my + r[5] * mz)
-    facing += normal[2] * (r[6] * mx + r[7] * my + r[8] * mz)
+    gap, nx, ny, nz = gap_and_normal(shapes, tool, rotation[tool], lx, ly, lz)
+    normal = state.contact_normal[entry]
+    facing = normal[0] * nx
+    facing += normal[1] * ny
+    facing += normal[2] * nz
     return gap if facing < INNER_SIDE else math.inf
 
 
@@ -77,12 +77,14 @@ def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
 
 
 @kernel
-def tool_normal(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> tuple[float, float, float, float]:
-    """Signed distance, m, of a contact point to its tool, and the tool's outward normal in the organ's frame."""
-    tool = state.contact_tool[entry]
-    _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
+def gap_and_normal(
+    shapes: Any, tool: int, r: Any, lx: float, ly: float, lz: float
+) -> tuple[float, float, float, float]:
+    """Signed distance, m, of a point in a tool's frame to it, and the tool's outward normal in the organ's frame.
+
+    r (9,): the tool's rotation.
+    """
     gap, mx, my, mz = signed_distance(shapes, tool, lx, ly, lz)
-    r = rotation[tool]
     return (
         gap,
         r[0] * mx + r[1] * my + r[2] * mz,
@@ -117,26 +119,31 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
 
 
 @kernel
-def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[float, float, float]:
-    """The last substep's impulse on a contact point, N s, as it points now: along the tool's normal, and across it."""
-    _, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
+def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[float, float, float, float, float, float]:
+    """The last substep's impulse on a contact point, N s, as it points now: along the tool's normal, and across it.
+
+    And that normal.
+    """
+    tool = state.contact_tool[entry]
+    _, _, _, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
+    _, nx, ny, nz = gap_and_normal(shapes, tool, scratch.rotation[tool], lx, ly, lz)
     pressed, held = state.contact_pressed[0, entry], state.contact_held[0, entry]
     pressed -= held[0] * nx + held[1] * ny + held[2] * nz
-    return pressed * nx + held[0], pressed * ny + held[1], pressed * nz + held[2]
+    return pressed * nx + held[0], pressed * ny + held[1], pressed * nz + held[2], nx, ny, nz
 
 
 @kernel
-def add_contact_impulses(state: Any, shapes: Any, scratch: Any, step: float) -> None:
-    """Add the last substep's contact impulses to scratch.force (n, 3) N, for an integrator that spreads them."""
-    force, shares = scratch.force, state.contact_weight
+def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, target: Any) -> None:
+    """Add the last substep's contact impulses, N s, times a scale to target (n, 3)."""
+    shares = state.contact_weight
     for entry in range(state.count[ENTRIES]):
         if state.contact_pressed[0, entry] > 0.0 and state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
             push = aim_impulse(state, shapes, entry, scratch)
             for corner in range(3):
-                node, share = state.contact_node[entry, corner], shares[entry, corner] / step
-                force[node, 0] += share * push[0]
-                force[node, 1] += share * push[1]
-                force[node, 2] += share * push[2]
+                node, share = state.contact_node[entry, corner], scale * shares[entry, corner]
+                target[node, 0] += share * push[0]
+                target[node, 1] += share * push[1]
+                target[node, 2] += share * push[2]
 
 
 @kernel
@@ -160,8 +167,7 @@ def resolve_contacts(
     for near in range(found):
         entry = scratch.near_entry[near]
         if scratch.near_normal[near] > 0.0:
-            px, py, pz = aim_impulse(state, shapes, entry, scratch)
-            _, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
+            px, py, pz, nx, ny, nz = aim_impulse(state, shapes, entry, scratch)
             pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
             held[0], held[1], held[2] = px - pressed * nx, py - pressed * ny, pz - pressed * nz
             give_impulse(state, mobility, scratch, entry, px, py, pz, 0.0 if spread else step)
@@ -199,7 +205,7 @@ def resolve_contact(
         held[0] = held[1] = held[2] = 0.0
         return 0.0
     x, y, z, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
-    gap, nx, ny, nz = tool_normal(state, shapes, entry, scratch.origin, scratch.rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, tool, scratch.rotation[tool], lx, ly, lz)
     normal = max(0.0, pressed - gap / (compliance * step))
     if normal == 0.0 and pressed == 0.0:
         return 0.0

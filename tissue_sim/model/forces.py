@@ -25,11 +25,7 @@ def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: A
     """
     for block in range(len(nodes)):
         ends, constant = nodes[block], constants[block]
-        for s in range(BLOCK):
-            i, j = ends[s, 0], ends[s, 1]
-            work[s] = position[j, 0] - position[i, 0]
-            work[BLOCK + s] = position[j, 1] - position[i, 1]
-            work[2 * BLOCK + s] = position[j, 2] - position[i, 2]
+        _gather_ends(position, ends, work)
         for s in range(BLOCK):
             x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
             length = math.sqrt(x * x + y * y + z * z)
@@ -37,15 +33,31 @@ def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: A
             shortest = SHORTEST * rest
             pull = constant[BLOCK + s] * (1.0 - rest / (length if length > shortest else shortest))
             work[s], work[BLOCK + s], work[2 * BLOCK + s] = pull * x, pull * y, pull * z
-        for s in range(BLOCK):
-            i, j = ends[s, 0], ends[s, 1]
-            x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
-            force[i, 0] += x
-            force[i, 1] += y
-            force[i, 2] += z
-            force[j, 0] -= x
-            force[j, 1] -= y
-            force[j, 2] -= z
+        _scatter_ends(work, ends, force)
+
+
+@kernel
+def _gather_ends(position: Any, ends: Any, work: Any) -> None:
+    """From the first to the second node of each spring."""
+    for s in range(BLOCK):
+        i, j = ends[s, 0], ends[s, 1]
+        work[s] = position[j, 0] - position[i, 0]
+        work[BLOCK + s] = position[j, 1] - position[i, 1]
+        work[2 * BLOCK + s] = position[j, 2] - position[i, 2]
+
+
+@kernel
+def _scatter_ends(work: Any, ends: Any, force: Any) -> None:
+    """Add the forces of a block to the first nodes, and their opposite to the second."""
+    for s in range(BLOCK):
+        i, j = ends[s, 0], ends[s, 1]
+        x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
+        force[i, 0] += x
+        force[i, 1] += y
+        force[i, 2] += z
+        force[j, 0] -= x
+        force[j, 1] -= y
+        force[j, 2] -= z
 
 
 @kernel
@@ -156,26 +168,14 @@ def subtract_linear_springs(position: Any, nodes: Any, slopes: Any, work: Any, f
     """
     for block in range(len(nodes)):
         ends, slope = nodes[block], slopes[block]
-        for s in range(BLOCK):
-            i, j = ends[s, 0], ends[s, 1]
-            work[s] = position[j, 0] - position[i, 0]
-            work[BLOCK + s] = position[j, 1] - position[i, 1]
-            work[2 * BLOCK + s] = position[j, 2] - position[i, 2]
+        _gather_ends(position, ends, work)
         for s in range(BLOCK):
             tx, ty, tz = slope[3 * BLOCK + s], slope[4 * BLOCK + s], slope[5 * BLOCK + s]
             x, y = work[s] - slope[s], work[BLOCK + s] - slope[BLOCK + s]
             z = work[2 * BLOCK + s] - slope[2 * BLOCK + s]
             pull = tx * x + ty * y + tz * z
-            work[s], work[BLOCK + s], work[2 * BLOCK + s] = pull * tx, pull * ty, pull * tz
-        for s in range(BLOCK):
-            i, j = ends[s, 0], ends[s, 1]
-            x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
-            force[i, 0] -= x
-            force[i, 1] -= y
-            force[i, 2] -= z
-            force[j, 0] += x
-            force[j, 1] += y
-            force[j, 2] += z
+            work[s], work[BLOCK + s], work[2 * BLOCK + s] = -pull * tx, -pull * ty, -pull * tz
+        _scatter_ends(work, ends, force)
 
 
 @kernel

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel, part
-from tissue_sim.model.arrays import copy
-from tissue_sim.model.modal_region import forget_region
+from tissue_sim.model.arrays import copy, copy_nodes
+from tissue_sim.model.modal_region import driving, forget_region
 from tissue_sim.model.state import (
     BACKOFF,
     COLLAPSED,
@@ -19,7 +19,6 @@ from tissue_sim.model.state import (
     NEXT_CELL,
     NOT_FINITE,
     REGION,
-    REGION_BOUNDARY,
     REGION_NODES,
     RUNAWAY,
     TICK_TIME,
@@ -55,13 +54,12 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         # Seldom anything is wrong, and then the nodes are looked at one by one.
         if not is_bounded(x, v, x0, scratch.sums, span * span, min(speed * speed, energy)):
             fault = check(model, state, model.moving, span * span, speed * speed, energy)
-    elif count[REGION] == MODAL:
-        fault = check(model, state, scratch.drive_node[: drive(state)], span * span, speed * speed, energy)
+    else:
+        fault = check(model, state, watched(state, scratch), span * span, speed * speed, energy)
+    if count[REGION] == MODAL:
         for k in range(len(state.mode_position)):
             if not abs(state.mode_position[k]) < math.inf or not abs(state.mode_velocity[k]) < math.inf:
                 fault = NOT_FINITE
-    else:
-        fault = check(model, state, scratch.region_node[: count[REGION_NODES]], span * span, speed * speed, energy)
     collapsing = count[TURNED] > MOST_TURNED * len(model.cells)
     if collapsing and count[COLLAPSING] == 0:
         count[FAULTS] += 1
@@ -102,10 +100,12 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
     return displacement
 
 
-@kernel
-def drive(state: Any) -> int:
-    """How many nodes a region moves or places."""
-    return state.count[REGION_NODES] + (state.count[REGION_BOUNDARY] if state.count[REGION] == MODAL else 0)
+@part
+def watched(state: Any, scratch: Any) -> Any:
+    """The nodes that a region moves or places."""
+    if state.count[REGION] == MODAL:
+        return driving(state, scratch)
+    return scratch.region_node[: state.count[REGION_NODES]]
 
 
 @kernel
@@ -166,26 +166,17 @@ def keep(state: Any, scratch: Any) -> None:
         copy(state.position, state.good_position)
         copy(state.velocity, state.good_velocity)
         return
-    nodes = scratch.drive_node if state.count[REGION] == MODAL else scratch.region_node
-    position, velocity = state.position, state.velocity
-    good_position, good_velocity = state.good_position, state.good_velocity
-    for index in range(drive(state)):
-        node = nodes[index]
-        for c in range(3):
-            good_position[node, c] = position[node, c]
-            good_velocity[node, c] = velocity[node, c]
+    nodes = watched(state, scratch)
+    copy_nodes(state.position, state.good_position, nodes)
+    copy_nodes(state.velocity, state.good_velocity, nodes)
 
 
 @part
 def restore(state: Any, scratch: Any) -> None:
     """Back to the last good state, without speed; outside a modal region it is the one that was last looked at."""
     if state.count[REGION] == MODAL:
-        position, good_position = state.position, state.good_position
-        for index in range(drive(state)):
-            node = scratch.drive_node[index]
-            for c in range(3):
-                position[node, c] = good_position[node, c]
-        copy(position, good_position)
+        copy_nodes(state.good_position, state.position, watched(state, scratch))
+        copy(state.position, state.good_position)
     else:
         copy(state.good_position, state.position)
     state.velocity[:] = 0.0

@@ -29,33 +29,29 @@ MODAL_HOPS = 1  # enough where the rest gives way: a second layer changes settle
 def mark_loaded(state: Any, scratch: Any) -> int:
     """Give hop 0 to the nodes of contact points, tool tips and nodal forces; how many are new, in scratch.fresh."""
     fresh = 0
-    hop = state.region_hop
     for entry in range(state.count[ENTRIES]):
         if state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
             for c in range(3):
-                node = state.contact_node[entry, c]
-                if hop[node] != 0:
-                    scratch.was[fresh] = hop[node]
-                    scratch.fresh[fresh] = node
-                    hop[node] = 0
-                    fresh += 1
+                fresh = _mark(state, scratch, state.contact_node[entry, c], fresh)
     for tool in range(len(state.tool_force)):
         if state.tip_node[tool, 0] >= 0:
             for c in range(3):
-                node = state.tip_node[tool, c]
-                if hop[node] != 0:
-                    scratch.was[fresh] = hop[node]
-                    scratch.fresh[fresh] = node
-                    hop[node] = 0
-                    fresh += 1
+                fresh = _mark(state, scratch, state.tip_node[tool, c], fresh)
     for index in range(state.count[N_LOADED]):
-        node = state.loaded_node[index]
-        if hop[node] != 0:
-            scratch.was[fresh] = hop[node]
-            scratch.fresh[fresh] = node
-            hop[node] = 0
-            fresh += 1
+        fresh = _mark(state, scratch, state.loaded_node[index], fresh)
     return fresh
+
+
+@kernel
+def _mark(state: Any, scratch: Any, node: int, fresh: int) -> int:
+    """Give a node hop 0; returns how many are new now."""
+    hop = state.region_hop
+    if hop[node] == 0:
+        return fresh
+    scratch.was[fresh] = hop[node]
+    scratch.fresh[fresh] = node
+    hop[node] = 0
+    return fresh + 1
 
 
 @kernel
@@ -136,20 +132,14 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
         if model.inverse_mass[node] > 0.0:
             scratch.moved_node[moved] = node
             moved += 1
-        for entry in range(adjacency.edge_start[node], adjacency.edge_start[node + 1]):
-            slot = adjacency.edges[entry]
-            if scratch.edge_mark[slot] != stamp:
-                scratch.edge_mark[slot] = stamp
-                _copy(model.edges, slot, scratch.edges, hinges)
-                _copy_rows(model.reduction.edge_slopes, slot, scratch.edge_slopes, hinges)
-                hinges += 1
-        for entry in range(adjacency.link_start[node], adjacency.link_start[node + 1]):
-            slot = adjacency.links[entry]
-            if scratch.link_mark[slot] != stamp:
-                scratch.link_mark[slot] = stamp
-                _copy(model.links, slot, scratch.links, springs)
-                _copy_rows(model.reduction.link_slopes, slot, scratch.link_slopes, springs)
-                springs += 1
+        slots = adjacency.edges[adjacency.edge_start[node] : adjacency.edge_start[node + 1]]
+        slopes, mark = model.reduction.edge_slopes, scratch.edge_mark
+        hinges = _take(slots, model.edges, slopes, scratch.edges, scratch.edge_slopes, mark, stamp, hinges)
+        slots = adjacency.links[adjacency.link_start[node] : adjacency.link_start[node + 1]]
+        slopes = model.reduction.link_slopes
+        springs = _take(
+            slots, model.links, slopes, scratch.links, scratch.link_slopes, scratch.link_mark, stamp, springs
+        )
     scratch.moved[0] = moved
     boundary = _list_boundary(scratch, scratch.edges.nodes, hinges, stamp, 0)
     boundary = _list_boundary(scratch, scratch.links.nodes, springs, stamp, boundary)
@@ -160,6 +150,21 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
     state.count[REGION_BOUNDARY] = boundary
     state.count[REGION_SPRINGS] = springs
     state.count[REGION_HINGES] = hinges
+
+
+@kernel
+def _take(
+    slots: Any, source: Any, slopes: Any, target: Any, target_slopes: Any, mark: Any, stamp: int, count: int
+) -> int:
+    """Copy the springs in these slots that are not marked yet behind the first `count`; returns how many there are."""
+    for entry in range(len(slots)):
+        slot = slots[entry]
+        if mark[slot] != stamp:
+            mark[slot] = stamp
+            _copy(source, slot, target, count)
+            _copy_rows(slopes, slot, target_slopes, count)
+            count += 1
+    return count
 
 
 @kernel

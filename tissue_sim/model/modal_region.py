@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region
-from tissue_sim.model.arrays import copy
+from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.forces import subtract_linear_edges, subtract_linear_springs
 from tissue_sim.model.state import (
@@ -66,19 +66,21 @@ def fits(state: Any) -> bool:
 @kernel
 def list_drive(state: Any, scratch: Any) -> None:
     """List the nodes of the region and those at its edge, in scratch.drive_node."""
-    nodes, boundary = state.count[REGION_NODES], state.count[REGION_BOUNDARY]
-    drive = scratch.drive_node
-    for index in range(nodes):
-        drive[index] = scratch.region_node[index]
-    for index in range(boundary):
-        drive[nodes + index] = scratch.boundary_node[index]
+    nodes, drive = state.count[REGION_NODES], driving(state, scratch)
+    copy(scratch.region_node[:nodes], drive[:nodes])
+    copy(scratch.boundary_node[: state.count[REGION_BOUNDARY]], drive[nodes:])
+
+
+@part
+def driving(state: Any, scratch: Any) -> Any:
+    """Nodes whose loads and springs drive the rest of the organ, as list_drive has them."""
+    return scratch.drive_node[: state.count[REGION_NODES] + state.count[REGION_BOUNDARY]]
 
 
 @kernel
 def gather_rows(model: Any, state: Any, scratch: Any) -> None:
     """Copy what the edge of the region looks at: rows of C for each load and of F for each mode, and F at the loads."""
-    boundary = scratch.boundary_node[: state.count[REGION_BOUNDARY]]
-    drive = scratch.drive_node[: state.count[REGION_NODES] + len(boundary)]
+    boundary, drive = scratch.boundary_node[: state.count[REGION_BOUNDARY]], driving(state, scratch)
     first = 0
     if len(model.reduction.compliance) > 0:
         _copy_compliance(model.reduction.compliance, drive, boundary, scratch.edge_rows)
@@ -160,9 +162,9 @@ def set_propagator(model: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def project_load(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+def project_load(state: Any, scratch: Any) -> None:
     """Static displacement of the modes under the static load, into scratch.mode_rest; the loads into edge_share."""
-    nodes = scratch.drive_node[: state.count[REGION_NODES] + state.count[REGION_BOUNDARY]]
+    nodes = driving(state, scratch)
     load, share, rest = state.static_load, scratch.edge_share, scratch.mode_rest
     for index in range(len(nodes)):
         for c in range(3):
@@ -177,7 +179,7 @@ def project_load(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 def advance_modes(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Step every mode exactly through a tick under the static load, and say where they move, scratch.mode_move."""
     set_propagator(model, settings, scratch)
-    project_load(model, state, settings, scratch)
+    project_load(state, scratch)
     table = scratch.propagator
     for k in range(len(model.reduction.frequency)):
         rest = scratch.mode_rest[k]
@@ -257,9 +259,9 @@ def place_outside(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     field, table = scratch.field, model.reduction.compliance
     field[:] = 0.0
     if len(table) > 0:
-        load, scale = state.static_load, 1.0 / settings[STIFFNESS_SCALE]
-        for index in range(state.count[REGION_NODES] + state.count[REGION_BOUNDARY]):
-            node = scratch.drive_node[index]
+        load, scale, nodes = state.static_load, 1.0 / settings[STIFFNESS_SCALE], driving(state, scratch)
+        for index in range(len(nodes)):
+            node = nodes[index]
             add_rows(field, table[3 * node], table[3 * node + 1], table[3 * node + 2], load[node], scale)
     _move_outside(
         state.position,
@@ -317,12 +319,8 @@ def measure_drive(state: Any, settings: Any, scratch: Any) -> None:
 
     scratch.force holds what they push now.
     """
-    drive, force = scratch.drive, scratch.force
-    nodes = scratch.drive_node[: state.count[REGION_NODES] + state.count[REGION_BOUNDARY]]
-    for index in range(len(nodes)):
-        node = nodes[index]
-        for c in range(3):
-            drive[node, c] = force[node, c]
+    drive, nodes = scratch.drive, driving(state, scratch)
+    copy_nodes(scratch.force, drive, nodes)
     hinges, springs = -(-state.count[REGION_HINGES] // BLOCK), -(-state.count[REGION_SPRINGS] // BLOCK)
     subtract_linear_edges(state.position, scratch.edges.nodes[:hinges], scratch.edge_slopes, scratch.work, drive)
     subtract_linear_springs(state.position, scratch.links.nodes[:springs], scratch.link_slopes, scratch.work, drive)
@@ -340,7 +338,7 @@ def absorb_load(state: Any, settings: Any, scratch: Any, share: float) -> None:
         for c in range(3):
             drive[node, c] += nodal[node, c]
     add_tip_forces(state, settings, drive)
-    nodes = scratch.drive_node[: state.count[REGION_NODES] + state.count[REGION_BOUNDARY]]
+    nodes = driving(state, scratch)
     _absorb(state.static_load, drive, state.contact_impulse, nodes, 1.0 / settings[TICK_TIME], share)
 
 
@@ -364,7 +362,7 @@ def load_share(settings: Any) -> float:
 def keep_offset(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """After the static load was set for a new region: start the modes at rest, and keep by how much this is off."""
     set_propagator(model, settings, scratch)
-    project_load(model, state, settings, scratch)
+    project_load(state, scratch)
     for k in range(len(model.reduction.frequency)):
         state.mode_position[k] = scratch.mode_rest[k]
         state.mode_velocity[k] = 0.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from tissue_sim.jit import kernel, part
-from tissue_sim.model import modal_region
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.guard import lead_back
+from tissue_sim.model.regions import leave_region
 from tissue_sim.model.state import (
     ALONE,
     ASLEEP,
@@ -21,7 +21,6 @@ from tissue_sim.model.state import (
     SNAPS,
     TICK_TIME,
     TURNED,
-    WHOLE,
 )
 
 QUIET_SPEED = 2e-5  # m/s
@@ -100,9 +99,7 @@ def fall_asleep(model: Any, state: Any) -> None:
 @kernel
 def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Start the way back from a false rest shape."""
-    if state.count[REGION] == MODAL:
-        modal_region.place_outside(model, state, settings, scratch)
-    state.count[REGION] = WHOLE
+    leave_region(model, state, settings, scratch)
     state.count[SNAPPED] = 1
     state.count[SNAPS] += 1
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,20 +13,16 @@ from tissue_sim.jit import handle
 from tissue_sim.model import state as st
 from tissue_sim.model.adjacency import adjacency_of
 from tissue_sim.model.assembly import Model, assemble
-from tissue_sim.model.blocks import BLOCK, empty_blocks
-from tissue_sim.model.contact_constraint import MOST_NEAR
 from tissue_sim.model.energy import Energy, energy_of
 from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.guard import LANES
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
 from tissue_sim.model.integrators import INTEGRATORS
-from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.reduction import reduce_model
+from tissue_sim.model.scratch import make_scratch
 from tissue_sim.model.shapes import SPHERE, Shapes
 from tissue_sim.model.stability import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.state import Floats, State, StateBuffer
-from tissue_sim.model.tick import Scratch
 from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_implied_world, tick_world
 from tissue_sim.organ.organ import Organ
 
@@ -107,7 +103,7 @@ class Simulation:
         self.state: State = self.buffer.state
         self.frequency = largest_frequency(self.model)
         self.set_substeps()
-        self.scratch = _scratch(self.model, n_tools)
+        self.scratch = make_scratch(self.model, n_tools)
         self.refer()
         self.reset()
 
@@ -296,73 +292,4 @@ def sphere_tools(radius: ArrayLike) -> Shapes:
         size=np.stack([radii, np.zeros(len(radii))], axis=1),
         plane=np.zeros((0, 4)),
         plane_start=np.zeros(len(radii) + 1, dtype=np.int64),
-    )
-
-
-def _scratch(model: Model, n_tools: int) -> Scratch:
-    n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
-    modes = len(model.reduction.frequency)
-    # Only a model that has a local region needs room for one.
-    local = n if len(model.adjacency.edge_start) else 0
-    region_hinges, region_links = (hinges, links) if local else (0, 0)
-    modal = modes > 0
-    rows = 3 * MOST_BOUNDARY if modal else 0
-    columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
-
-    def empty(*shape: int, dtype: Any = np.float64) -> Any:
-        return np.zeros(shape, dtype=dtype)
-
-    def singles(*shape: int) -> Any:
-        return np.zeros(shape, dtype=np.float32)
-
-    def ints(size: int) -> Any:
-        return np.zeros(size, dtype=np.int32)
-
-    def longs(size: int) -> Any:
-        return np.zeros(size, dtype=np.int64)
-
-    return Scratch(
-        force=empty(n, 3),
-        impulse=empty(n_tools, 6),
-        mobility=empty(n),
-        mobility_key=empty(4),
-        predicted=model.rest.copy(),
-        change=empty(len(model.factor.order), 3),
-        origin=empty(n_tools, 3),
-        rotation=empty(n_tools, 9),
-        last_origin=empty(n_tools, 3),
-        last_rotation=empty(n_tools, 9),
-        start_pose=empty(n_tools, 7),
-        near_entry=longs(MOST_NEAR),
-        near_normal=empty(MOST_NEAR),
-        near_tangent=empty(MOST_NEAR, 3),
-        work=empty(9 * BLOCK),
-        sums=empty(2 * LANES),
-        fresh=ints(local),
-        was=longs(local),
-        region_node=ints(local),
-        moved_node=ints(local),
-        moved=longs(1),
-        boundary_node=ints(local),
-        edges=empty_blocks(region_hinges, 4, 8),
-        links=empty_blocks(region_links, 2, 2),
-        edge_slopes=empty(*model.reduction.edge_slopes.shape),
-        link_slopes=empty(*model.reduction.link_slopes.shape),
-        edge_mark=longs(region_hinges),
-        link_mark=longs(region_links),
-        node_mark=longs(local),
-        stamp=longs(1),
-        stale=longs(1),
-        drive_node=ints(local),
-        drive=empty(n if modal else 0, 3),
-        drive_rows=singles(3 * MOST_DRIVE if modal else 0, modes),
-        edge_rows=singles(columns + modes, rows),
-        edge_share=singles(max(columns, 3 * MOST_DRIVE if modal else 0) + modes),
-        edge_move=singles(rows),
-        mode_sum=singles(modes),
-        mode_rest=empty(modes),
-        mode_move=empty(modes),
-        propagator=empty(5, modes),
-        propagator_key=empty(3),
-        field=empty(3 * n if modal else 0),
     )

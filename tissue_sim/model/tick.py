@@ -7,15 +7,16 @@ inputs taken up -> anything touching or moving? -> local region or whole -> subs
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
-from tissue_sim.jit import kernel, part
+from tissue_sim.jit import part
 from tissue_sim.model import local_region, modal_region
-from tissue_sim.model.contact_constraint import add_contact_impulses, aim_impulse, is_touched, resolve_contacts
+from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
+from tissue_sim.model.regions import change_region, choose_region, prepare_region
 from tissue_sim.model.rest import find_back, rest_if_quiet
 from tissue_sim.model.state import (
     ACTIVE,
@@ -24,25 +25,17 @@ from tissue_sim.model.state import (
     ASLEEP,
     ASLEEP_TICKS,
     BACKOFF,
-    CALM,
     CLAMPED,
     DAMPING_SCALE,
-    ENTRIES,
     FACTOR_SLOT,
-    FORCE_AGE,
     FORCE_CLAMP,
     FRICTION,
-    FROZEN,
-    FROZEN_TICKS,
     INTEGRATOR,
     LOCAL_REGION,
     MODAL,
-    MODAL_TICKS,
     N_LOADED,
     QUIET,
     REGION,
-    REGION_FORCE,
-    REGION_NODES,
     REGION_SUBSTEPS,
     SNAPPED,
     STIFFNESS_SCALE,
@@ -63,65 +56,9 @@ from tissue_sim.model.tool_motion import (
     step_pose,
 )
 
-RETURN_SHARE = 0.5  # of the region force: under it, an organ that moved as a whole takes a region again
-CALM_TIME = 0.2  # s for which it has to be
 CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
-CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
-
-# Values of settings[LOCAL_REGION]; 0 is off.
-FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
 # Values of settings[INTEGRATOR], as in integrators.INTEGRATORS; 0 is symplectic.
 EXPLICIT, IMPLICIT = 1.0, 2.0
-
-
-class Scratch(NamedTuple):
-    """Working arrays of a tick; nothing in them outlives it except the region's lists."""
-
-    force: Any  # (n, 3) N
-    impulse: Any  # (T, 6) N s on the tissue
-    mobility: Any  # (n,) 1/kg
-    mobility_key: Any  # (4,) settings that it was worked out for
-    predicted: Any  # (n, 3) m, of the implicit step
-    change: Any  # (a, 3) m/s, of the implicit step
-    origin: Any  # (T, 3) m at the substep's end
-    rotation: Any  # (T, 9)
-    last_origin: Any  # (T, 3) at its beginning
-    last_rotation: Any  # (T, 9)
-    start_pose: Any  # (T, 7) at the tick's beginning
-    near_entry: Any  # (N,) contact points resolved in this substep
-    near_normal: Any  # (N,) N s
-    near_tangent: Any  # (N, 3) N s
-    work: Any  # (9 BLOCK,)
-    sums: Any  # (2 LANES,) of the guard
-    # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
-    fresh: Any
-    was: Any
-    region_node: Any  # (n,)
-    moved_node: Any  # (n,) those with mass
-    moved: Any  # (1,) how many
-    boundary_node: Any  # (n,)
-    edges: Any  # Blocks
-    links: Any  # Blocks
-    edge_slopes: Any  # their rows of Model.reduction
-    link_slopes: Any
-    edge_mark: Any
-    link_mark: Any
-    node_mark: Any
-    stamp: Any  # (1,) what marks hold for the lists that are valid
-    stale: Any  # (1,) 1 when the region's lists have to be made again
-    # Of the modal region: m modes, r = 3 MOST_BOUNDARY rows, d = 3 MOST_DRIVE columns.
-    drive_node: Any  # (n,) nodes of the region, then those at its edge
-    drive: Any  # (n, 3) N
-    drive_rows: Any  # (d, m) modes at the loads
-    edge_rows: Any  # (d + m, r) what each load and each mode does at the edge
-    edge_share: Any  # (d + m,) how much of it there is
-    edge_move: Any  # (r,) m
-    mode_sum: Any  # (m,)
-    mode_rest: Any  # (m,)
-    mode_move: Any  # (m,)
-    propagator: Any  # (5, m)
-    propagator_key: Any  # (3,)
-    field: Any  # (3n,) m
 
 
 @part
@@ -193,129 +130,6 @@ def caution(model: Any, state: Any) -> int:
 
 
 @part
-def choose_region(state: Any, settings: Any) -> None:
-    """On waking: a local region if asked for, else the whole model."""
-    if settings[LOCAL_REGION] == 0.0:
-        state.count[REGION] = WHOLE
-        return
-    modal_region.forget_region(state)
-    state.count[CALM] = 0
-    state.count[REGION] = FROZEN if settings[LOCAL_REGION] == FROZEN_SMALL else MODAL
-
-
-@part
-def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Grow the local region to what is loaded, and move its edge."""
-    count = state.count
-    modal = count[REGION] == MODAL
-    if scratch.stale[0] == 1:
-        local_region.list_nodes(state, scratch)
-        collect(model, state, scratch)
-        if modal:
-            modal_region.set_propagator(model, settings, scratch)
-            modal_region.project_load(model, state, settings, scratch)
-            modal_region.set_mode_move(model, state, scratch)
-    fresh = local_region.mark_loaded(state, scratch)
-    if fresh > 0:
-        nodes = count[REGION_NODES]
-        local_region.spread(
-            model, state, scratch, fresh, local_region.MODAL_HOPS if modal else local_region.FROZEN_HOPS
-        )
-        if modal:
-            modal_region.place_joined(model, state, settings, scratch, nodes)
-        collect(model, state, scratch)
-    count[ACTIVE] = count[REGION_NODES]
-    if not modal:
-        count[FROZEN_TICKS] += 1
-        return
-    if not modal_region.fits(state):
-        modal_region.place_outside(model, state, settings, scratch)
-        count[REGION] = WHOLE
-        return
-    count[MODAL_TICKS] += 1
-    modal_region.advance_modes(model, state, settings, scratch)
-    modal_region.place_boundary(model, state, settings, scratch)
-
-
-@kernel
-def collect(model: Any, state: Any, scratch: Any) -> None:
-    """Make the region's lists from its nodes."""
-    local_region.collect(model, state, scratch)
-    if state.count[REGION] == MODAL:
-        modal_region.list_drive(state, scratch)
-        if modal_region.fits(state):
-            modal_region.gather_rows(model, state, scratch)
-    scratch.stale[0] = 0
-
-
-@part
-def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
-    count = state.count
-    if settings[LOCAL_REGION] == MODAL_ALWAYS:
-        return
-    load = total_load(state, settings)
-    if count[REGION] != WHOLE:
-        if load > settings[REGION_FORCE]:
-            leave_region(model, state, settings, scratch)
-            count[CALM] = 0
-        return
-    if settings[LOCAL_REGION] == FROZEN_SMALL or load > RETURN_SHARE * settings[REGION_FORCE] or load == 0.0:
-        count[CALM] = 0
-        return
-    count[CALM] += 1
-    if count[CALM] * settings[TICK_TIME] >= CALM_TIME:
-        count[CALM] = 0
-        if is_calm(model, state):
-            enter_region(model, state, shapes, settings, scratch)
-
-
-@part
-def is_calm(model: Any, state: Any) -> bool:
-    """True when no node moves faster than a new region could take up."""
-    for index in range(len(model.moving)):
-        velocity = state.velocity[model.moving[index]]
-        if velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2 > CALM_SPEED**2:
-            return False
-    return True
-
-
-@part
-def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """From here on the whole model moves, from where the region and the rest of the organ are."""
-    if state.count[REGION] == MODAL:
-        modal_region.place_outside(model, state, settings, scratch)
-    state.count[REGION] = WHOLE
-
-
-@part
-def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """From here on a modal region around the load moves, and the rest of the organ from where it is."""
-    modal_region.forget_region(state)
-    state.count[REGION] = MODAL
-    fresh = local_region.mark_loaded(state, scratch)
-    local_region.spread(model, state, scratch, fresh, local_region.MODAL_HOPS)
-    collect(model, state, scratch)
-    if not modal_region.fits(state):
-        state.count[REGION] = WHOLE
-        return
-    for entry in range(state.count[ENTRIES]):
-        if state.contact_pressed[0, entry] > 0.0:
-            push = aim_impulse(state, shapes, entry, scratch)
-            for corner in range(3):
-                node = state.contact_node[entry, corner]
-                share = state.contact_weight[entry, corner] * state.count[SUBSTEPS]
-                state.contact_impulse[node, 0] += share * push[0]
-                state.contact_impulse[node, 1] += share * push[1]
-                state.contact_impulse[node, 2] += share * push[2]
-    local_region.clear_force(state, scratch)
-    local_region.region_forces(state, scratch)
-    modal_region.measure_drive(state, settings, scratch)
-    modal_region.absorb_load(state, settings, scratch, 1.0)
-    modal_region.keep_offset(model, state, settings, scratch)
-
-
-@part
 def advance_substep(
     model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int
 ) -> None:
@@ -354,7 +168,7 @@ def advance_substep(
 def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
-        add_contact_impulses(state, shapes, scratch, step)
+        add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
         slot, scale = int(settings[FACTOR_SLOT]), settings[DAMPING_SCALE]
         implicit_euler(
             state.position,
@@ -466,19 +280,3 @@ def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
             state.wrench[tool, c] = scale * scratch.impulse[tool, c]
     if cut:
         state.count[CLAMPED] += 1
-
-
-@kernel
-def total_load(state: Any, settings: Any) -> float:
-    """Sum of the magnitudes of contact, nodal and external tool forces, N."""
-    load = 0.0
-    for index in range(state.count[N_LOADED]):
-        force = state.nodal_force[state.loaded_node[index]]
-        load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-    for tool in range(len(state.wrench)):
-        load += math.sqrt(state.wrench[tool, 0] ** 2 + state.wrench[tool, 1] ** 2 + state.wrench[tool, 2] ** 2)
-        if state.tip_node[tool, 0] >= 0:
-            force = state.tool_force[tool]
-            fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
-            load += fresh * math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-    return load

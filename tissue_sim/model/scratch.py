@@ -1,0 +1,133 @@
+"""Room to work in: what a tick would otherwise allocate."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.model.assembly import Model
+from tissue_sim.model.blocks import BLOCK, empty_blocks
+from tissue_sim.model.contact_constraint import MOST_NEAR
+from tissue_sim.model.guard import LANES
+from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
+
+
+class Scratch(NamedTuple):
+    """Working arrays of a tick; nothing in them outlives it except the region's lists."""
+
+    force: Any  # (n, 3) N
+    impulse: Any  # (T, 6) N s on the tissue
+    mobility: Any  # (n,) 1/kg
+    mobility_key: Any  # (4,) settings that it was worked out for
+    predicted: Any  # (n, 3) m, of the implicit step
+    change: Any  # (a, 3) m/s, of the implicit step
+    origin: Any  # (T, 3) m at the substep's end
+    rotation: Any  # (T, 9)
+    last_origin: Any  # (T, 3) at its beginning
+    last_rotation: Any  # (T, 9)
+    start_pose: Any  # (T, 7) at the tick's beginning
+    near_entry: Any  # (N,) contact points resolved in this substep
+    near_normal: Any  # (N,) N s
+    near_tangent: Any  # (N, 3) N s
+    work: Any  # (9 BLOCK,)
+    sums: Any  # (2 LANES,) of the guard
+    # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
+    fresh: Any
+    was: Any
+    region_node: Any  # (n,)
+    moved_node: Any  # (n,) those with mass
+    moved: Any  # (1,) how many
+    boundary_node: Any  # (n,)
+    edges: Any  # Blocks
+    links: Any  # Blocks
+    edge_slopes: Any  # their rows of Model.reduction
+    link_slopes: Any
+    edge_mark: Any
+    link_mark: Any
+    node_mark: Any
+    stamp: Any  # (1,) what marks hold for the lists that are valid
+    stale: Any  # (1,) 1 when the region's lists have to be made again
+    # Of the modal region: m modes, r = 3 MOST_BOUNDARY rows, d = 3 MOST_DRIVE columns.
+    drive_node: Any  # (n,) nodes of the region, then those at its edge
+    drive: Any  # (n, 3) N
+    drive_rows: Any  # (d, m) modes at the loads
+    edge_rows: Any  # (d + m, r) what each load and each mode does at the edge
+    edge_share: Any  # (d + m,) how much of it there is
+    edge_move: Any  # (r,) m
+    mode_sum: Any  # (m,)
+    mode_rest: Any  # (m,)
+    mode_move: Any  # (m,)
+    propagator: Any  # (5, m)
+    propagator_key: Any  # (3,)
+    field: Any  # (3n,) m
+
+
+def make_scratch(model: Model, n_tools: int) -> Scratch:
+    """Room for a model, with its tables for a local region when it has one, and as many tools."""
+    n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
+    modes = len(model.reduction.frequency)
+    # Only a model that has a local region needs room for one.
+    local = n if len(model.adjacency.edge_start) else 0
+    region_hinges, region_links = (hinges, links) if local else (0, 0)
+    modal = modes > 0
+    rows = 3 * MOST_BOUNDARY if modal else 0
+    columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
+
+    def empty(*shape: int, dtype: Any = np.float64) -> Any:
+        return np.zeros(shape, dtype=dtype)
+
+    def singles(*shape: int) -> Any:
+        return np.zeros(shape, dtype=np.float32)
+
+    def ints(size: int) -> Any:
+        return np.zeros(size, dtype=np.int32)
+
+    def longs(size: int) -> Any:
+        return np.zeros(size, dtype=np.int64)
+
+    return Scratch(
+        force=empty(n, 3),
+        impulse=empty(n_tools, 6),
+        mobility=empty(n),
+        mobility_key=empty(4),
+        predicted=model.rest.copy(),
+        change=empty(len(model.factor.order), 3),
+        origin=empty(n_tools, 3),
+        rotation=empty(n_tools, 9),
+        last_origin=empty(n_tools, 3),
+        last_rotation=empty(n_tools, 9),
+        start_pose=empty(n_tools, 7),
+        near_entry=longs(MOST_NEAR),
+        near_normal=empty(MOST_NEAR),
+        near_tangent=empty(MOST_NEAR, 3),
+        work=empty(9 * BLOCK),
+        sums=empty(2 * LANES),
+        fresh=ints(local),
+        was=longs(local),
+        region_node=ints(local),
+        moved_node=ints(local),
+        moved=longs(1),
+        boundary_node=ints(local),
+        edges=empty_blocks(region_hinges, 4, 8),
+        links=empty_blocks(region_links, 2, 2),
+        edge_slopes=empty(*model.reduction.edge_slopes.shape),
+        link_slopes=empty(*model.reduction.link_slopes.shape),
+        edge_mark=longs(region_hinges),
+        link_mark=longs(region_links),
+        node_mark=longs(local),
+        stamp=longs(1),
+        stale=longs(1),
+        drive_node=ints(local),
+        drive=empty(n if modal else 0, 3),
+        drive_rows=singles(3 * MOST_DRIVE if modal else 0, modes),
+        edge_rows=singles(columns + modes, rows),
+        edge_share=singles(max(columns, 3 * MOST_DRIVE if modal else 0) + modes),
+        edge_move=singles(rows),
+        mode_sum=singles(modes),
+        mode_rest=empty(modes),
+        mode_move=empty(modes),
+        propagator=empty(5, modes),
+        propagator_key=empty(3),
+        field=empty(3 * n if modal else 0),
+    )
