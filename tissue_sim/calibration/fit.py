@@ -81,8 +81,17 @@ class NonlinearMisfit:
     def __init__(self, springs: Springs, force: Floats, wanted: Floats, threads: int = 2) -> None:
         self._springs, self._force, self._wanted, self._threads = springs, force, wanted, threads
         self._weight = 1.0 / np.sum(wanted**2, axis=(1, 2))
-        self.position: list[Floats | None] = [None] * len(force)
+        # Where each case last came to rest, (c, n, 3) m, and under which stiffness (c, p); not finite: nowhere yet.
+        self.position = np.full((len(force), *springs.rest.shape), np.nan)
+        self.stiffness = np.full((len(force), sum(springs.counts)), np.nan)
         self._factor: list[Factor | None] = [None] * len(force)
+
+    def restore(self, position: Floats, stiffness: Floats) -> None:
+        """Go on from shapes and stiffnesses, as `position` and `stiffness` held them."""
+        self.position, self.stiffness = position.copy(), stiffness.copy()
+        for case in range(len(position)):
+            if np.isfinite(stiffness[case, 0]):
+                self._factor[case] = Factor(self._springs.tangent(position[case], stiffness[case]))
 
     def evaluate(self, stiffness: Floats) -> Evaluation:
         """Loss, slope and errors. A case that finds no rest makes the loss so large that no search stays there."""
@@ -93,11 +102,13 @@ class NonlinearMisfit:
         for case, (_, _, position, factor) in enumerate(cases):
             if factor is not None:
                 self.position[case], self._factor[case] = position, factor
+                self.stiffness[case] = stiffness
         return Evaluation(float(square.mean()), slope, np.sqrt(square))
 
     def _case(self, stiffness: Floats, case: int) -> tuple[float, Floats, Floats, Factor | None]:
         """Squared error, its slope, the shape of one case and its factored tangent."""
-        springs, start = self._springs, self.position[case]
+        springs = self._springs
+        start = self.position[case] if self._factor[case] is not None else None
         settled, factor = settle(springs, stiffness, self._force[case], start, self._factor[case], _LOOSE)
         if factor is None and start is not None:
             settled, factor = settle(springs, stiffness, self._force[case], None, None, _LOOSE)

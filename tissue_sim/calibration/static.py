@@ -121,6 +121,11 @@ class Springs:
         first, second = self.counts[0], self.counts[0] + self.counts[1]
         return values[:first], values[first:second], values[second:]
 
+    def trace(self) -> Floats:
+        """What a unit of each stiffness (p,) adds to the trace of the tangent at rest."""
+        bending = np.sum(self._bending(self.rest).slope ** 2, axis=(1, 2))
+        return np.concatenate([np.full(self.counts[0], 2.0), bending, np.full(self.counts[2], 3.0)])
+
     # energy and forces -------------------------------------------------------------------------
     def energy(self, position: Floats, stiffness: Floats) -> float:
         """Elastic energy, J."""
