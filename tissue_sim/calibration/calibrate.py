@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from threading import Event, Thread
 from typing import Any, NamedTuple, Protocol
 
@@ -19,6 +20,7 @@ from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, Nonline
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass, frequencies_of
+from tissue_sim.calibration.reference import reference_error
 from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model, assemble
@@ -30,6 +32,7 @@ METHODS = ("springs", "groups")
 TOGETHER = 8  # nonlinear reference cases between two checkpoints
 RETURN_START = 0.01  # of the organ's return springs, where the fit begins: the clamp holds the organ
 INTERIOR_SHARE = 0.15  # interior atoms for each surface node, where the organ has none
+GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
 POKE = 0.005  # m, of the release
 TICK = 1e-3  # s
 
@@ -114,7 +117,9 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
         if settings.method == "groups":
             stiffness, fitted = _by_groups(start, springs, prior, misfit, settings, progress)
         else:
-            stiffness, fitted = _by_springs(springs, prior, misfit, nonlinear, reference, settings, checkpoint, progress)
+            stiffness, fitted = _by_springs(
+                springs, prior, misfit, nonlinear, reference, settings, checkpoint, progress
+            )
         with progress.stage("masses", 1) as done:
             mass = checkpoint.remember(
                 "mass", lambda: {"mass": fit_mass(start, springs, stiffness, linear["frequencies"])}
@@ -135,6 +140,9 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
             found = settled_answers(made, judged, done)
     finally:
         reference.stop()
+    with progress.stage("error of the reference", 1) as done:
+        accuracy = reference_error(start)
+        done(f"{accuracy.worst:.2f} % at worst")
     with progress.stage("release", 1) as done:
         poke, node = _poke(judged, wanted)
         motion = _remembered_release(made, body, poke, node, rate, checkpoint)
@@ -142,7 +150,12 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     figures: dict[str, Any] = {
         "method": settings.method,
         "settings": asdict(settings),
-        "reference": {"nodes": body.n_nodes, "left_out": int(len(held_out) - len(kept))},
+        "reference": {
+            "nodes": body.n_nodes,
+            "left_out": int(len(held_out) - len(kept)),
+            "error": str(accuracy),
+            "worst_percent": round(accuracy.worst, 3),
+        },
         "fit": fitted,
         "held_out": held_out_figures(judged, wanted, judged_linear, found),
         "motion": {
@@ -159,7 +172,10 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
 
 def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer) -> dict[str, Any]:
     """Errors in percent, smooth and sharp loads apart, with those of the linear body beside them."""
-    error, by_linear = 100.0 * errors(found.displacement, wanted.displacement), 100.0 * errors(linear, wanted.displacement)
+    error, by_linear = (
+        100.0 * errors(found.displacement, wanted.displacement),
+        100.0 * errors(linear, wanted.displacement),
+    )
     off = np.linalg.norm(found.displacement - wanted.displacement, axis=2)
     deepest = 1e3 * np.linalg.norm(wanted.displacement, axis=2).max(axis=1)
     sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
@@ -303,9 +319,8 @@ class _Reference:
                 if self._stopped.is_set():
                     return
                 forces = self._sets[name].force[first : first + TOGETHER]
-                self._parts[name, first] = self._checkpoint.remember(
-                    f"{name}-{first:04d}", lambda forces=forces: self._settled(forces)
-                )
+                make = partial(self._settled, forces)
+                self._parts[name, first] = self._checkpoint.remember(f"{name}-{first:04d}", make)
                 self._ready[name, first].set()
         except BaseException as failure:  # handed to whoever waits
             self._failure = failure
@@ -365,7 +380,7 @@ def _by_groups(
 ) -> tuple[Floats, dict[str, Any]]:
     """One factor for each group."""
     group = group_of(organ, springs)
-    steps = settings.steps + settings.nonlinear_steps
+    steps = GROUP_STEPS * (settings.steps + settings.nonlinear_steps)
     with progress.stage("fit", steps) as done:
         stiffness = search(prior, group, misfit, steps, lambda _, error: done(f"{100.0 * error.mean():.2f} %"))
     error = misfit.evaluate(stiffness).error

@@ -1,8 +1,8 @@
 """The paper's own calibration: an iterative search over one factor for each group of springs.
 
 Section 3.3: "an iterative approach is used to obtain the appropriate parameters of the elastic system, such as d, k, m
-of the inner structure and the outer mesh respectively". It tells no more of the approach; here it is a pattern search
-(Hooke & Jeeves 1961), which needs no slopes. The baseline for the fit of every spring.
+of the inner structure and the outer mesh respectively". It tells no more of the approach; here it is the simplex of
+Nelder & Mead (1965), which needs no slopes. The baseline for the fit of every spring.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import minimize
 
-from tissue_sim.calibration.fit import Misfit
+from tissue_sim.calibration.fit import Evaluation, Misfit
 from tissue_sim.calibration.static import Longs, Springs
 from tissue_sim.organ.organ import Floats, Organ, SpringKind
 
 GROUPS = ("edges", "inner", "skeleton", "angular", "return")
-FIRST_STEP, LAST_STEP = 8.0, 1.05  # factors on a group's stiffness
+FIRST_STEP = 0.25  # factor on one group's stiffness, in each corner of the first simplex but one
 LIMITS = (1e-6, 1e3)  # of a group's stiffness over that at the start
 
 
@@ -31,33 +32,33 @@ def group_of(organ: Organ, springs: Springs) -> Longs:
 def search(
     start: Floats, group: Longs, misfit: Misfit, iterations: int, watch: Callable[[int, Floats], None] | None = None
 ) -> Floats:
-    """Stiffnesses (p,) N/m of the least misfit that one factor on each group reaches.
+    """Stiffnesses (p,) N/m of the least misfit that one factor on each group reaches, never worse than at the start.
 
-    Every group in turn is made stiffer or softer by a factor, kept where that is better; when no group gains, the
-    factor shrinks to its root. iterations: misfits looked at, at the most; watch: told their number and the best
-    errors (c,) so far.
+    iterations: misfits looked at, at the most; watch: told their number and the best errors (c,) so far.
     """
     present = np.unique(group)
-    factors = np.ones(len(GROUPS))
-    best = misfit.evaluate(start)
-    count, step = 1, FIRST_STEP
-    while step > LAST_STEP and count < iterations:
-        gained = False
-        for member in present:
-            for tried in (step, 1.0 / step):
-                changed = factors.copy()
-                changed[member] = np.clip(changed[member] * tried, *LIMITS)
-                if changed[member] == factors[member] or count >= iterations:
-                    continue
-                found = misfit.evaluate(start * changed[group])
-                count += 1
-                better = found.loss < best.loss
-                if better:
-                    best, factors, gained = found, changed, True
-                if watch is not None:
-                    watch(count, best.error)
-                if better:
-                    break
-        if not gained:
-            step = float(np.sqrt(step))
-    return start * factors[group]
+    best: Evaluation | None = None
+    stiffness, count = start, 0
+
+    def objective(logarithm: Floats) -> float:
+        nonlocal best, stiffness, count
+        factors = np.ones(len(GROUPS))
+        factors[present] = np.exp(logarithm)
+        tried = start * factors[group]
+        found = misfit.evaluate(tried)
+        count += 1
+        if best is None or found.loss < best.loss:
+            best, stiffness = found, tried
+        if watch is not None:
+            watch(count, best.error)
+        return found.loss
+
+    simplex = np.concatenate([np.zeros((1, len(present))), np.log(FIRST_STEP) * np.eye(len(present))])
+    minimize(
+        objective,
+        np.zeros(len(present)),
+        method="Nelder-Mead",
+        bounds=[(np.log(LIMITS[0]), np.log(LIMITS[1]))] * len(present),
+        options={"maxfev": iterations, "initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-9, "adaptive": True},
+    )
+    return stiffness

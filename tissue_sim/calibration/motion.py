@@ -22,7 +22,7 @@ STEP = 6e-4  # s, critical step that masses make room for: two substeps a millis
 MOST_SHARE = 0.5  # of the mass may go there; a stiffer organ gets a shorter step
 SPREAD = 1e-3  # weight of the mean square of the masses' logarithms, over those of the tissue around
 EVALUATIONS = 40
-_POINTS = 60_000  # at which the organ's volume is looked at
+_POINTS = 40_000  # at which the organ's volume is looked at
 
 
 def tissue_mass(organ: Organ) -> Floats:
@@ -59,7 +59,9 @@ def fit_mass(organ: Organ, springs: Springs, stiffness: Floats, frequencies: Flo
     tangent = springs.rest_tangent(stiffness)
     factor = Factor(tangent)
     if not factor.is_positive:
-        raise UserError(f"organ '{organ.name}' has parts that no spring holds; build it with more --atoms or --interior")
+        raise UserError(
+            f"organ '{organ.name}' has parts that no spring holds; build it with more --atoms or --interior"
+        )
     around = tissue_mass(organ)
     moving = np.zeros(len(around), dtype=bool)
     moving[springs.free[::3] // 3] = True
