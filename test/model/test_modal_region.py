@@ -9,8 +9,8 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.modes import stiffness_matrix
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.regions import CALM_TIME, RETURN_SHARE
+from tissue_sim.model.simulation import Simulation
 
 from ..scenes import assembled, ball, kidney
 from .test_local_region import hops_from, near

@@ -1,0 +1,202 @@
+"""Direct solver for finite elements: Cholesky by nested dissection of the mesh (George 1973; Duff & Reid 1983).
+
+SciPy has no sparse Cholesky; its LU takes five times as long here, since it neither knows the symmetry nor
+multiplies dense blocks of this size. Elements are halved again and again; what lies inside a part is eliminated
+there as one dense front, and the rest handed on to the part above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk, dtrsm, strsm
+from scipy.linalg.lapack import dpotrf
+
+from tissue_sim.jit import kernel
+from tissue_sim.organ.organ import Floats, Ints
+
+Longs = NDArray[np.int64]
+BALANCE = 0.3  # the least share of elements in a part
+LEAF = 32  # elements that are not divided further
+
+
+class Front(NamedTuple):
+    """A part of the mesh: unknowns inside are eliminated here, those on its boundary further up."""
+
+    cells: Ints  # (e,) elements, of a leaf
+    children: tuple[int, ...]  # earlier fronts
+    inside: Longs  # (p,) unknowns
+    boundary: Longs  # (b,) unknowns
+
+
+class Factor(NamedTuple):
+    """L of one front."""
+
+    diagonal: NDArray[Any]  # (p, p) lower triangle
+    below: NDArray[Any]  # (b, p)
+
+
+class NotPositive(Exception):
+    """The matrix has a direction without stiffness, or one of negative stiffness."""
+
+
+def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_]) -> list[Front]:
+    """Order of elimination for elements (e, k) with centres (e, 3); held (n, 3) unknowns are left out.
+
+    Fronts come children first. Every part is cut in two halves along that of its principal axes where they share
+    the fewest nodes.
+    """
+    count = np.bincount(elements.ravel(), minlength=len(held))  # elements around each node that are not yet merged
+    fronts: list[Front] = []
+    free = ~held
+
+    def unknowns(nodes: Longs) -> Longs:
+        found: Longs = np.flatnonzero(free[nodes].ravel())
+        return 3 * nodes[found // 3] + found % 3
+
+    def build(cells: Longs) -> tuple[int, Longs, Longs]:
+        """Number of the front, nodes on its boundary, and how many elements inside each has."""
+        if len(cells) <= LEAF:
+            nodes, inner = np.unique(elements[cells], return_counts=True)
+            children: tuple[int, ...] = ()
+        else:
+            one, other = _parts(elements, centres, cells)
+            first, nodes_first, inner_first = build(one)
+            second, nodes_second, inner_second = build(other)
+            children = (first, second)
+            nodes, where = np.unique(np.concatenate([nodes_first, nodes_second]), return_inverse=True)
+            inner = np.bincount(where, np.concatenate([inner_first, inner_second])).astype(np.int64)
+        whole = inner == count[nodes]
+        leaf = cells.astype(np.int32) if not children else np.zeros(0, dtype=np.int32)
+        fronts.append(Front(leaf, children, unknowns(nodes[whole]), unknowns(nodes[~whole])))
+        return len(fronts) - 1, nodes[~whole], inner[~whole]
+
+    build(np.arange(len(elements)))
+    return fronts
+
+
+def _parts(elements: Ints, centres: Floats, cells: Longs) -> tuple[Longs, Longs]:
+    """Two parts of a set of elements, neither of them small, that share few nodes."""
+    x = centres[cells] - centres[cells].mean(axis=0)
+    nodes, where = np.unique(elements[cells], return_inverse=True)
+    where = where.reshape(len(cells), -1)
+    size = len(cells)
+    least = max(1, int(BALANCE * size))
+    best: tuple[int, Longs, int] | None = None
+    for axis in np.linalg.eigh(x.T @ x)[1].T:
+        order = np.argsort(x @ axis, kind="stable")
+        rank = np.empty(size, dtype=np.int64)
+        rank[order] = np.arange(size)
+        ranks = np.repeat(rank, where.shape[1])
+        first, last = np.full(len(nodes), size), np.zeros(len(nodes), dtype=np.int64)
+        np.minimum.at(first, where.ravel(), ranks)
+        np.maximum.at(last, where.ravel(), ranks)
+        # A node is shared by a cut before rank c when first < c <= last.
+        shared = np.cumsum(np.bincount(first + 1, minlength=size + 2) - np.bincount(last + 1, minlength=size + 2))
+        cut = least + int(np.argmin(shared[least : size - least + 1]))
+        if best is None or shared[cut] < best[0]:
+            best = int(shared[cut]), order, cut
+    assert best is not None
+    _, order, cut = best
+    return np.sort(cells[order[:cut]]), np.sort(cells[order[cut:]])
+
+
+@kernel
+def _add(update: Floats, where: Longs, diagonal: Floats, below: Floats, rest: Floats) -> None:
+    """Add the lower triangle of a symmetric matrix to that of a front, given by its three pieces.
+
+    All transposed, so that rows run along memory: update (k, k), diagonal (p, p), below (p, b), rest (b, b).
+    where (k,): rows of the front, -1 for those left out.
+    """
+    p = len(diagonal)
+    for j in range(len(where)):
+        if where[j] < 0:
+            continue
+        for i in range(j, len(where)):
+            if where[i] < 0:
+                continue
+            low, high = min(where[i], where[j]), max(where[i], where[j])
+            if high < p:
+                diagonal[low, high] += update[j, i]
+            elif low < p:
+                below[low, high - p] += update[j, i]
+            else:
+                rest[low - p, high - p] += update[j, i]
+
+
+class Cholesky:
+    """L L' of a stiffness matrix that is given element by element.
+
+    matrices(cells) returns (e, 3k, 3k) N/m of elements (e, k). Raises NotPositive.
+    """
+
+    def __init__(self, fronts: list[Front], elements: Ints, n: int, matrices: Callable[[Ints], Floats]) -> None:
+        self.fronts = fronts
+        self._free = np.concatenate([front.inside for front in fronts])
+        self.factors: list[Factor] = []
+        updates: dict[int, Floats] = {}
+        place = np.full(3 * n, -1, dtype=np.int64)
+        for number, front in enumerate(fronts):
+            p, b = len(front.inside), len(front.boundary)
+            diagonal, below, rest = (np.zeros(shape, order="F") for shape in ((p, p), (b, p), (b, b)))
+            pieces = diagonal.T, below.T, rest.T
+            place[front.inside], place[front.boundary] = np.arange(p), np.arange(p, p + b)
+            for child in front.children:
+                _add(updates.pop(child).T, place[fronts[child].boundary], *pieces)
+            if len(front.cells):
+                axes = (3 * elements[front.cells][:, :, None] + np.arange(3)).reshape(len(front.cells), -1)
+                for where, part in zip(place[axes], matrices(front.cells), strict=True):
+                    _add(part, where, *pieces)
+            place[front.inside] = place[front.boundary] = -1
+            if p:
+                diagonal, failed = dpotrf(diagonal, lower=1, clean=0, overwrite_a=1)
+                if failed:
+                    raise NotPositive
+            if p and b:
+                below = dtrsm(1.0, diagonal, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+                rest = dsyrk(-1.0, below, beta=1.0, c=rest, lower=1, overwrite_c=1)
+            if b:
+                updates[number] = rest
+            self.factors.append(Factor(diagonal, below))
+
+    @property
+    def size(self) -> int:
+        """Numbers stored."""
+        return sum(factor.diagonal.size + factor.below.size for factor in self.factors)
+
+    @cached_property
+    def _single(self) -> list[Factor]:
+        single = (Factor(*(part.astype(np.float32, order="F") for part in factor)) for factor in self.factors)
+        return list(single)
+
+    def solve(self, right: Floats) -> Floats:
+        """Solution (3n, c) of the free unknowns for right-hand sides (3n, c); 0 at the held ones."""
+        return self._solve(right, self.factors, dtrsm, np.float64)
+
+    def precondition(self, right: Floats) -> Floats:
+        """The solution (3n,) for one right-hand side (3n,) to single precision, in half the time.
+
+        One right-hand side takes as long as reading the factor.
+        """
+        return self._solve(right[:, None], self._single, strsm, np.float32)[:, 0].astype(np.float64)
+
+    def _solve(self, right: Floats, factors: list[Factor], triangle: Any, kind: Any) -> Any:
+        work = np.zeros(np.shape(right), dtype=kind)
+        work[self._free] = right[self._free]
+        for front, (diagonal, below) in zip(self.fronts, factors, strict=True):
+            if len(front.inside):
+                found = triangle(1.0, diagonal, work[front.inside], lower=1)
+                work[front.inside] = found
+                if len(front.boundary):
+                    work[front.boundary] -= below @ found
+        for front, (diagonal, below) in zip(reversed(self.fronts), reversed(factors), strict=True):
+            if len(front.inside):
+                found = work[front.inside]
+                if len(front.boundary):
+                    found = found - below.T @ work[front.boundary]
+                work[front.inside] = triangle(1.0, diagonal, found, lower=1, trans_a=1)
+        return work

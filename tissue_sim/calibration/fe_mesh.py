@@ -1,0 +1,203 @@
+"""Tetrahedra that fill exactly the polyhedron of an organ's surface, small where the solution is steep."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Floats, Ints, Organ
+
+MESHER_UNIT = 1e-3  # m; Netgen's tolerances are made for lengths around 1 to 1000
+MOST_PASSES = 60  # of refinement; every pass bisects
+ON_PLANE = 1e-6  # of a triangle's size, within which a point lies on it
+
+
+class Grading(NamedTuple):
+    """How far the surface's mean edge is halved, and how fast elements may grow away from there."""
+
+    clamp: int = 1  # halvings at the clamp's edge, where the stress is singular
+    near: int = 1  # halvings under the loads
+    growth: float = 1.2  # an element's longest edge over its distance from the clamp's edge
+    near_growth: float = 1.2  # the same for the distance from the loads
+
+
+class FeMesh(NamedTuple):
+    """A tetrahedral mesh of an organ. Its first nodes are the organ's surface nodes."""
+
+    mesh: Any  # skfem.MeshTet, m
+    facets: Ints  # (f,) facets of the mesh on its surface
+    triangle: Ints  # (f,) organ triangle in which each lies
+    clamped: NDArray[np.bool_]  # (f,) whether that triangle is held
+
+
+def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> FeMesh:
+    """Fill the organ's surface with tetrahedra, graded at the clamp's edge and under the nodes `near` (k,).
+
+    Netgen keeps surface nodes and triangles as they are; refinement then bisects longest edges (skfem). The same
+    organ gives the same mesh.
+
+    Raises UserError when nothing is clamped, or when Netgen can't fill the surface.
+    """
+    grading = Grading() if grading is None else grading
+    skfem, _ = libraries()
+    positions, triangles = organ.surface_positions, organ.surface_triangles
+    held = clamped_triangles(organ)
+    points, cells = _tetrahedra(organ)
+    mesh = skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
+    first, second = (positions[triangles[:, k]] for k in (0, 1))
+    edge = float(np.linalg.norm(second - first, axis=1).mean())
+    least = edge / 2.0**grading.clamp
+    sources = [(_along(positions, clamp_edges(triangles, held), 0.5 * least), least, grading.growth)]
+    if near is not None and len(near):
+        loaded = np.isin(triangles, near).any(axis=1)
+        inside = np.concatenate([positions[triangles[loaded]].mean(axis=1), positions[np.asarray(near)]])
+        sources.append((inside, edge / 2.0**grading.near, grading.near_growth))
+    trees = [(cKDTree(where), size, growth) for where, size, growth in sources if len(where)]
+    for _ in range(MOST_PASSES):
+        corners = mesh.p.T[mesh.t.T]
+        longest = np.zeros(len(corners))
+        for a, b in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
+            longest = np.maximum(longest, np.linalg.norm(corners[:, a] - corners[:, b], axis=1))
+        wanted = np.full(len(corners), np.inf)
+        for tree, size, growth in trees:
+            distance = tree.query(corners.mean(axis=1))[0]
+            # The mean edge stands for a size: the longest one of a sound element is half as long again.
+            wanted = np.minimum(wanted, 1.5 * np.maximum(size, growth * distance))
+        marked = np.flatnonzero(longest > wanted)
+        if not len(marked):
+            break
+        with quiet():
+            mesh = mesh.refined(marked)
+    facets = mesh.boundary_facets()
+    triangle = _parents(mesh.p.T[mesh.facets[:, facets].T], positions[triangles])
+    return FeMesh(mesh, facets.astype(np.int32), triangle, held[triangle])
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Without skfem's remarks on the layout of arrays."""
+    logger = logging.getLogger("skfem")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+def libraries() -> tuple[Any, Any]:
+    """The modules skfem and netgen.meshing; raises UserError when one is missing."""
+    try:
+        import skfem
+    except ImportError:
+        raise UserError("the finite-element reference needs skfem: pip install 'tissue_sim[calibration]'") from None
+    try:
+        from netgen import meshing
+    except ImportError:
+        raise UserError("the finite-element reference needs netgen: pip install 'tissue_sim[calibration]'") from None
+    return skfem, meshing
+
+
+def clamped_triangles(organ: Organ) -> NDArray[np.bool_]:
+    """Which triangles (t,) are held: those all of whose nodes are fixed.
+
+    Raises UserError when there is none.
+    """
+    fixed = np.zeros(organ.n_surface, dtype=bool)
+    fixed[organ.fixed] = True
+    held: NDArray[np.bool_] = fixed[organ.surface_triangles].all(axis=1)
+    if not held.any():
+        raise UserError(
+            f"organ '{organ.name}': no triangle has all its nodes fixed, so a solid has nothing to be held by; "
+            "build it with --fixed, such as --fixed 'z<0.1'"
+        )
+    return held
+
+
+def clamp_edges(triangles: Ints, held: NDArray[np.bool_]) -> Ints:
+    """Edges (k, 2) between a held triangle and a free one."""
+    mine = np.sort(_sides(triangles[held]), axis=1)
+    others = np.sort(_sides(triangles[~held]), axis=1)
+    n = int(triangles.max()) + 1
+    ours, theirs = (pairs[:, 0].astype(np.int64) * n + pairs[:, 1] for pairs in (mine, others))
+    found = np.intersect1d(ours, theirs)
+    return np.stack([found // n, found % n], axis=1).astype(np.int32)
+
+
+def _sides(triangles: Ints) -> Ints:
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
+def _along(positions: Floats, edges: Ints, apart: float) -> Floats:
+    """Points (p, 3) along edges (k, 2), no farther than `apart` from one another."""
+    if not len(edges):
+        return np.zeros((0, 3))
+    a, b = positions[edges[:, 0]], positions[edges[:, 1]]
+    count = int(np.ceil(np.linalg.norm(b - a, axis=1).max() / apart)) + 1
+    share = np.linspace(0.0, 1.0, count)[None, :, None]
+    return (a[:, None] * (1.0 - share) + b[:, None] * share).reshape(-1, 3)
+
+
+def _tetrahedra(organ: Organ) -> tuple[Floats, Ints]:
+    """Points (p, 3) m, the surface nodes first, and tetrahedra (c, 4) of Netgen's mesh inside the surface."""
+    _, meshing = libraries()
+    meshing.SetMessageImportance(0)
+    mesh = meshing.Mesh(3)
+    points = [mesh.Add(meshing.MeshPoint(meshing.Pnt(*(x / MESHER_UNIT)))) for x in organ.surface_positions]
+    mesh.Add(meshing.FaceDescriptor(surfnr=1, domin=1, domout=0, bc=1))
+    for triangle in organ.surface_triangles:
+        mesh.Add(meshing.Element2D(1, [points[node] for node in triangle]))
+    try:
+        mesh.GenerateVolumeMesh()
+        found = mesh.Coordinates() * MESHER_UNIT
+        cells = np.array([[vertex.nr - 1 for vertex in cell.vertices] for cell in mesh.Elements3D()], dtype=np.int32)
+    except Exception as error:  # Netgen's own exception type
+        raise UserError(f"organ '{organ.name}': Netgen can't fill the surface ({error}); remesh it") from None
+    if not len(cells):
+        raise UserError(f"organ '{organ.name}': Netgen can't fill the surface; does it intersect itself? remesh it")
+    n = organ.n_surface
+    found[:n] = organ.surface_positions  # as they were, without the rounding of the unit
+    return found, cells
+
+
+def _parents(small: Floats, large: Floats) -> Ints:
+    """For each small triangle (f, 3, 3) m the large one (t, 3, 3) of which it is a part.
+
+    Raises UserError when one lies in none.
+    """
+    middle = small.mean(axis=1)
+    reach = min(24, len(large))
+    candidates = cKDTree(large.mean(axis=1)).query(middle, k=reach)[1].reshape(len(middle), reach)
+    a, b, c = (large[:, k] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    double = np.linalg.norm(normal, axis=1)
+    parent = np.full(len(middle), -1, dtype=np.int32)
+    for column in candidates.T:
+        open_ = np.flatnonzero(parent < 0)
+        if not len(open_):
+            break
+        t = column[open_]
+        share = coordinates(middle[open_], large[t])
+        height = np.abs(np.einsum("fx,fx->f", middle[open_] - a[t], normal[t])) / double[t] ** 1.5
+        inside = (share.min(axis=1) > -ON_PLANE) & (height < ON_PLANE)
+        parent[open_[inside]] = t[inside]
+    if np.any(parent < 0):
+        raise UserError("the tetrahedra do not follow the organ's surface; remesh it")
+    return parent
+
+
+def coordinates(points: Floats, triangles: Floats) -> Floats:
+    """Barycentric coordinates (f, 3) of points (f, 3) m in the planes of triangles (f, 3, 3) m."""
+    a, b, c = (triangles[:, k] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    square = np.einsum("fx,fx->f", normal, normal)
+    at_b = np.einsum("fx,fx->f", np.cross(points - a, c - a), normal) / square
+    at_c = np.einsum("fx,fx->f", np.cross(b - a, points - a), normal) / square
+    return np.stack([1.0 - at_b - at_c, at_b, at_c], axis=1)

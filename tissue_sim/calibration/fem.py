@@ -1,0 +1,123 @@
+"""The finite-element body of an organ: settled surface displacements, linear and neo-Hookean."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array, csr_array
+
+from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
+from tissue_sim.calibration.solid import Solid
+from tissue_sim.organ.organ import Floats, Organ, signed_volume
+
+
+class Settled(NamedTuple):
+    """The organ's surface at rest under a load."""
+
+    displacement: Floats  # (n_surface, 3) m
+    volume_change: float  # of the volume inside the surface triangles, relative
+    steps: int  # of Newton's method
+    iterations: int  # of conjugate gradients, in all
+    converged: bool
+    load_steps: int
+    least_det: float  # det F where the body is compressed most
+
+
+class Body:
+    """An organ as a solid of quadratic tetrahedra, held at the triangles whose nodes are all fixed.
+
+    near (k,): surface nodes under which the mesh is refined; grading: how far, the default if None.
+    Raises UserError when the organ has no clamp, a material that is none, or a surface that can't be filled.
+    """
+
+    def __init__(self, organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> None:
+        self.organ = organ
+        self.filling: FeMesh = fill(organ, near, grading)
+        self.solid = Solid(self.filling.mesh, organ.youngs_modulus, organ.poisson_ratio, organ.density)
+        clamp = self.filling.facets[self.filling.clamped]
+        held = self.solid.basis.get_dofs(clamp).all()
+        self.solid.held[held] = True
+        self._loads = load_matrix(organ, self.filling, self.solid)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes, middles of edges included."""
+        return len(self.solid.nodes)
+
+    def loads(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Floats:
+        """Nodal loads (n, 3) N of surface forces (n_surface, 3) N and a uniform acceleration (3,) m/s^2."""
+        found: Floats = self._loads @ np.asarray(force, dtype=np.float64)
+        if acceleration is not None:
+            weight = np.asarray(self.solid.mass.sum(axis=1)).ravel()
+            found = found + weight[:, None] * np.asarray(acceleration, dtype=np.float64)
+        return found
+
+    def settle_linear(self, forces: ArrayLike, acceleration: ArrayLike | None = None) -> Floats:
+        """Surface displacements (c, n_surface, 3) m of linear elasticity under forces (c, n_surface, 3) N.
+
+        acceleration (3,) m/s^2 acts on the body's mass in every case, such as gravity.
+        """
+        forces = np.asarray(forces, dtype=np.float64)
+        answer = np.empty(forces.shape)
+        for first in range(0, len(forces), 64):
+            part = slice(first, first + 64)
+            loads = np.stack([self.loads(force, acceleration) for force in forces[part]])
+            answer[part] = self.solid.solve(loads)[:, : self.organ.n_surface]
+        return answer
+
+    def settle(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Settled:
+        """Rest of the neo-Hookean body under dead surface forces (n_surface, 3) N; see Solid.settle."""
+        found = self.solid.settle(self.loads(force, acceleration))
+        surface = found.displacement[: self.organ.n_surface].copy()
+        return Settled(
+            surface,
+            volume_change(self.organ, surface),
+            found.steps,
+            found.iterations,
+            found.converged,
+            found.load_steps,
+            found.least_det,
+        )
+
+
+def volume_change(organ: Organ, displacement: Floats) -> float:
+    """Relative change of the volume inside the surface triangles under displacements (n_surface, 3) m."""
+    now = signed_volume(organ.surface_positions + displacement, organ.surface_triangles)
+    return now / organ.volume - 1.0
+
+
+def load_matrix(organ: Organ, filling: FeMesh, solid: Solid) -> csr_array:
+    """Nodal loads per surface force, (n, n_surface).
+
+    The force F_i at a surface node is the traction F_i phi_i(x) / A_i, where phi_i is 1 at the node and falls to 0
+    across the triangles around it, and A_i its integral; the shape functions' work with it is integrated exactly.
+    """
+    skfem, _ = libraries()
+    triangles = organ.surface_triangles
+    a, b, c = (organ.surface_positions[triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    total = np.bincount(triangles.ravel(), np.repeat(area, 3), organ.n_surface)
+    # Order 3: a linear traction times quadratic shape functions.
+    basis = skfem.FacetBasis(filling.mesh, skfem.ElementTetP2(), facets=filling.facets, intorder=3)
+    where = np.asarray(basis.global_coordinates())  # (3, f, q)
+    count, points = where.shape[1:]
+    corners = organ.surface_positions[triangles[filling.triangle]]
+    hats = coordinates(where.transpose(1, 2, 0).reshape(-1, 3), np.repeat(corners, points, axis=0)).reshape(
+        count, points, 3
+    )
+    rows, columns, values = [], [], []
+    for node in range(basis.Nbfun):
+        shape = np.broadcast_to(np.asarray(basis.basis[node][0].value), (count, points))
+        for corner in range(3):
+            target = triangles[filling.triangle, corner]
+            rows.append(basis.element_dofs[node])
+            columns.append(target)
+            values.append(np.einsum("fq,fq,fq->f", shape, hats[:, :, corner], basis.dx) / total[target])
+    matrix = coo_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(len(solid.nodes), organ.n_surface),
+    ).tocsr()
+    matrix.eliminate_zeros()
+    return matrix

@@ -1,0 +1,139 @@
+"""Compressible neo-Hookean material on quadratic tetrahedra: energy, nodal forces and tangent, compiled.
+
+W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2 (Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element
+Analysis, 2nd ed. 2008, equation 6.27), whose tangent at rest is linear elasticity with Lame's constants mu, lambda.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tissue_sim.jit import kernel, part
+from tissue_sim.organ.organ import Floats, Ints
+
+NODES = 10  # of a quadratic tetrahedron
+
+
+@part
+def _gradients(slopes: Floats, inverse: Floats, found: Floats) -> None:
+    """Gradients (10, 3) 1/m of the shape functions, from those (10, 3) on the reference element."""
+    for a in range(NODES):
+        for j in range(3):
+            found[a, j] = slopes[a, 0] * inverse[0, j] + slopes[a, 1] * inverse[1, j] + slopes[a, 2] * inverse[2, j]
+
+
+@part
+def _deformation(gradients: Floats, moved: Floats, nodes: Ints, f: Floats, back: Floats) -> float:
+    """Deformation gradient f (3, 3) and its inverse transposed `back`; returns det f."""
+    for i in range(3):
+        for j in range(3):
+            total = 1.0 if i == j else 0.0
+            for a in range(NODES):
+                total += moved[nodes[a], i] * gradients[a, j]
+            f[i, j] = total
+    for i in range(3):
+        k, m = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            back[i, j] = f[k, p] * f[m, q] - f[k, q] * f[m, p]
+    return f[0, 0] * back[0, 0] + f[0, 1] * back[0, 1] + f[0, 2] * back[0, 2]
+
+
+@kernel
+def energy_and_forces(
+    moved: Floats,
+    elements: Ints,
+    slopes: Floats,
+    inverse: Floats,
+    weight: Floats,
+    mu: float,
+    lam: float,
+    forces: Floats,
+) -> tuple[float, float]:
+    """Elastic energy J under displacements `moved` (n, 3) m, and det F where it is least.
+
+    elements (e, 10), slopes (q, 10, 3) of the shape functions on the reference element, inverse (e, 3, 3) 1/m
+    Jacobian, weight (e, q) m^3. Writes the energy's gradient to `forces` (n, 3) N. Where an element is turned over
+    (det F <= 0) the energy is infinite and `forces` is not complete.
+    """
+    f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
+    stress = np.empty((3, 3))
+    forces[:] = 0.0
+    energy, least = 0.0, math.inf
+    for e in range(len(elements)):
+        nodes = elements[e]
+        for q in range(len(slopes)):
+            _gradients(slopes[q], inverse[e], gradients)
+            det = _deformation(gradients, moved, nodes, f, back)
+            least = min(least, det)
+            if det <= 0.0:
+                return math.inf, det
+            logarithm = math.log(det)
+            first = 0.0
+            for i in range(3):
+                for j in range(3):
+                    first += f[i, j] * f[i, j]
+                    stress[i, j] = weight[e, q] * (mu * f[i, j] + (lam * logarithm - mu) / det * back[i, j])
+            energy += weight[e, q] * (0.5 * mu * (first - 3.0 - 2.0 * logarithm) + 0.5 * lam * logarithm * logarithm)
+            for a in range(NODES):
+                for i in range(3):
+                    forces[nodes[a], i] += (
+                        stress[i, 0] * gradients[a, 0] + stress[i, 1] * gradients[a, 1] + stress[i, 2] * gradients[a, 2]
+                    )
+    return energy, least
+
+
+@kernel
+def tangent(
+    moved: Floats,
+    elements: Ints,
+    slopes: Floats,
+    inverse: Floats,
+    weight: Floats,
+    mu: float,
+    lam: float,
+    slots: Ints,
+    blocks: Floats,
+) -> None:
+    """Second derivative of the energy, added up in `blocks` (b, 3, 3) N/m; slots (e, 10, 10) say where a pair goes."""
+    f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
+    pushed = np.empty((NODES, 3))
+    local = np.empty((NODES, NODES, 3, 3))
+    blocks[:] = 0.0
+    for e in range(len(elements)):
+        nodes = elements[e]
+        local[:] = 0.0
+        for q in range(len(slopes)):
+            _gradients(slopes[q], inverse[e], gradients)
+            det = _deformation(gradients, moved, nodes, f, back)
+            for a in range(NODES):
+                for i in range(3):
+                    pushed[a, i] = (
+                        back[i, 0] * gradients[a, 0] + back[i, 1] * gradients[a, 1] + back[i, 2] * gradients[a, 2]
+                    ) / det
+            w = weight[e, q]
+            crossed = w * (mu - lam * math.log(det))
+            along, straight = w * lam, w * mu
+            for a in range(NODES):
+                for b in range(a + 1):
+                    same = straight * (
+                        gradients[a, 0] * gradients[b, 0]
+                        + gradients[a, 1] * gradients[b, 1]
+                        + gradients[a, 2] * gradients[b, 2]
+                    )
+                    for i in range(3):
+                        for k in range(3):
+                            local[a, b, i, k] += (
+                                crossed * pushed[b, i] * pushed[a, k] + along * pushed[a, i] * pushed[b, k]
+                            )
+                        local[a, b, i, i] += same
+        for a in range(NODES):
+            for b in range(a + 1):
+                one, other = slots[e, a, b], slots[e, b, a]
+                for i in range(3):
+                    for k in range(3):
+                        blocks[one, i, k] += local[a, b, i, k]
+                        if a != b:
+                            blocks[other, k, i] += local[a, b, i, k]

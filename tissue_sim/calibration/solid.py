@@ -1,0 +1,209 @@
+"""A solid of quadratic tetrahedra: stiffness, mass, and what it does under loads, linear and neo-Hookean."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array
+
+from tissue_sim.calibration.cholesky import Cholesky, Front, dissect
+from tissue_sim.calibration.fe_mesh import libraries
+from tissue_sim.calibration.neo_hookean import NODES, energy_and_forces, tangent
+from tissue_sim.organ.organ import Floats, Ints
+
+QUADRATURE = 2  # order, exact for the products of strains of quadratic elements: four points
+AT_ONCE = 64  # right-hand sides solved together
+TOLERANCE = 1e-6  # of the load, in the energy norm of the solid at rest
+MOST_STEPS = 60  # of Newton's method for one load step
+MOST_LOAD_STEPS = 64
+MOST_ITERATIONS = 400  # of conjugate gradients
+MOST_HALVINGS = 40
+ROOM = 1e-4  # decrease of energy that a step must give, of what its slope promises (Armijo)
+
+
+class Equilibrium(NamedTuple):
+    """Where a solid came to rest."""
+
+    displacement: Floats  # (n, 3) m of all nodes
+    load_steps: int
+    steps: int  # of Newton's method
+    iterations: int  # of conjugate gradients, in all
+    least_det: float  # det F where the solid is compressed most
+    converged: bool
+
+
+class Solid:
+    """A body of compressible neo-Hookean material on a mesh of quadratic tetrahedra.
+
+    mesh: skfem.MeshTet, m. held (n, 3): axes of the quadratic nodes that don't move. Nodes are numbered vertices
+    first, as in the mesh, then the middles of edges.
+    """
+
+    def __init__(self, mesh: Any, youngs_modulus: float, poisson_ratio: float, density: float) -> None:
+        skfem, _ = libraries()
+        self.mesh = mesh
+        self.density = density
+        self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
+        self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+        element = skfem.ElementTetP2()
+        self.basis = skfem.CellBasis(mesh, element, intorder=QUADRATURE)
+        self.nodes: Floats = np.ascontiguousarray(self.basis.doflocs.T)
+        self.elements = np.ascontiguousarray(self.basis.element_dofs.T.astype(np.int32))
+        points, weights = skfem.quadrature.get_quadrature(mesh.refdom, QUADRATURE)
+        slopes = np.stack([element.lbasis(points, a)[1] for a in range(NODES)])  # (10, 3, q)
+        self._slopes = np.ascontiguousarray(slopes.transpose(2, 0, 1))
+        corners = self.nodes[mesh.t.T]
+        jacobian = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+        self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian))
+        self._weight = np.abs(np.linalg.det(jacobian))[:, None] * weights
+        n = len(self.nodes)
+        keys = self.elements[:, :, None].astype(np.int64) * n + self.elements[:, None, :]
+        pairs, slots = np.unique(keys, return_inverse=True)
+        self._slots = np.ascontiguousarray(slots.reshape(keys.shape).astype(np.int32))
+        self._row_start = np.searchsorted(pairs // n, np.arange(n + 1)).astype(np.int32)
+        self._columns = (pairs % n).astype(np.int32)
+        self.held: NDArray[np.bool_] = np.zeros((n, 3), dtype=bool)
+
+    # matrices ----------------------------------------------------------------------------------
+    def tangent(self, displacement: Floats) -> bsr_array:
+        """Stiffness (3n, 3n) N/m about a displaced state (n, 3) m, held axes included."""
+        blocks = np.empty((len(self._columns), 3, 3))
+        tangent(displacement, *self._fixed_arguments(), self._slots, blocks)
+        n = len(self.nodes)
+        return bsr_array((blocks, self._columns, self._row_start), shape=(3 * n, 3 * n))
+
+    def energy(self, displacement: Floats) -> tuple[float, Floats, float]:
+        """Elastic energy J, its gradient (n, 3) N, and the least det F; the energy of a solid turned over is inf."""
+        forces = np.empty_like(self.nodes)
+        energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
+        return energy, forces, least
+
+    def _fixed_arguments(self) -> tuple[Any, ...]:
+        return self.elements, self._slopes, self._inverse, self._weight, self.mu, self.lam
+
+    @cached_property
+    def stiffness(self) -> bsr_array:
+        """Stiffness (3n, 3n) N/m at rest: linear elasticity."""
+        return self.tangent(np.zeros_like(self.nodes))
+
+    @cached_property
+    def mass(self) -> csr_array:
+        """Consistent mass (n, n) kg, the same for all three axes."""
+        skfem, _ = libraries()
+        basis = skfem.CellBasis(self.mesh, skfem.ElementTetP2(), intorder=4)
+        return csr_array(self.density * skfem.BilinearForm(lambda u, v, _: u * v).assemble(basis))
+
+    @cached_property
+    def _factor(self) -> Cholesky:
+        return self.factor(np.zeros_like(self.nodes))
+
+    @cached_property
+    def _fronts(self) -> list[Front]:
+        return dissect(self.elements, self.nodes[self.mesh.t.T].mean(axis=1), self.held)
+
+    def factor(self, displacement: Floats) -> Cholesky:
+        """Cholesky factor of the stiffness about a displaced state (n, 3) m; raises NotPositive."""
+
+        def matrices(cells: Ints) -> Floats:
+            count = len(cells)
+            blocks = np.empty((count * NODES**2, 3, 3))
+            slots = np.arange(len(blocks), dtype=np.int32).reshape(count, NODES, NODES)
+            chosen = self.elements[cells], self._slopes, self._inverse[cells], self._weight[cells]
+            tangent(displacement, *chosen, self.mu, self.lam, slots, blocks)
+            apart = blocks.reshape(count, NODES, NODES, 3, 3).transpose(0, 1, 3, 2, 4)
+            return np.ascontiguousarray(apart).reshape(count, 3 * NODES, 3 * NODES)
+
+        return Cholesky(self._fronts, self.elements, len(self.nodes), matrices)
+
+    def solve(self, loads: Floats) -> Floats:
+        """Linear displacements (c, n, 3) m under nodal loads (c, n, 3) N."""
+        loads = np.asarray(loads, dtype=np.float64)
+        answer = np.empty(loads.shape)
+        for first in range(0, len(loads), AT_ONCE):
+            part = loads[first : first + AT_ONCE]
+            answer[first : first + AT_ONCE] = self._factor.solve(part.reshape(len(part), -1).T).T.reshape(part.shape)
+        return answer
+
+    # equilibrium -------------------------------------------------------------------------------
+    def settle(self, load: Floats) -> Equilibrium:
+        """Equilibrium of the neo-Hookean solid under dead nodal loads (n, 3) N.
+
+        Newton's method on the potential energy, every step by conjugate gradients with the linear solid as
+        preconditioner, cut where curvature is negative (Steihaug 1983), and shortened until the energy falls. All of
+        the load at once; halved where that fails.
+        """
+        displacement = np.zeros_like(self.nodes)
+        done, share, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
+        while done < 1.0 and load_steps < MOST_LOAD_STEPS:
+            load_steps += 1
+            wanted = min(1.0, done + share)
+            found, used, inner, converged = self._newton(displacement, wanted * load)
+            steps, iterations = steps + used, iterations + inner
+            if converged:
+                displacement, done = found, wanted
+            else:
+                share *= 0.5
+        return Equilibrium(displacement, load_steps, steps, iterations, self.energy(displacement)[2], done >= 1.0)
+
+    def _newton(self, start: Floats, load: Floats) -> tuple[Floats, int, int, bool]:
+        held, moved, iterations = self.held, start.copy(), 0
+        pull = np.where(held, 0.0, load)
+        size = float(np.sqrt(max(np.vdot(pull, self._prepared(pull)), 0.0)))
+        if size == 0.0:
+            return moved, 0, 0, True
+        energy, inner, _ = self.energy(moved)
+        potential = energy - np.vdot(load, moved)
+        before = None
+        for step in range(MOST_STEPS):
+            residual = np.where(held, 0.0, load - inner)
+            prepared = self._prepared(residual)
+            error = float(np.sqrt(max(np.vdot(residual, prepared), 0.0))) / size
+            if error <= TOLERANCE:
+                return moved, step, iterations, True
+            # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
+            forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
+            before = error
+            way, used = self._direction(moved, residual, prepared, max(forcing, 0.1 * TOLERANCE / error))
+            iterations += used
+            slope, length = float(np.vdot(residual, way)), 1.0
+            for _ in range(MOST_HALVINGS):
+                trial = moved + length * way
+                energy, inner, _ = self.energy(trial)
+                change = energy - np.vdot(load, trial) - potential
+                # Near the end the energy's rounding hides its change.
+                if change <= -ROOM * length * slope + 1e-12 * abs(potential):
+                    break
+                length *= 0.5
+            else:
+                return moved, step, iterations, False
+            moved, potential = trial, potential + change
+        return moved, MOST_STEPS, iterations, False
+
+    def _prepared(self, residual: Floats) -> Floats:
+        """What the linear solid makes of a residual (n, 3) N: the preconditioner."""
+        return self._factor.precondition(residual.ravel()).reshape(residual.shape)
+
+    def _direction(self, moved: Floats, residual: Floats, z: Floats, forcing: float) -> tuple[Floats, int]:
+        """Newton's direction by conjugate gradients, to `forcing` of the residual in the preconditioner's norm."""
+        matrix, held = self.tangent(moved), self.held
+        way, r, p = np.zeros_like(residual), residual.copy(), z.copy()
+        rz = float(np.vdot(r, z))
+        enough = forcing**2 * rz
+        for iteration in range(1, MOST_ITERATIONS + 1):
+            q = (matrix @ p.ravel()).reshape(p.shape)
+            q[held] = 0.0
+            curvature = float(np.vdot(p, q))
+            if curvature <= 0.0:
+                return (p if iteration == 1 else way), iteration
+            alpha = rz / curvature
+            way += alpha * p
+            r -= alpha * q
+            z = self._prepared(r)
+            rz, old = float(np.vdot(r, z)), rz
+            if rz <= enough:
+                break
+            p = z + (rz / old) * p
+        return way, iteration
