@@ -12,6 +12,8 @@ from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, l
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.organ.organ import Floats, Organ, signed_volume
 
+FACET_QUADRATURE = 6  # order: a linear traction, quadratic shape functions, and quarter points
+
 
 class Settled(NamedTuple):
     """The organ's surface at rest under a load."""
@@ -34,12 +36,12 @@ class Body:
 
     def __init__(self, organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> None:
         self.organ = organ
-        self.filling: FeMesh = fill(organ, near, grading)
-        self.solid = Solid(self.filling.mesh, organ.youngs_modulus, organ.poisson_ratio, organ.density)
-        clamp = self.filling.facets[self.filling.clamped]
-        held = self.solid.basis.get_dofs(clamp).all()
-        self.solid.held[held] = True
-        self._loads = load_matrix(organ, self.filling, self.solid)
+        self.filling = fill(organ, near, grading)
+        held = np.zeros((len(self.filling.nodes), 3), dtype=bool)
+        held[self.filling.facets[self.filling.clamped].ravel()] = True
+        tissue = organ.youngs_modulus, organ.poisson_ratio, organ.density
+        self.solid = Solid(self.filling.nodes, self.filling.elements, held, *tissue)
+        self._loads = load_matrix(organ, self.filling)
 
     @property
     def n_nodes(self) -> int:
@@ -88,36 +90,32 @@ def volume_change(organ: Organ, displacement: Floats) -> float:
     return now / organ.volume - 1.0
 
 
-def load_matrix(organ: Organ, filling: FeMesh, solid: Solid) -> csr_array:
+def load_matrix(organ: Organ, filling: FeMesh) -> csr_array:
     """Nodal loads per surface force, (n, n_surface).
 
     The force F_i at a surface node is the traction F_i phi_i(x) / A_i, where phi_i is 1 at the node and falls to 0
-    across the triangles around it, and A_i its integral; the shape functions' work with it is integrated exactly.
+    across the triangles around it, and A_i its integral. The work that it does on the shape functions is integrated
+    exactly where edges have their nodes in the middle.
     """
     skfem, _ = libraries()
     triangles = organ.surface_triangles
     a, b, c = (organ.surface_positions[triangles[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     total = np.bincount(triangles.ravel(), np.repeat(area, 3), organ.n_surface)
-    # Order 3: a linear traction times quadratic shape functions.
-    basis = skfem.FacetBasis(filling.mesh, skfem.ElementTetP2(), facets=filling.facets, intorder=3)
-    where = np.asarray(basis.global_coordinates())  # (3, f, q)
-    count, points = where.shape[1:]
-    corners = organ.surface_positions[triangles[filling.triangle]]
-    hats = coordinates(where.transpose(1, 2, 0).reshape(-1, 3), np.repeat(corners, points, axis=0)).reshape(
-        count, points, 3
-    )
-    rows, columns, values = [], [], []
-    for node in range(basis.Nbfun):
-        shape = np.broadcast_to(np.asarray(basis.basis[node][0].value), (count, points))
-        for corner in range(3):
-            target = triangles[filling.triangle, corner]
-            rows.append(basis.element_dofs[node])
-            columns.append(target)
-            values.append(np.einsum("fq,fq,fq->f", shape, hats[:, :, corner], basis.dx) / total[target])
-    matrix = coo_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
-        shape=(len(solid.nodes), organ.n_surface),
-    ).tocsr()
-    matrix.eliminate_zeros()
-    return matrix
+    points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTri, FACET_QUADRATURE)
+    found = [skfem.ElementTriP2().lbasis(points, node) for node in range(6)]
+    values = np.stack([value for value, _ in found], axis=1)  # (q, 6)
+    slopes = np.stack([slope for _, slope in found])  # (6, 2, q)
+    corners = filling.nodes[filling.facets]  # (f, 6, 3)
+    where = np.einsum("fax,qa->fqx", corners, values)
+    along = np.einsum("fax,arq->rfqx", corners, slopes)
+    weight = np.linalg.norm(np.cross(along[0], along[1]), axis=2) * weights
+    parents = np.repeat(organ.surface_positions[triangles[filling.triangle]], len(weights), axis=0)
+    hats = coordinates(where.reshape(-1, 3), parents).reshape(*where.shape)
+    parts = np.einsum("fq,qa,fqc->fac", weight, values, hats, optimize=True)  # (f, 6, 3)
+    nodes = triangles[filling.triangle]
+    rows = np.broadcast_to(filling.facets[:, :, None], parts.shape)
+    columns = np.broadcast_to(nodes[:, None, :], parts.shape)
+    shape = len(filling.nodes), organ.n_surface
+    matrix = coo_array(((parts / total[columns]).ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+    return matrix.tocsr()

@@ -54,9 +54,9 @@ def energy_and_forces(
 ) -> tuple[float, float]:
     """Elastic energy J under displacements `moved` (n, 3) m, and det F where it is least.
 
-    elements (e, 10), slopes (q, 10, 3) of the shape functions on the reference element, inverse (e, 3, 3) 1/m
-    Jacobian, weight (e, q) m^3. Writes the energy's gradient to `forces` (n, 3) N. Where an element is turned over
-    (det F <= 0) the energy is infinite and `forces` is not complete.
+    elements (e, 10), slopes (q, 10, 3) of the shape functions on the reference element, inverse (e, q, 3, 3) 1/m
+    of the Jacobian, weight (e, q) m^3. Writes the energy's gradient to `forces` (n, 3) N. Where an element is turned
+    over (det F <= 0) the energy is infinite and `forces` is not complete.
     """
     f, back, gradients = np.empty((3, 3)), np.empty((3, 3)), np.empty((NODES, 3))
     stress = np.empty((3, 3))
@@ -65,7 +65,7 @@ def energy_and_forces(
     for e in range(len(elements)):
         nodes = elements[e]
         for q in range(len(slopes)):
-            _gradients(slopes[q], inverse[e], gradients)
+            _gradients(slopes[q], inverse[e, q], gradients)
             det = _deformation(gradients, moved, nodes, f, back)
             least = min(least, det)
             if det <= 0.0:
@@ -106,7 +106,7 @@ def tangent(
         nodes = elements[e]
         local[:] = 0.0
         for q in range(len(slopes)):
-            _gradients(slopes[q], inverse[e], gradients)
+            _gradients(slopes[q], inverse[e, q], gradients)
             det = _deformation(gradients, moved, nodes, f, back)
             for a in range(NODES):
                 for i in range(3):

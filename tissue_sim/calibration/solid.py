@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,7 +15,8 @@ from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.neo_hookean import NODES, energy_and_forces, tangent
 from tissue_sim.organ.organ import Floats, Ints
 
-QUADRATURE = 2  # order, exact for the products of strains of quadratic elements: four points
+QUADRATURE = 2  # order: four points, exact for the products of strains of straight quadratic elements
+MASS_QUADRATURE = 7  # elements at quarter points included
 AT_ONCE = 64  # right-hand sides solved together
 TOLERANCE = 1e-6  # of the load, in the energy norm of the solid at rest
 MOST_STEPS = 60  # of Newton's method for one load step
@@ -36,36 +38,34 @@ class Equilibrium(NamedTuple):
 
 
 class Solid:
-    """A body of compressible neo-Hookean material on a mesh of quadratic tetrahedra.
+    """A body of compressible neo-Hookean material, of quadratic tetrahedra.
 
-    mesh: skfem.MeshTet, m. held (n, 3): axes of the quadratic nodes that don't move. Nodes are numbered vertices
-    first, as in the mesh, then the middles of edges.
+    nodes (n, 3) m and elements (e, 10) as in FeMesh; `held` (n, 3) says which axes of them don't move.
     """
 
-    def __init__(self, mesh: Any, youngs_modulus: float, poisson_ratio: float, density: float) -> None:
-        skfem, _ = libraries()
-        self.mesh = mesh
-        self.density = density
+    def __init__(
+        self,
+        nodes: Floats,
+        elements: Ints,
+        held: NDArray[np.bool_],
+        youngs_modulus: float,
+        poisson_ratio: float,
+        density: float,
+    ) -> None:
+        self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
         self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
         self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-        element = skfem.ElementTetP2()
-        self.basis = skfem.CellBasis(mesh, element, intorder=QUADRATURE)
-        self.nodes: Floats = np.ascontiguousarray(self.basis.doflocs.T)
-        self.elements = np.ascontiguousarray(self.basis.element_dofs.T.astype(np.int32))
-        points, weights = skfem.quadrature.get_quadrature(mesh.refdom, QUADRATURE)
-        slopes = np.stack([element.lbasis(points, a)[1] for a in range(NODES)])  # (10, 3, q)
-        self._slopes = np.ascontiguousarray(slopes.transpose(2, 0, 1))
-        corners = self.nodes[mesh.t.T]
-        jacobian = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+        _, slopes, weights = shape_functions(QUADRATURE)
+        jacobian = np.einsum("eax,qar->eqxr", nodes[elements], slopes)
+        self._slopes = slopes
         self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian))
-        self._weight = np.abs(np.linalg.det(jacobian))[:, None] * weights
+        self._weight = np.abs(np.linalg.det(jacobian)) * weights
         n = len(self.nodes)
         keys = self.elements[:, :, None].astype(np.int64) * n + self.elements[:, None, :]
         pairs, slots = np.unique(keys, return_inverse=True)
         self._slots = np.ascontiguousarray(slots.reshape(keys.shape).astype(np.int32))
         self._row_start = np.searchsorted(pairs // n, np.arange(n + 1)).astype(np.int32)
         self._columns = (pairs % n).astype(np.int32)
-        self.held: NDArray[np.bool_] = np.zeros((n, 3), dtype=bool)
 
     # matrices ----------------------------------------------------------------------------------
     def tangent(self, displacement: Floats) -> bsr_array:
@@ -92,9 +92,13 @@ class Solid:
     @cached_property
     def mass(self) -> csr_array:
         """Consistent mass (n, n) kg, the same for all three axes."""
-        skfem, _ = libraries()
-        basis = skfem.CellBasis(self.mesh, skfem.ElementTetP2(), intorder=4)
-        return csr_array(self.density * skfem.BilinearForm(lambda u, v, _: u * v).assemble(basis))
+        values, slopes, weights = shape_functions(MASS_QUADRATURE)
+        jacobian = np.einsum("eax,qar->eqxr", self.nodes[self.elements], slopes)
+        weight = self.density * np.abs(np.linalg.det(jacobian)) * weights
+        matrices = np.einsum("eq,qa,qb->eab", weight, values, values, optimize=True)
+        found = np.bincount(self._slots.ravel(), matrices.ravel(), len(self._columns))
+        n = len(self.nodes)
+        return csr_array((found, self._columns, self._row_start), shape=(n, n))
 
     @cached_property
     def _factor(self) -> Cholesky:
@@ -102,7 +106,7 @@ class Solid:
 
     @cached_property
     def _fronts(self) -> list[Front]:
-        return dissect(self.elements, self.nodes[self.mesh.t.T].mean(axis=1), self.held)
+        return dissect(self.elements, self.nodes[self.elements[:, :4]].mean(axis=1), self.held)
 
     def factor(self, displacement: Floats) -> Cholesky:
         """Cholesky factor of the stiffness about a displaced state (n, 3) m; raises NotPositive."""
@@ -151,7 +155,7 @@ class Solid:
     def _newton(self, start: Floats, load: Floats) -> tuple[Floats, int, int, bool]:
         held, moved, iterations = self.held, start.copy(), 0
         pull = np.where(held, 0.0, load)
-        size = float(np.sqrt(max(np.vdot(pull, self._prepared(pull)), 0.0)))
+        size = math.sqrt(max(float(np.vdot(pull, self._prepared(pull))), 0.0))
         if size == 0.0:
             return moved, 0, 0, True
         energy, inner, _ = self.energy(moved)
@@ -160,7 +164,7 @@ class Solid:
         for step in range(MOST_STEPS):
             residual = np.where(held, 0.0, load - inner)
             prepared = self._prepared(residual)
-            error = float(np.sqrt(max(np.vdot(residual, prepared), 0.0))) / size
+            error = math.sqrt(max(float(np.vdot(residual, prepared)), 0.0)) / size
             if error <= TOLERANCE:
                 return moved, step, iterations, True
             # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
@@ -207,3 +211,16 @@ class Solid:
                 break
             p = z + (rz / old) * p
         return way, iteration
+
+
+def shape_functions(order: int) -> tuple[Floats, Floats, Floats]:
+    """Quadratic shape functions at a rule of some order on the reference tetrahedron.
+
+    Values (q, 10), slopes (q, 10, 3), and weights (q,), whose sum is the volume 1/6.
+    """
+    skfem, _ = libraries()
+    points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, order)
+    found = [skfem.ElementTetP2().lbasis(points, node) for node in range(NODES)]
+    values = np.stack([value for value, _ in found], axis=1)
+    slopes = np.stack([slope for _, slope in found])
+    return values, np.ascontiguousarray(slopes.transpose(2, 0, 1)), weights
