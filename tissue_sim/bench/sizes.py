@@ -68,7 +68,7 @@ def sized(organ: Organ, reference: Organ) -> Sized:
 
 
 def interpolation(source: Organ, target: Organ) -> csr_array:
-    """Values at the target's surface nodes (m) of values at the source's (n): barycentric at the nearest place, (m, n)."""
+    """Values at the target's surface nodes of values at the source's, (m, n): barycentric at the nearest place."""
     triangles, points = source.surface_triangles, target.surface_positions
     corner = source.surface_positions[triangles]
     count = min(_CANDIDATES, len(triangles))
@@ -105,7 +105,7 @@ def at_size(organ: Organ, points: int) -> Organ:
 
 
 def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]) -> Organ:
-    """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with springs as the pipeline makes them.
+    """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs.
 
     A point is held where the organ's nearest one is.
     """

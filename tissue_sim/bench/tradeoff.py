@@ -178,7 +178,7 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
 def variants_of(organ: Organ, points: int, quick: bool) -> Variants:
     """The organs of one size."""
     plain = at_size(organ, points)
-    missing = "skipped: not calibrated"
+    missing = "not calibrated"
     return Variants(plain, missing, missing)
 
 
@@ -284,8 +284,8 @@ def text(found: dict[str, Any]) -> str:
     sharp = sum(load["kind"] == "sharp" for load in loads)
     depths = [load["largest_mm"] for load in loads]
     lines = [
-        f"organ '{found['organ']}', {found['surface_points']} surface points; {len(loads)} loads, {sharp} of them sharp,"
-        f" {min(depths):.1f} to {max(depths):.1f} mm deep",
+        f"organ '{found['organ']}', {found['surface_points']} surface points; {len(loads)} loads, {sharp} of them"
+        f" sharp, {min(depths):.1f} to {max(depths):.1f} mm deep",
         f"reference: {reference['name']}, {reference['nodes']} nodes"
         + (f", itself good to {own:.1f} %" if own is not None else "")
         + f"; its volume changes by {reference['volume_change_percent']:.2f} % in the mean",

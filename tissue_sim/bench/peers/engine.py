@@ -12,9 +12,8 @@ import numpy as np
 from tissue_sim.bench.timing import Burst
 from tissue_sim.organ.organ import Floats, Organ
 
-TOLERANCE = 1e-3  # of the largest displacement, that a settled engine may still move in REACTION
-REACTION = 0.1  # s
-LOOK = 0.02  # simulated s between two looks at whether an engine has settled
+TOLERANCE = 1e-3  # of its displacement, by which a settled engine's may still change from one look to the next
+LOOK = 0.1  # simulated s between two looks
 
 
 class Load(NamedTuple):
@@ -47,11 +46,18 @@ class Engine(Protocol):
         ...
 
 
-def settle_by_steps(step: Callable[[], float], surface: Callable[[], Floats], tick: float, longest: float) -> Answer:
+def settle_by_steps(
+    step: Callable[[], float],
+    surface: Callable[[], Floats],
+    tick: float,
+    longest: float,
+    tolerance: float = TOLERANCE,
+) -> Answer:
     """Step an engine until its surface stands still.
 
     step: does a step of `tick` s and returns the processor's seconds for it; surface: displacements (n, 3) m now;
     longest: simulated s after which it counts as not settled, as it does when a value is not finite.
+    tolerance: how much its displacement may change in 0.1 s, relative L2.
     """
     stride = max(1, round(LOOK / tick))
     before = np.zeros_like(surface())
@@ -62,8 +68,7 @@ def settle_by_steps(step: Callable[[], float], surface: Callable[[], Floats], ti
         now = surface()
         if not np.all(np.isfinite(now)):
             return Answer(before, seconds, False)
-        speed = float(np.abs(now - before).max()) / (stride * tick)
-        if speed * REACTION <= TOLERANCE * float(np.abs(now).max()):
+        if np.linalg.norm(now - before) <= tolerance * np.linalg.norm(now):
             return Answer(now, seconds, True)
         before = now.copy()
     return Answer(before, seconds, False)

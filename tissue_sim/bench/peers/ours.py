@@ -29,8 +29,9 @@ class Ours:
 
     @property
     def substeps(self) -> int:
-        """Substeps of the last tick."""
-        return int(self.simulation.state.count[st.SUBSTEPS])
+        """Substeps of a tick; of one of the local region where there is one."""
+        local = self.simulation.settings[st.LOCAL_REGION] != 0.0
+        return int(self.simulation.settings[st.REGION_SUBSTEPS if local else st.WANTED_SUBSTEPS])
 
     def settle(self, load: Load) -> Answer:
         """Where the model comes to rest."""

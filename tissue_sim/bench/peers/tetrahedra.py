@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from tissue_sim.calibration.fe_mesh import Grading, fill
 from tissue_sim.organ.organ import Floats, Ints, Organ
 
-UNGRADED = Grading(clamp=0, near=0, growth=math.inf, near_growth=math.inf)
+UNGRADED = Grading(clamp=-10, near=-10)  # edges a thousand times the surface's are wanted: Netgen's stay as they are
 PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 
 
@@ -33,8 +32,9 @@ class Tetrahedra(NamedTuple):
 
 def tetrahedra_of(organ: Organ) -> Tetrahedra:
     """The mesh of an organ; raises UserError without Netgen, or when it can't fill the surface."""
-    mesh = fill(organ, grading=UNGRADED).mesh
-    nodes, cells = np.ascontiguousarray(mesh.p.T), np.ascontiguousarray(mesh.t.T.astype(np.int32))
+    filling = fill(organ, grading=UNGRADED)
+    cells = np.ascontiguousarray(filling.elements[:, :4])
+    nodes = np.ascontiguousarray(filling.nodes[: cells.max() + 1])
     turned = volumes(nodes, cells) < 0.0
     cells[turned] = cells[turned][:, [0, 2, 1, 3]]
     return Tetrahedra(nodes, cells)

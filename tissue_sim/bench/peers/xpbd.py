@@ -23,6 +23,7 @@ from tissue_sim.organ.organ import Floats, Organ
 UNIT = 1e-6  # m
 DAMPING_RATE = 12.0  # 1/s: critical for the lowest mode of a kidney, so that it settles in a second
 DAMPED_EVERY = 0.005  # s
+TREMBLING = 2e-3  # of its displacement: it never stands quite still
 ITERATIONS = (1, 2)  # in a step, that tuning tries
 ROUNDS = 3  # of scaling the stiffness
 FEM_CONSTRAINTS = 3  # pypbd's number of the XPBD constraint of a tetrahedron's strain energy
@@ -72,7 +73,7 @@ class Xpbd:
         """Steps until the surface stands still."""
         self._reset()
         step = self._stepper(load)
-        return settle_by_steps(step, self._surface, self.update, self.longest)
+        return settle_by_steps(step, self._surface, self.update, self.longest, TREMBLING)
 
     def burst(self, load: Load) -> Burst:
         """Steps under the load."""
