@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Generator, Iterable, Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
-from tissue_sim.calibration.cholesky import Cholesky, Front, dissect
+from tissue_sim.calibration.cholesky import Cholesky, Front, NotPositive, dissect
 from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.neo_hookean import NODES, energy_and_forces, tangent
 from tissue_sim.organ.organ import Floats, Ints
@@ -23,6 +25,9 @@ MOST_STEPS = 60  # of Newton's method for one load step
 MOST_LOAD_STEPS = 64
 MOST_ITERATIONS = 400  # of conjugate gradients
 MOST_HALVINGS = 40
+WORN = 40  # iterations for a step, after which a new preconditioner costs less
+MOST_TOGETHER = 16  # loads that settle in step
+MEMORY = 5e8  # bytes of their matrices
 ROOM = 1e-4  # decrease of energy that a step must give, of what its slope promises (Armijo)
 
 
@@ -35,6 +40,9 @@ class Equilibrium(NamedTuple):
     iterations: int  # of conjugate gradients, in all
     least_det: float  # det F where the solid is compressed most
     converged: bool
+
+
+Settling = Generator[Floats, Floats, Equilibrium]
 
 
 class Solid:
@@ -139,12 +147,43 @@ class Solid:
         preconditioner, cut where curvature is negative (Steihaug 1983), and shortened until the energy falls. All of
         the load at once; halved where that fails.
         """
+        return next(self.settle_many([load]))
+
+    def settle_many(self, loads: Iterable[Floats]) -> Iterator[Equilibrium]:
+        """Equilibria under several loads, in their order, each as it is ready; see settle.
+
+        Several advance in step, so that the preconditioner serves them together: reading it takes most of the time.
+        """
+        room = max(1, min(MOST_TOGETHER, int(MEMORY / (9 * 8 * len(self._columns)))))
+        waiting = iter(enumerate(loads))
+        running: dict[int, tuple[Settling, Floats]] = {}
+        ready: dict[int, Equilibrium] = {}
+        following, more = 0, True
+        while more or running or ready:
+            while more and len(running) < room:
+                number, load = next(waiting, (-1, self.nodes))
+                more = number >= 0
+                if more:
+                    run = self._settling(load)
+                    _advance(number, run, None, running, ready)
+            if running:
+                residuals = np.stack([residual.ravel() for _, residual in running.values()], axis=1)
+                answers = self._factor.precondition(residuals)
+                for column, number in enumerate(list(running)):
+                    run, residual = running.pop(number)
+                    _advance(number, run, answers[:, column].reshape(residual.shape), running, ready)
+            while following in ready:
+                yield ready.pop(following)
+                following += 1
+
+    def _settling(self, load: Floats) -> Settling:
+        """Settle under one load; yields residuals (n, 3) N and is sent what the solid at rest makes of them."""
         displacement = np.zeros_like(self.nodes)
         done, share, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
         while done < 1.0 and load_steps < MOST_LOAD_STEPS:
             load_steps += 1
             wanted = min(1.0, done + share)
-            found, used, inner, converged = self._newton(displacement, wanted * load)
+            found, used, inner, converged = yield from self._newton(displacement, wanted * load)
             steps, iterations = steps + used, iterations + inner
             if converged:
                 displacement, done = found, wanted
@@ -152,25 +191,27 @@ class Solid:
                 share *= 0.5
         return Equilibrium(displacement, load_steps, steps, iterations, self.energy(displacement)[2], done >= 1.0)
 
-    def _newton(self, start: Floats, load: Floats) -> tuple[Floats, int, int, bool]:
+    def _newton(self, start: Floats, load: Floats) -> Generator[Floats, Floats, tuple[Floats, int, int, bool]]:
         held, moved, iterations = self.held, start.copy(), 0
         pull = np.where(held, 0.0, load)
-        size = math.sqrt(max(float(np.vdot(pull, self._prepared(pull))), 0.0))
+        size = math.sqrt(max(float(np.vdot(pull, (yield pull))), 0.0))
         if size == 0.0:
             return moved, 0, 0, True
         energy, inner, _ = self.energy(moved)
         potential = energy - np.vdot(load, moved)
-        before = None
+        before: float | None = None
+        factor: Cholesky | None = None  # in place of that at rest, when that serves no more
         for step in range(MOST_STEPS):
             residual = np.where(held, 0.0, load - inner)
-            prepared = self._prepared(residual)
-            error = math.sqrt(max(float(np.vdot(residual, prepared)), 0.0)) / size
+            # At rest's norm whatever the preconditioner, so that the tolerance means the same.
+            error = math.sqrt(max(float(np.vdot(residual, (yield residual))), 0.0)) / size
             if error <= TOLERANCE:
                 return moved, step, iterations, True
             # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
             forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
             before = error
-            way, used = self._direction(moved, residual, prepared, max(forcing, 0.1 * TOLERANCE / error))
+            forcing = max(forcing, 0.1 * TOLERANCE / error)
+            way, used = yield from self._direction(moved, residual, forcing, factor)
             iterations += used
             slope, length = float(np.vdot(residual, way)), 1.0
             for _ in range(MOST_HALVINGS):
@@ -184,33 +225,51 @@ class Solid:
             else:
                 return moved, step, iterations, False
             moved, potential = trial, potential + change
+            if used > WORN:
+                with contextlib.suppress(NotPositive):
+                    factor = self.factor(moved)
         return moved, MOST_STEPS, iterations, False
 
-    def _prepared(self, residual: Floats) -> Floats:
-        """What the linear solid makes of a residual (n, 3) N: the preconditioner."""
-        return self._factor.precondition(residual.ravel()).reshape(residual.shape)
-
-    def _direction(self, moved: Floats, residual: Floats, z: Floats, forcing: float) -> tuple[Floats, int]:
+    def _direction(
+        self, moved: Floats, residual: Floats, forcing: float, factor: Cholesky | None
+    ) -> Generator[Floats, Floats, tuple[Floats, int]]:
         """Newton's direction by conjugate gradients, to `forcing` of the residual in the preconditioner's norm."""
         matrix, held = self.tangent(moved), self.held
-        way, r, p = np.zeros_like(residual), residual.copy(), z.copy()
-        rz = float(np.vdot(r, z))
-        enough = forcing**2 * rz
-        for iteration in range(1, MOST_ITERATIONS + 1):
+        way, r, p = np.zeros_like(residual), residual.copy(), np.zeros_like(residual)
+        old = enough = 0.0
+        for iteration in range(MOST_ITERATIONS + 1):
+            z = (yield r) if factor is None else factor.precondition(r.reshape(-1, 1)).reshape(r.shape)
+            rz = float(np.vdot(r, z))
+            if iteration == 0:
+                p, enough = z, forcing**2 * rz
+            elif rz <= enough or iteration == MOST_ITERATIONS:
+                break
+            else:
+                p = z + (rz / old) * p
+            old = rz
             q = (matrix @ p.ravel()).reshape(p.shape)
             q[held] = 0.0
             curvature = float(np.vdot(p, q))
             if curvature <= 0.0:
-                return (p if iteration == 1 else way), iteration
+                return (p if iteration == 0 else way), iteration + 1
             alpha = rz / curvature
             way += alpha * p
-            r -= alpha * q
-            z = self._prepared(r)
-            rz, old = float(np.vdot(r, z)), rz
-            if rz <= enough:
-                break
-            p = z + (rz / old) * p
+            r = r - alpha * q
         return way, iteration
+
+
+def _advance(
+    number: int,
+    run: Settling,
+    answer: Floats | None,
+    running: dict[int, tuple[Settling, Floats]],
+    ready: dict[int, Equilibrium],
+) -> None:
+    """Let one load's settling go on to its next question, or to its end."""
+    try:
+        running[number] = run, (next(run) if answer is None else run.send(answer))
+    except StopIteration as end:
+        ready[number] = end.value
 
 
 def shape_functions(order: int) -> tuple[Floats, Floats, Floats]:
