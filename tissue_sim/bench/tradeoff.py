@@ -30,7 +30,7 @@ from tissue_sim.organ.shipped import shipped_organ
 
 POINTS = (250, 500, 2000, 4000)  # surface points, beside the organ's own
 FEWEST, MOST = 100, 20_000
-LOADS, QUICK_LOADS = (12, 4), (4, 2)  # smooth and sharp ones
+LOADS, QUICK_LOADS = (12, 4), (3, 1)  # smooth and sharp ones
 TUNING = 2  # loads that an engine with parameters of its own is tuned on; drawn apart from the others
 SEED, TUNING_SEED = 20061, 20062
 NOISE = "noise"
@@ -131,6 +131,17 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
         size = sized(variants.plain, organ)
         thorough = count == organ.n_surface and not quick
         rows += [(row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], thorough=thorough)]
+    measured, noise = measure_rows(rows, cases, 0.2 if quick else 1.0)
+    return Found(measured, cases, body.n_nodes, None, noise.p99 / noise.median)
+
+
+def measure_rows(
+    rows: Sequence[tuple[Row, Sized]], cases: Sequence[Case], seconds: float
+) -> tuple[list[Measured], Timing]:
+    """Settle every row under every load, then time the updates of all in turns, `seconds` each; a fixed loop's time.
+
+    What can't be made is skipped, and the remark says why.
+    """
     bursts: dict[str, Burst] = {NOISE: noise_burst}
     measured: list[Measured] = []
     for number, (row, size) in enumerate(tqdm(rows, desc="rows", unit="row")):
@@ -148,10 +159,8 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
         errors = [error_of(engine, case, size) for case in cases]
         measured.append(Measured(row.name, row.ours, row.points, remark, errors, None, engine.update))
         bursts[str(number)] = engine.burst(load_of(cases[0], size))
-    timings = interleave(Phase(bursts, 0.2 if quick else 1.0, "updates"))
-    noise = timings[NOISE]
-    rows_timed = [row._replace(update=timings.get(str(number))) for number, row in enumerate(measured)]
-    return Found(rows_timed, cases, body.n_nodes, None, noise.p99 / noise.median)
+    timings = interleave(Phase(bursts, seconds, "updates"))
+    return [row._replace(update=timings.get(str(number))) for number, row in enumerate(measured)], timings[NOISE]
 
 
 def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], list[Case]]:
@@ -159,20 +168,23 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
 
     Raises UserError when it doesn't settle under a load.
     """
-    drawn = held_out_cases(organ, smooth, sharp, SEED), held_out_cases(organ, TUNING, 0, TUNING_SEED)
-    loaded = np.flatnonzero(np.any(np.concatenate([cases.force for cases in drawn]) != 0.0, axis=(0, 2)))
-    body = Body(organ, loaded)
-    found = []
-    for cases, seed in zip(drawn, (SEED, TUNING_SEED), strict=True):
+    body = Body(organ)
+    drawn: list[tuple[str, Floats]] = []
+    for cases, seed in (
+        (held_out_cases(organ, smooth, sharp, SEED), SEED),
+        (held_out_cases(organ, TUNING, 0, TUNING_SEED), TUNING_SEED),
+    ):
         scaled = scale_to_depth(cases, body.settle_linear(cases.force), organ, seed)
-        answers = []
-        for kind, force in zip(scaled.kind, tqdm(scaled.force, desc="reference", unit="load"), strict=True):
-            settled = body.settle(force)
-            if not settled.converged:
-                raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")
-            answers.append(Case(kind, force, settled.displacement, settled.volume_change))
-        found.append(answers)
-    return body, found[0], found[1]
+        drawn += zip(scaled.kind, scaled.force, strict=True)
+    answers = body.settle_many(force for _, force in drawn)
+    found = []
+    for (kind, force), answer in zip(
+        drawn, tqdm(answers, desc="reference", total=len(drawn), unit="load"), strict=True
+    ):
+        if not answer.converged:
+            raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")
+        found.append(Case(kind, force, answer.displacement, answer.volume_change))
+    return body, found[: smooth + sharp], found[smooth + sharp :]
 
 
 def variants_of(organ: Organ, points: int, quick: bool) -> Variants:
@@ -267,14 +279,16 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
-    """Which of pairs of costs no other pair undercuts in one without exceeding it in the other; None is never one."""
+    """Which pairs of time and error no other undercuts in one without exceeding them in the other; None is none.
+
+    Errors that differ by less than a thousandth are the same.
+    """
+    known = [(time, float(f"{error:.3g}")) for time, error in costs if time is not None and error is not None]
 
     def beaten(time: float, error: float) -> bool:
-        return any(
-            t is not None and e is not None and t <= time and e <= error and (t < time or e < error) for t, e in costs
-        )
+        return any(t <= time and e <= error and (t < time or e < error) for t, e in known)
 
-    return [time is not None and error is not None and not beaten(time, error) for time, error in costs]
+    return [time is not None and error is not None and not beaten(time, float(f"{error:.3g}")) for time, error in costs]
 
 
 def text(found: dict[str, Any]) -> str:

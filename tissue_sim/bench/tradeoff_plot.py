@@ -47,7 +47,8 @@ def _draw(found: dict[str, Any]) -> Any:
             *zip(*front, strict=True), where="post", color=_FRONT, linewidth=2.5, alpha=0.35, label="Pareto front"
         )
     axis.axvline(1.0, color=_LIMIT, linestyle=":", linewidth=1.0)
-    axis.annotate("real time", (1.0, 1.0), (3, -10), "axes fraction", textcoords="offset points", fontsize=7)
+    beside: dict[str, Any] = {"xycoords": axis.get_xaxis_transform(), "textcoords": "offset points", "fontsize": 7}
+    axis.annotate("real time", (1.0, 0.98), (-3, 0), ha="right", rotation=90, va="top", **beside)
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_xlabel("processor time for a simulated ms (ms), one thread")

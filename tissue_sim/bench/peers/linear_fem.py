@@ -31,17 +31,22 @@ class LinearTetrahedra:
         matrix = linear_elasticity(*lame_parameters(organ.youngs_modulus, organ.poisson_ratio)).assemble(basis)
         free = np.ones((len(mesh.nodes), 3), dtype=bool)
         free[organ.fixed] = False
-        axes = np.asarray(basis.nodal_dofs.T)[free]  # skfem's number of each free axis
-        self._nodes, self._free = len(mesh.nodes), free
-        matrix = matrix.tocsr()[axes][:, axes].tocsc()
+        axes = np.asarray(basis.nodal_dofs.T).ravel()  # skfem's number of each axis
+        self.free = free  # (p, 3) axes that move
+        self.stiffness = matrix.tocsr()[axes][:, axes]  # (3p, 3p) N/m
+        inside = self.stiffness[free.ravel()][:, free.ravel()].tocsc()
         options = {"SymmetricMode": True}
-        self._factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        self._factors = splu(inside, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
     def settle(self, load: Load) -> Answer:
         """One solve."""
-        found = np.zeros((self._nodes, 3))
+        found = np.zeros(self.free.shape)
         right = self._right(load)
-        seconds = timed(lambda: found.__setitem__(self._free, self._factors.solve(right)))
+
+        def solve() -> None:
+            found[self.free] = self._factors.solve(right)
+
+        seconds = timed(solve)
         return Answer(found[: self.organ.n_surface], seconds, True)
 
     def burst(self, load: Load) -> Burst:
@@ -50,9 +55,9 @@ class LinearTetrahedra:
         return lambda count: time_calls(lambda: self._factors.solve(right), count)
 
     def _right(self, load: Load) -> Floats:
-        forces = np.zeros((self._nodes, 3))
+        forces = np.zeros(self.free.shape)
         forces[: self.organ.n_surface] = load.force
-        return forces[self._free]
+        return forces[self.free]
 
 
 class QuadraticTetrahedra:

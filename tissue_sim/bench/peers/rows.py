@@ -67,7 +67,7 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> It
         yield ours(f"{CALIBRATED}, implicit", springs, integrator="implicit")
     yield ours("local region, frozen", springs, local_region="frozen")
     yield ours("local region, modal", springs, local_region="modal")
-    shared = _Shared(plain, tuning)
+    shared = _Shared(plain, tuning, (1, 2) if thorough else (1,))
 
     def peer(name: str, make: Callable[..., tuple[Engine, str]], *arguments: Any) -> Row:
         return Row(name, False, points, partial(make, *arguments))
@@ -99,8 +99,8 @@ def _ours(organ: Organ | str, *, finer: int = 1, **options: Any) -> tuple[Engine
 class _Shared:
     """The peers of one size, and what they share, made when it is first asked for."""
 
-    def __init__(self, organ: Organ, tuning: Sequence[Load]) -> None:
-        self.organ, self.tuning = organ, tuning
+    def __init__(self, organ: Organ, tuning: Sequence[Load], iterations: Sequence[int]) -> None:
+        self.organ, self.tuning, self.iterations = organ, tuning, iterations
 
     @cached_property
     def mesh(self) -> Tetrahedra:
@@ -128,7 +128,7 @@ class _Shared:
         return Mujoco(self.organ, self.mesh, step), f"{len(self.mesh.nodes)} nodes, implicit, CG"
 
     def xpbd(self) -> tuple[Engine, str]:
-        settings = tuned(self.organ, self.mesh, self.tuning)
+        settings = tuned(self.organ, self.mesh, self.tuning, self.iterations)
         remark = f"{settings.iterations} iteration{'s' if settings.iterations > 1 else ''}"
         remark += f", stiffness {settings.stiffness:.2f} E, tuned on {len(self.tuning)} other loads"
         return Xpbd(self.organ, self.mesh, settings), remark
