@@ -1,0 +1,218 @@
+"""Load cases: what the calibration fits, and, drawn and built another way, what it is judged by.
+
+Which nodes a case may be centred on is settled first, by a seed of its own: the fit never sees a load at a held-out
+centre, nor the held-out loads' profile, directions or sizes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.surfaces.remesh import vertex_normals
+from tissue_sim.organ.topology import triangle_area
+
+Longs = NDArray[np.int64]
+
+HELD_OUT_SHARE = 0.3  # of the nodes that may be pressed
+HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of the fit's seed
+CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch
+FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
+NEAR_CLAMP = 0.25  # of the centres: those nearest to the clamp, where every third case of the fit lies
+SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
+DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
+SHARP_TRACTION = (0.2, 0.4)  # of Young's modulus, on a node and its neighbours: 0.1 to 0.2 N on the kidney
+MOST_TRACTION = 0.4  # of Young's modulus, at any node: near the clamp a depth of 12 mm would crush the tissue
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """Loads on the surface, of which some belong to one case: c cases, n surface nodes."""
+
+    force: Floats  # (c, n, 3) N
+    centre: list[Longs]  # (c,) of the patches' centre nodes
+    kind: list[str]  # (c,) normal, tangential, oblique, pulling, many, sharp
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def scaled(self, factor: Floats) -> Cases:
+        """The same cases with their forces times factor (c,)."""
+        return replace(self, force=self.force * factor[:, None, None])
+
+    def chosen(self, index: Longs) -> Cases:
+        """Some of the cases, by index."""
+        return Cases(self.force[index], [self.centre[i] for i in index], [self.kind[i] for i in index])
+
+
+class Surface(NamedTuple):
+    """What patches are drawn on."""
+
+    positions: Floats  # (n, 3) m
+    normal: Floats  # (n, 3) outward
+    area: Floats  # (n,) m^2, a third of the triangles around
+    ring: list[Longs]  # neighbours of each node along edges, and itself
+    free: NDArray[np.bool_]  # (n,)
+
+
+def surface_of(organ: Organ) -> Surface:
+    """Normals, areas and neighbours of the organ's surface nodes."""
+    positions, triangles = organ.surface_positions, organ.surface_triangles
+    n = len(positions)
+    area = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    pairs = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)])
+    pairs = np.unique(pairs, axis=0)
+    ring = np.split(pairs[:, 1], np.flatnonzero(np.diff(pairs[:, 0])) + 1)
+    free = np.ones(n, dtype=bool)
+    free[organ.fixed] = False
+    area = np.bincount(triangles.ravel(), weights=area, minlength=n)
+    return Surface(positions, vertex_normals(positions, triangles), area, ring, free)
+
+
+def split_centres(organ: Organ) -> tuple[Longs, Longs]:
+    """Centres for the fit and held-out centres: disjoint, the same for every seed of the fit.
+
+    Nodes nearer to the clamp than 6 mm are neither. Raises UserError when fewer than 20 nodes are left.
+    """
+    positions = organ.surface_positions
+    far = np.ones(organ.n_surface, dtype=bool)
+    if len(organ.fixed):
+        far = cKDTree(positions[organ.fixed]).query(positions)[0] > CLEARANCE
+    nodes = np.flatnonzero(far)
+    if len(nodes) < 20:
+        raise UserError(f"organ '{organ.name}' has {len(nodes)} nodes away from its clamp; calibration needs 20")
+    mixed = np.random.default_rng(HELD_OUT_SEED).permutation(nodes)
+    held = max(1, round(HELD_OUT_SHARE * len(nodes)))
+    return np.sort(mixed[held:]), np.sort(mixed[:held])
+
+
+def fit_cases(organ: Organ, count: int, seed: int) -> Cases:
+    """`count` cases for the fit: uniform tractions of 1 N on patches of five sizes.
+
+    Of ten cases four press along the normal, two obliquely, one along the surface, one pulls, two have several
+    patches at once. Every third lies near the clamp: small errors there turn the whole organ.
+    """
+    surface, centres = surface_of(organ), split_centres(organ)[0]
+    random = np.random.default_rng([seed, 1])
+    kinds = ("normal", "oblique", "many", "normal", "pulling", "normal", "tangential", "many", "normal", "oblique")
+    spread = _spread(surface.positions, centres, count, random)
+    near = _nearest_to_clamp(organ, centres)
+    spread[::3] = _spread(surface.positions, near, len(spread[::3]), random)
+    force, centre, kind = np.zeros((count, organ.n_surface, 3)), [], []
+    for case in range(count):
+        kind.append(kinds[case % len(kinds)])
+        at = spread[case : case + 1]
+        if kind[-1] == "many":
+            at = np.concatenate([at, random.choice(centres, random.integers(1, 6))])
+        for node in at:
+            what = kind[-1] if kind[-1] != "many" else ("normal", "oblique", "pulling")[random.integers(3)]
+            nodes = _patch(surface, node, FIT_RADII[random.integers(len(FIT_RADII))])
+            share = surface.area[nodes] / surface.area[nodes].sum()
+            push = _direction(surface.normal[nodes].mean(axis=0), what, random)
+            size = random.uniform(0.5, 1.5) if len(at) > 1 else 1.0
+            force[case, nodes] += size * share[:, None] * push
+        centre.append(at)
+    return Cases(force, centre, kind)
+
+
+def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_SEED) -> Cases:
+    """Cases for judging: `smooth` bumps of 9-13 mm, then `sharp` loads on a node and its neighbours; 1 N each.
+
+    A bump's traction is (1 - (r/R)^2)^2 and leans away from the normal by up to 75 degrees; every fifth pulls,
+    every tenth is two bumps.
+    """
+    surface, centres = surface_of(organ), split_centres(organ)[1]
+    random = np.random.default_rng([seed, 2])
+    spread = _spread(surface.positions, centres, smooth + sharp, random)
+    force, centre, kind = np.zeros((smooth + sharp, organ.n_surface, 3)), [], []
+    for case in range(smooth):
+        pair, pulls = case % 10 == 9, case % 5 == 4
+        at = np.concatenate([spread[case : case + 1], random.choice(centres, 1)]) if pair else spread[case : case + 1]
+        for node in at:
+            radius = random.uniform(*SMOOTH_RADIUS)
+            reach = np.linalg.norm(surface.positions - surface.positions[node], axis=1) / radius
+            facing = surface.normal @ surface.normal[node] > 0.0
+            weight = np.where((reach < 1.0) & facing & surface.free, (1.0 - reach**2) ** 2, 0.0) * surface.area
+            lean = np.radians(75.0) * np.sqrt(random.uniform())
+            push = _lean(-surface.normal[node], lean, random)
+            force[case] += (-1.0 if pulls and not pair else 1.0) * (weight / weight.sum())[:, None] * push
+        centre.append(at)
+        kind.append("two bumps" if pair else "pulling bump" if pulls else "bump")
+    for case in range(smooth, smooth + sharp):
+        node = spread[case]
+        nodes = _patch(surface, node, 0.0)
+        push = _lean(-surface.normal[node], np.radians(30.0) * random.uniform(), random)
+        force[case, nodes] = push / len(nodes)
+        centre.append(spread[case : case + 1])
+        kind.append("sharp")
+    return Cases(force, centre, kind)
+
+
+def scale_to_depth(cases: Cases, compliance: Floats, organ: Organ, seed: int) -> Cases:
+    """Cases of 1 N scaled so that the linear body gives by a depth drawn from 2 to 12 mm, its largest displacement.
+
+    compliance (c, n, 3) m: the linear body's answer to the cases as they are. The traction stays under half of Young's
+    modulus. Sharp cases get a traction of 0.2 to 0.4 of it instead, as far as the body gives by no more than 12 mm.
+    """
+    random = np.random.default_rng([seed, 3])
+    area = surface_of(organ).area
+    reach = np.linalg.norm(compliance, axis=2).max(axis=1)
+    traction = (np.linalg.norm(cases.force, axis=2) / area).max(axis=1) / organ.youngs_modulus
+    depth = random.uniform(*DEPTH, len(cases)) / reach
+    pressed = random.uniform(*SHARP_TRACTION, len(cases)) / traction
+    sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
+    most = np.minimum(MOST_TRACTION / traction, DEPTH[1] / reach)
+    return cases.scaled(np.minimum(np.where(sharp, pressed, depth), most))
+
+
+def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:
+    """The quarter of the nodes that is nearest to the clamp; all of them without one."""
+    if not len(organ.fixed):
+        return nodes
+    apart = cKDTree(organ.surface_positions[organ.fixed]).query(organ.surface_positions[nodes])[0]
+    return nodes[np.argsort(apart, kind="stable")[: max(1, round(NEAR_CLAMP * len(nodes)))]]
+
+
+def _spread(positions: Floats, nodes: Longs, count: int, random: np.random.Generator) -> Longs:
+    """`count` of the nodes, spread over the surface: farthest points first, all of them before one comes again."""
+    order: list[int] = []
+    while len(order) < count:
+        chosen = [int(random.integers(len(nodes)))]
+        apart = np.linalg.norm(positions[nodes] - positions[nodes[chosen[0]]], axis=1)
+        while len(chosen) < min(count - len(order), len(nodes)):
+            chosen.append(int(np.argmax(apart)))
+            apart = np.minimum(apart, np.linalg.norm(positions[nodes] - positions[nodes[chosen[-1]]], axis=1))
+        order += [int(nodes[i]) for i in random.permutation(chosen)]
+    return np.array(order, dtype=np.int64)
+
+
+def _patch(surface: Surface, node: int, radius: float) -> Longs:
+    """Free nodes within a radius, m, of a node on its side of the organ; with its neighbours at the least."""
+    near = np.linalg.norm(surface.positions - surface.positions[node], axis=1) < radius
+    near &= surface.normal @ surface.normal[node] > 0.0
+    near[surface.ring[node]] = True
+    return np.flatnonzero(near & surface.free)
+
+
+def _direction(normal: Floats, kind: str, random: np.random.Generator) -> Floats:
+    """Unit vector of a push on a patch with an outward normal."""
+    inward = -normal / np.linalg.norm(normal)
+    if kind == "oblique":
+        return _lean(inward, np.radians(random.uniform(20.0, 60.0)), random)
+    if kind == "tangential":
+        return _lean(inward, np.radians(90.0), random)
+    return -inward if kind == "pulling" else inward
+
+
+def _lean(axis: Floats, angle: float, random: np.random.Generator) -> Floats:
+    """Unit vector at an angle, rad, from a unit vector, turned about it at random."""
+    across = random.standard_normal(3)
+    across -= (across @ axis) * axis
+    return np.cos(angle) * axis + np.sin(angle) * across / np.linalg.norm(across)

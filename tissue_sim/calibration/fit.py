@@ -1,0 +1,159 @@
+"""Fit of every spring's stiffness to settled displacements of the finite-element body.
+
+Force balance alone is a poor guide (a small residual of forces may be a large error of displacements), so the misfit
+is that of the settled surface; its slope by every stiffness comes from one adjoint solve for each case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.optimize import minimize
+
+from tissue_sim.calibration.static import Factor, Springs, settle
+from tissue_sim.organ.organ import Floats
+
+BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
+SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
+SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
+MEMORY = 20  # steps that L-BFGS remembers
+_LOOSE = 1e-6  # residual force over load, in a fit
+_LOST = 1e3  # loss of a stiffness under which a case finds no rest
+
+
+class Evaluation(NamedTuple):
+    """Misfit at some stiffness: the mean square of the cases' relative errors."""
+
+    loss: float
+    slope: Floats  # (p,) of the loss by each stiffness
+    error: Floats  # (c,) relative L2, |u - u_wanted| / |u_wanted| over the surface
+
+
+class Misfit(Protocol):
+    """Anything that tells the misfit at stiffness (p,) N/m."""
+
+    def evaluate(self, stiffness: Floats) -> Evaluation:
+        """Loss, slope and errors."""
+        ...
+
+
+class LinearMisfit:
+    """Misfit of the model's linear response about rest, all cases at once.
+
+    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m.
+    """
+
+    def __init__(self, springs: Springs, force: Floats, wanted: Floats) -> None:
+        self._springs = springs
+        rows, self._owner = springs.strain_rows()
+        self._rows = rows.tocsr()
+        free, inside = springs.free, springs.free < 3 * springs.n_surface
+        self._inside = inside
+        self._wanted = np.ascontiguousarray(wanted.reshape(len(wanted), -1)[:, free[inside]].T)
+        self._weight = 1.0 / np.sum(self._wanted**2, axis=0)
+        self._load = np.zeros((len(free), len(force)))
+        self._load[inside] = force.reshape(len(force), -1)[:, free[inside]].T
+
+    def evaluate(self, stiffness: Floats) -> Evaluation:
+        """Loss, slope and errors; one factorisation, two solves."""
+        factor = Factor(self._springs.rest_tangent(stiffness))
+        answer = factor.solve(self._load)
+        off = answer[self._inside] - self._wanted
+        square = np.sum(off**2, axis=0) * self._weight
+        pull = np.zeros_like(answer)
+        pull[self._inside] = 2.0 / len(square) * off * self._weight
+        adjoint = factor.solve(pull)
+        slope = -np.einsum("rc,rc->r", self._rows @ adjoint, self._rows @ answer)
+        return Evaluation(
+            float(square.mean()), np.bincount(self._owner, slope, len(stiffness)), np.sqrt(np.maximum(square, 0.0))
+        )
+
+
+class NonlinearMisfit:
+    """Misfit of the model's settled shapes, case by case; each starts where it last came to rest.
+
+    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m; threads: cases settled at a time.
+    """
+
+    def __init__(self, springs: Springs, force: Floats, wanted: Floats, threads: int = 2) -> None:
+        self._springs, self._force, self._wanted, self._threads = springs, force, wanted, threads
+        self._weight = 1.0 / np.sum(wanted**2, axis=(1, 2))
+        self.position: list[Floats | None] = [None] * len(force)
+        self._factor: list[Factor | None] = [None] * len(force)
+
+    def evaluate(self, stiffness: Floats) -> Evaluation:
+        """Loss, slope and errors. A case that finds no rest makes the loss so large that no search stays there."""
+        with ThreadPoolExecutor(self._threads) as pool:
+            cases = list(pool.map(lambda case: self._case(stiffness, case), range(len(self._force))))
+        square = np.array([found[0] for found in cases])
+        slope = np.sum([found[1] for found in cases], axis=0) / len(cases)
+        for case, (_, _, position, factor) in enumerate(cases):
+            if factor is not None:
+                self.position[case], self._factor[case] = position, factor
+        return Evaluation(float(square.mean()), slope, np.sqrt(square))
+
+    def _case(self, stiffness: Floats, case: int) -> tuple[float, Floats, Floats, Factor | None]:
+        """Squared error, its slope, the shape of one case and its factored tangent."""
+        springs, start = self._springs, self.position[case]
+        settled, factor = settle(springs, stiffness, self._force[case], start, self._factor[case], _LOOSE)
+        if factor is None and start is not None:
+            settled, factor = settle(springs, stiffness, self._force[case], None, None, _LOOSE)
+        if factor is None:
+            return _LOST, np.zeros_like(stiffness), settled.position, None
+        surface = slice(springs.n_surface)
+        off = settled.position[surface] - springs.rest[surface] - self._wanted[case]
+        pull = np.zeros_like(settled.position)
+        pull[surface] = 2.0 * self._weight[case] * off
+        adjoint = np.zeros(pull.size)
+        adjoint[springs.free] = factor.solve(pull.ravel()[springs.free])
+        slope = -springs.sensitivity(settled.position, adjoint.reshape(pull.shape))
+        return float(np.sum(off**2) * self._weight[case]), slope, settled.position, factor
+
+
+def fit(
+    start: Floats,
+    trace: Floats,
+    misfits: Sequence[tuple[float, Misfit]],
+    iterations: int,
+    prior: Floats | None = None,
+    watch: Callable[[int, list[Evaluation]], None] | None = None,
+    shrink: float = SHRINK,
+    soften: float = SOFTEN,
+) -> Floats:
+    """Stiffnesses (p,) N/m of the least weighted misfit, from those at the start, by L-BFGS on their logarithms.
+
+    trace (p,): what each unit of stiffness adds to the trace of the stiffness matrix; misfits: each with its weight;
+    iterations: evaluations at the most; prior: stiffness towards which what isn't told is drawn, the start by default;
+    watch: told the number of every evaluation and what it found.
+    """
+    prior = start if prior is None else prior
+    total = float(trace @ prior)
+    count = 0
+
+    def objective(logarithm: Floats) -> tuple[float, Floats]:
+        nonlocal count
+        stiffness = prior * np.exp(logarithm)
+        found = [misfit.evaluate(stiffness) for _, misfit in misfits]
+        loss = shrink * float(np.mean(logarithm**2)) + soften * float(trace @ stiffness) / total
+        slope = 2.0 * shrink / len(logarithm) * logarithm + soften / total * trace * stiffness
+        for (weight, _), evaluation in zip(misfits, found, strict=True):
+            loss += weight * evaluation.loss
+            slope = slope + weight * evaluation.slope * stiffness
+        count += 1
+        if watch is not None:
+            watch(count, found)
+        return loss, slope
+
+    best = minimize(
+        objective,
+        np.clip(np.log(start / prior), *BOUNDS),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[BOUNDS] * len(start),
+        options={"maxfun": iterations, "maxiter": iterations, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10},
+    )
+    stiffness: Floats = prior * np.exp(best.x)
+    return stiffness
