@@ -4,7 +4,7 @@
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
-EXTRAS := ros,image,viewer,bench,test
+EXTRAS := ros,image,viewer,calibration,bench,test
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
 unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH

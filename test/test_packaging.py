@@ -41,6 +41,8 @@ GPL_FAMILY = re.compile(r"GPL|General Public License|Affero|SSPL", re.IGNORECASE
 # Distributions whose metadata names a licence of the GPL family, and why they may stay.
 CLEARED = {
     "pygame": "LGPL, unchanged and linked dynamically; comes with pypbd, for benchmarks alone",
+    "netgen-mesher": "LGPL-2.1, unchanged and linked dynamically; for calibration alone",
+    "netgen-occt": "LGPL-2.1, as netgen-mesher, which brings it",
     "docutils": "public domain and BSD; the GPL covers an Emacs mode that is not in the wheel; comes with colcon",
 }
 

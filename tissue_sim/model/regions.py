@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import add_contact_impulses
 from tissue_sim.model.state import (
@@ -90,7 +90,7 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
     scratch.stale[0] = 0
 
 
-@kernel
+@part
 def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
     count = state.count
@@ -130,7 +130,7 @@ def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     state.count[REGION] = WHOLE
 
 
-@kernel
+@part
 def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """From here on a modal region around the load moves, and the rest of the organ from where it is."""
     modal_region.forget_region(state)

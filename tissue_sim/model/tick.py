@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
 from tissue_sim.model.forces import elastic_forces
@@ -62,7 +62,7 @@ CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four tim
 EXPLICIT, IMPLICIT = 1.0, 2.0
 
 
-@kernel
+@part
 def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Advance the organ by one tick of settings[TICK_TIME] seconds."""
     count = state.count
