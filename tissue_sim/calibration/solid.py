@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -21,7 +20,8 @@ QUADRATURE = 2  # order: four points, exact for the products of strains of strai
 MASS_QUADRATURE = 7  # elements at quarter points included
 AT_ONCE = 64  # right-hand sides solved together
 TOLERANCE = 1e-6  # of the load, in the energy norm of the solid at rest
-MOST_STEPS = 60  # of Newton's method for one load step
+MOST_STEPS = 80  # of Newton's method for one load step
+QUICK = 6  # steps, after which the next load step is twice as large
 MOST_LOAD_STEPS = 64
 MOST_ITERATIONS = 400  # of conjugate gradients
 MOST_HALVINGS = 40
@@ -98,13 +98,17 @@ class Solid:
         return self.tangent(np.zeros_like(self.nodes))
 
     @cached_property
-    def mass(self) -> csr_array:
-        """Consistent mass (n, n) kg, the same for all three axes."""
+    def _element_masses(self) -> Floats:
         values, slopes, weights = shape_functions(MASS_QUADRATURE)
         jacobian = np.einsum("eax,qar->eqxr", self.nodes[self.elements], slopes)
         weight = self.density * np.abs(np.linalg.det(jacobian)) * weights
-        matrices = np.einsum("eq,qa,qb->eab", weight, values, values, optimize=True)
-        found = np.bincount(self._slots.ravel(), matrices.ravel(), len(self._columns))
+        matrices: Floats = np.einsum("eq,qa,qb->eab", weight, values, values, optimize=True)
+        return matrices
+
+    @cached_property
+    def mass(self) -> csr_array:
+        """Consistent mass (n, n) kg, the same for all three axes."""
+        found = np.bincount(self._slots.ravel(), self._element_masses.ravel(), len(self._columns))
         n = len(self.nodes)
         return csr_array((found, self._columns, self._row_start), shape=(n, n))
 
@@ -116,8 +120,11 @@ class Solid:
     def _fronts(self) -> list[Front]:
         return dissect(self.elements, self.nodes[self.elements[:, :4]].mean(axis=1), self.held)
 
-    def factor(self, displacement: Floats) -> Cholesky:
-        """Cholesky factor of the stiffness about a displaced state (n, 3) m; raises NotPositive."""
+    def factor(self, displacement: Floats, shift: float = 0.0) -> Cholesky:
+        """Cholesky factor of the stiffness about a displaced state (n, 3) m, plus `shift` 1/s^2 times the mass.
+
+        Raises NotPositive.
+        """
 
         def matrices(cells: Ints) -> Floats:
             count = len(cells)
@@ -125,6 +132,8 @@ class Solid:
             slots = np.arange(len(blocks), dtype=np.int32).reshape(count, NODES, NODES)
             chosen = self.elements[cells], self._slopes, self._inverse[cells], self._weight[cells]
             tangent(displacement, *chosen, self.mu, self.lam, slots, blocks)
+            if shift:
+                blocks += shift * self._element_masses[cells].reshape(-1, 1, 1) * np.eye(3)
             apart = blocks.reshape(count, NODES, NODES, 3, 3).transpose(0, 1, 3, 2, 4)
             return np.ascontiguousarray(apart).reshape(count, 3 * NODES, 3 * NODES)
 
@@ -180,33 +189,49 @@ class Solid:
         """Settle under one load; yields residuals (n, 3) N and is sent what the solid at rest makes of them."""
         displacement = np.zeros_like(self.nodes)
         done, share, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
+        factor: Cholesky | None = None
         while done < 1.0 and load_steps < MOST_LOAD_STEPS:
             load_steps += 1
             wanted = min(1.0, done + share)
-            found, used, inner, converged = yield from self._newton(displacement, wanted * load)
+            start = displacement, wanted * load, factor
+            found, used, inner, converged, factor = yield from self._newton(*start)
             steps, iterations = steps + used, iterations + inner
             if converged:
                 displacement, done = found, wanted
+                share *= 2.0 if used <= QUICK else 1.0
             else:
                 share *= 0.5
+                factor = self._factor_or(displacement, None)
         return Equilibrium(displacement, load_steps, steps, iterations, self.energy(displacement)[2], done >= 1.0)
 
-    def _newton(self, start: Floats, load: Floats) -> Generator[Floats, Floats, tuple[Floats, int, int, bool]]:
+    def _factor_or(self, displacement: Floats, other: Cholesky | None) -> Cholesky | None:
+        """Factor about a displaced state, or the other where that state is unstable."""
+        try:
+            return self.factor(displacement)
+        except NotPositive:
+            return other
+
+    def _newton(
+        self, start: Floats, load: Floats, factor: Cholesky | None
+    ) -> Generator[Floats, Floats, tuple[Floats, int, int, bool, Cholesky | None]]:
+        """Newton's method from a state (n, 3) m; a factor serves as preconditioner in place of that at rest.
+
+        Returns the state, steps, iterations, whether it converged, and the last factor.
+        """
         held, moved, iterations = self.held, start.copy(), 0
         pull = np.where(held, 0.0, load)
         size = math.sqrt(max(float(np.vdot(pull, (yield pull))), 0.0))
         if size == 0.0:
-            return moved, 0, 0, True
+            return moved, 0, 0, True, factor
         energy, inner, _ = self.energy(moved)
         potential = energy - np.vdot(load, moved)
         before: float | None = None
-        factor: Cholesky | None = None  # in place of that at rest, when that serves no more
         for step in range(MOST_STEPS):
             residual = np.where(held, 0.0, load - inner)
             # At rest's norm whatever the preconditioner, so that the tolerance means the same.
             error = math.sqrt(max(float(np.vdot(residual, (yield residual))), 0.0)) / size
             if error <= TOLERANCE:
-                return moved, step, iterations, True
+                return moved, step, iterations, True, factor
             # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
             forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
             before = error
@@ -223,39 +248,54 @@ class Solid:
                     break
                 length *= 0.5
             else:
-                return moved, step, iterations, False
+                return moved, step, iterations, False, factor
             moved, potential = trial, potential + change
             if used > WORN:
-                with contextlib.suppress(NotPositive):
-                    factor = self.factor(moved)
-        return moved, MOST_STEPS, iterations, False
+                factor = self._factor_or(moved, factor)
+        return moved, MOST_STEPS, iterations, False, factor
 
     def _direction(
         self, moved: Floats, residual: Floats, forcing: float, factor: Cholesky | None
     ) -> Generator[Floats, Floats, tuple[Floats, int]]:
-        """Newton's direction by conjugate gradients, to `forcing` of the residual in the preconditioner's norm."""
-        matrix, held = self.tangent(moved), self.held
-        way, r, p = np.zeros_like(residual), residual.copy(), np.zeros_like(residual)
-        old = enough = 0.0
-        for iteration in range(MOST_ITERATIONS + 1):
-            z = (yield r) if factor is None else factor.precondition(r.reshape(-1, 1)).reshape(r.shape)
-            rz = float(np.vdot(r, z))
-            if iteration == 0:
-                p, enough = z, forcing**2 * rz
-            elif rz <= enough or iteration == MOST_ITERATIONS:
-                break
-            else:
-                p = z + (rz / old) * p
-            old = rz
-            q = (matrix @ p.ravel()).reshape(p.shape)
-            q[held] = 0.0
-            curvature = float(np.vdot(p, q))
-            if curvature <= 0.0:
-                return (p if iteration == 0 else way), iteration + 1
-            alpha = rz / curvature
-            way += alpha * p
-            r = r - alpha * q
-        return way, iteration
+        """Newton's direction: see conjugate_gradients."""
+        matrix = self.tangent(moved)
+
+        def apply(way: Floats) -> Floats:
+            found: Floats = (matrix @ way.ravel()).reshape(way.shape)
+            found[self.held] = 0.0
+            return found
+
+        return (yield from conjugate_gradients(apply, residual, forcing, factor))
+
+
+def conjugate_gradients(
+    apply: Callable[[Floats], Floats], right: Floats, forcing: float, factor: Cholesky | None
+) -> Generator[Floats, Floats, tuple[Floats, int]]:
+    """Solution (n, 3), to `forcing` of the right-hand side in the preconditioner's norm, and iterations.
+
+    Without a factor the caller preconditions what is yielded. Ends at a direction of negative curvature: with what
+    there is, or with that direction when it is the first.
+    """
+    way, r, p = np.zeros_like(right), right, np.zeros_like(right)
+    old = enough = 0.0
+    for iteration in range(MOST_ITERATIONS + 1):
+        z = (yield r) if factor is None else factor.precondition(r.reshape(-1, 1)).reshape(r.shape)
+        rz = float(np.vdot(r, z))
+        if iteration == 0:
+            p, enough = z, forcing**2 * rz
+        elif rz <= enough or iteration == MOST_ITERATIONS:
+            break
+        else:
+            p = z + (rz / old) * p
+        old = rz
+        q = apply(p)
+        curvature = float(np.vdot(p, q))
+        if curvature <= 0.0:
+            return (p if iteration == 0 else way), iteration + 1
+        alpha = rz / curvature
+        way += alpha * p
+        r = r - alpha * q
+    return way, iteration
 
 
 def _advance(
