@@ -18,8 +18,9 @@ pytest.importorskip("skfem", reason="the reference needs the extra calibration")
 pytest.importorskip("netgen", reason="the reference needs the extra calibration")
 
 from tissue_sim.bench import tradeoff
-from tissue_sim.bench.peers.rows import CALIBRATED, Variants, rows_of
+from tissue_sim.bench.peers.rows import CALIBRATED, rows_of
 from tissue_sim.bench.tradeoff import Case, Error, Found, Measured, as_json, error_of, load_of, pareto, text
+from tissue_sim.bench.variants import Variants
 
 ORGAN = ball(2)
 NONE = Variants(ORGAN, "not calibrated", "not calibrated")

@@ -107,7 +107,7 @@ def at_size(organ: Organ, points: int) -> Organ:
 def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]) -> Organ:
     """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs.
 
-    A point is held where the organ's nearest one is.
+    It has as many interior atoms for each surface point as the organ. A point is held where the organ's nearest one is.
     """
     held = np.zeros(organ.n_surface, dtype=bool)
     held[organ.fixed] = True
@@ -119,7 +119,7 @@ def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]
         atom_radius=organ.atom_radius,
         atom_parent=organ.atom_parent,
         fixed=np.flatnonzero(held[cKDTree(organ.surface_positions).query(positions)[1]]),
-        interior_atoms=organ.n_interior,
+        interior_atoms=round(organ.n_interior * len(positions) / organ.n_surface),
         youngs_modulus=organ.youngs_modulus,
         poisson_ratio=organ.poisson_ratio,
         density=organ.density,

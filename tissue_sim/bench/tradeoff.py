@@ -18,12 +18,14 @@ from tqdm import tqdm
 
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
-from tissue_sim.bench.peers.rows import Row, Variants, rows_of
+from tissue_sim.bench.peers.rows import Row, rows_of
 from tissue_sim.bench.report import aligned, emit, noise_lines, told
-from tissue_sim.bench.sizes import Sized, at_size, sized
+from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
+from tissue_sim.bench.variants import variants_of
 from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
 from tissue_sim.calibration.fem import Body, volume_change
+from tissue_sim.calibration.reference import reference_error
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -127,7 +129,7 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
     body, cases, tuning = reference(organ, *(QUICK_LOADS if quick else LOADS))
     rows: list[tuple[Row, Sized]] = []
     for count in sorted({organ.n_surface, *points}):
-        variants = variants_of(organ, count, quick)
+        variants = variants_of(organ, count, fit=not quick)
         size = sized(variants.plain, organ)
         thorough = count == organ.n_surface and not quick
         rows += [(row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], thorough=thorough)]
@@ -185,13 +187,6 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
             raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")
         found.append(Case(kind, force, answer.displacement, answer.volume_change))
     return body, found[: smooth + sharp], found[smooth + sharp :]
-
-
-def variants_of(organ: Organ, points: int, quick: bool) -> Variants:
-    """The organs of one size."""
-    plain = at_size(organ, points)
-    missing = "not calibrated"
-    return Variants(plain, missing, missing)
 
 
 def load_of(case: Case, size: Sized) -> Load:

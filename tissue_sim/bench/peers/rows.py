@@ -16,6 +16,7 @@ from tissue_sim.bench.peers.mujoco import Mujoco
 from tissue_sim.bench.peers.ours import Ours
 from tissue_sim.bench.peers.tetrahedra import Tetrahedra, tetrahedra_of
 from tissue_sim.bench.peers.xpbd import Xpbd, tuned
+from tissue_sim.bench.variants import Variants
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
@@ -32,17 +33,6 @@ class Row(NamedTuple):
     ours: bool
     points: int
     make: Callable[[], tuple[Engine, str]]
-
-
-class Variants(NamedTuple):
-    """The organs of one size: as the pipeline makes it, calibrated by the few groups, and spring by spring.
-
-    In place of one that is missing, the reason.
-    """
-
-    plain: Organ
-    groups: Organ | str
-    springs: Organ | str
 
 
 def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> Iterator[Row]:
@@ -80,7 +70,7 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> It
     if points <= MOST_FLEX:
         yield peer("MuJoCo flex, 20 ms step", shared.flex, 0.02)
         if thorough:
-            yield peer("MuJoCo flex, 1 ms step", shared.flex, 0.001)
+            yield peer("MuJoCo flex, 5 ms step", shared.flex, 0.005)
     if points <= MOST_XPBD:
         yield peer("pypbd, XPBD", shared.xpbd)
     yield peer("ChainMail", shared.chainmail)
