@@ -17,6 +17,7 @@ COMMANDS = {
     "info": ("tissue_sim.organ.reporting.info", "print what an organ file holds"),
     "export": ("tissue_sim.organ.reporting.export", "write an organ's surface or skeleton for other programs"),
     "solve": ("tissue_sim.model.solve", "settled displacements under given loads"),
+    "calibrate": ("tissue_sim.calibration.command", "fit an organ to finite elements of its shape, and judge it"),
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
     "replay": ("tissue_sim.ros.replay", "run a recorded bag again and compare"),
     "view": ("tissue_sim.ros.viewer", "show a running node in the browser"),

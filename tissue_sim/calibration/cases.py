@@ -22,11 +22,13 @@ Longs = NDArray[np.int64]
 
 HELD_OUT_SHARE = 0.3  # of the nodes that may be pressed
 HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of the fit's seed
+KIDNEY = 1.34e-4  # m^3; in a smaller organ all lengths below shrink with the root of its volume
 CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
 NEAR_CLAMP = 0.25  # of the centres: those nearest to the clamp, where every third case of the fit lies
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
+DEEP = (0.006, 0.012)  # m, the same of the cases that the fit settles as nonlinear ones
 SHARP_TRACTION = (0.2, 0.4)  # of Young's modulus, on a node and its neighbours: 0.1 to 0.2 N on the kidney
 MOST_TRACTION = 0.4  # of Young's modulus, at any node: near the clamp a depth of 12 mm would crush the tissue
 
@@ -59,6 +61,7 @@ class Surface(NamedTuple):
     area: Floats  # (n,) m^2, a third of the triangles around
     ring: list[Longs]  # neighbours of each node along edges, and itself
     free: NDArray[np.bool_]  # (n,)
+    size: float  # what lengths are multiplied by, 1 for an organ of a kidney's size or larger
 
 
 def surface_of(organ: Organ) -> Surface:
@@ -73,7 +76,8 @@ def surface_of(organ: Organ) -> Surface:
     free = np.ones(n, dtype=bool)
     free[organ.fixed] = False
     area = np.bincount(triangles.ravel(), weights=area, minlength=n)
-    return Surface(positions, vertex_normals(positions, triangles), area, ring, free)
+    size = min(1.0, (organ.volume / KIDNEY) ** (1.0 / 3.0))
+    return Surface(positions, vertex_normals(positions, triangles), area, ring, free, size)
 
 
 def split_centres(organ: Organ) -> tuple[Longs, Longs]:
@@ -81,10 +85,11 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
 
     Nodes nearer to the clamp than 6 mm are neither. Raises UserError when fewer than 20 nodes are left.
     """
-    positions = organ.surface_positions
+    surface = surface_of(organ)
     far = np.ones(organ.n_surface, dtype=bool)
     if len(organ.fixed):
-        far = cKDTree(positions[organ.fixed]).query(positions)[0] > CLEARANCE
+        positions = surface.positions
+        far = cKDTree(positions[organ.fixed]).query(positions)[0] > CLEARANCE * surface.size
     nodes = np.flatnonzero(far)
     if len(nodes) < 20:
         raise UserError(f"organ '{organ.name}' has {len(nodes)} nodes away from its clamp; calibration needs 20")
@@ -93,14 +98,14 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
     return np.sort(mixed[held:]), np.sort(mixed[:held])
 
 
-def fit_cases(organ: Organ, count: int, seed: int) -> Cases:
-    """`count` cases for the fit: uniform tractions of 1 N on patches of five sizes.
+def fit_cases(organ: Organ, count: int, seed: int, stream: int = 1) -> Cases:
+    """`count` cases for the fit: uniform tractions of 1 N on patches of five sizes; another stream draws others.
 
     Of ten cases four press along the normal, two obliquely, one along the surface, one pulls, two have several
     patches at once. Every third lies near the clamp: small errors there turn the whole organ.
     """
     surface, centres = surface_of(organ), split_centres(organ)[0]
-    random = np.random.default_rng([seed, 1])
+    random = np.random.default_rng([seed, stream])
     kinds = ("normal", "oblique", "many", "normal", "pulling", "normal", "tangential", "many", "normal", "oblique")
     spread = _spread(surface.positions, centres, count, random)
     near = _nearest_to_clamp(organ, centres)
@@ -113,7 +118,7 @@ def fit_cases(organ: Organ, count: int, seed: int) -> Cases:
             at = np.concatenate([at, random.choice(centres, random.integers(1, 6))])
         for node in at:
             what = kind[-1] if kind[-1] != "many" else ("normal", "oblique", "pulling")[random.integers(3)]
-            nodes = _patch(surface, node, FIT_RADII[random.integers(len(FIT_RADII))])
+            nodes = _patch(surface, node, FIT_RADII[random.integers(len(FIT_RADII))] * surface.size)
             share = surface.area[nodes] / surface.area[nodes].sum()
             push = _direction(surface.normal[nodes].mean(axis=0), what, random)
             size = random.uniform(0.5, 1.5) if len(at) > 1 else 1.0
@@ -136,7 +141,7 @@ def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_S
         pair, pulls = case % 10 == 9, case % 5 == 4
         at = np.concatenate([spread[case : case + 1], random.choice(centres, 1)]) if pair else spread[case : case + 1]
         for node in at:
-            radius = random.uniform(*SMOOTH_RADIUS)
+            radius = random.uniform(*SMOOTH_RADIUS) * surface.size
             reach = np.linalg.norm(surface.positions - surface.positions[node], axis=1) / radius
             facing = surface.normal @ surface.normal[node] > 0.0
             weight = np.where((reach < 1.0) & facing & surface.free, (1.0 - reach**2) ** 2, 0.0) * surface.area
@@ -155,21 +160,24 @@ def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_S
     return Cases(force, centre, kind)
 
 
-def scale_to_depth(cases: Cases, compliance: Floats, organ: Organ, seed: int) -> Cases:
-    """Cases of 1 N scaled so that the linear body gives by a depth drawn from 2 to 12 mm, its largest displacement.
+def scale_to_depth(
+    cases: Cases, compliance: Floats, organ: Organ, seed: int, depth: tuple[float, float] = DEPTH
+) -> Cases:
+    """Cases of 1 N scaled so that the linear body gives by a depth drawn between two, m, its largest displacement.
 
-    compliance (c, n, 3) m: the linear body's answer to the cases as they are. The traction stays under half of Young's
-    modulus. Sharp cases get a traction of 0.2 to 0.4 of it instead, as far as the body gives by no more than 12 mm.
+    compliance (c, n, 3) m: the linear body's answer to the cases as they are. The traction stays under 0.4 of Young's
+    modulus. Sharp cases get a traction of 0.2 to 0.4 of it instead, as far as the body gives by no more than the
+    larger depth.
     """
     random = np.random.default_rng([seed, 3])
-    area = surface_of(organ).area
+    surface = surface_of(organ)
     reach = np.linalg.norm(compliance, axis=2).max(axis=1)
-    traction = (np.linalg.norm(cases.force, axis=2) / area).max(axis=1) / organ.youngs_modulus
-    depth = random.uniform(*DEPTH, len(cases)) / reach
+    traction = (np.linalg.norm(cases.force, axis=2) / surface.area).max(axis=1) / organ.youngs_modulus
+    wanted = surface.size * random.uniform(*depth, len(cases)) / reach
     pressed = random.uniform(*SHARP_TRACTION, len(cases)) / traction
     sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
-    most = np.minimum(MOST_TRACTION / traction, DEPTH[1] / reach)
-    return cases.scaled(np.minimum(np.where(sharp, pressed, depth), most))
+    most = np.minimum(MOST_TRACTION / traction, surface.size * depth[1] / reach)
+    return cases.scaled(np.minimum(np.where(sharp, pressed, wanted), most))
 
 
 def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:

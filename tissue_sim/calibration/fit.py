@@ -20,7 +20,7 @@ BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
 SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
 SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
 MEMORY = 20  # steps that L-BFGS remembers
-_LOOSE = 1e-6  # residual force over load, in a fit
+LOOSE = 1e-6  # residual force over load, in a fit
 _LOST = 1e3  # loss of a stiffness under which a case finds no rest
 
 
@@ -75,14 +75,27 @@ class LinearMisfit:
 class NonlinearMisfit:
     """Misfit of the model's settled shapes, case by case; each starts where it last came to rest.
 
-    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m; threads: cases settled at a time.
+    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m; threads: cases settled at a time;
+    tolerance: residual force over load that counts as settled.
     """
 
-    def __init__(self, springs: Springs, force: Floats, wanted: Floats, threads: int = 2) -> None:
-        self._springs, self._force, self._wanted, self._threads = springs, force, wanted, threads
+    def __init__(
+        self, springs: Springs, force: Floats, wanted: Floats, threads: int = 2, tolerance: float = LOOSE
+    ) -> None:
+        self._springs, self._force, self._wanted = springs, force, wanted
+        self._threads, self._tolerance = threads, tolerance
         self._weight = 1.0 / np.sum(wanted**2, axis=(1, 2))
-        self.position: list[Floats | None] = [None] * len(force)
+        # Where each case last came to rest, (c, n, 3) m, and under which stiffness (c, p); not finite: nowhere yet.
+        self.position = np.full((len(force), *springs.rest.shape), np.nan)
+        self.stiffness = np.full((len(force), sum(springs.counts)), np.nan)
         self._factor: list[Factor | None] = [None] * len(force)
+
+    def restore(self, position: Floats, stiffness: Floats) -> None:
+        """Go on from shapes and stiffnesses, as `position` and `stiffness` held them."""
+        self.position, self.stiffness = position.copy(), stiffness.copy()
+        for case in range(len(position)):
+            if np.isfinite(stiffness[case, 0]):
+                self._factor[case] = Factor(self._springs.tangent(position[case], stiffness[case]))
 
     def evaluate(self, stiffness: Floats) -> Evaluation:
         """Loss, slope and errors. A case that finds no rest makes the loss so large that no search stays there."""
@@ -93,14 +106,16 @@ class NonlinearMisfit:
         for case, (_, _, position, factor) in enumerate(cases):
             if factor is not None:
                 self.position[case], self._factor[case] = position, factor
+                self.stiffness[case] = stiffness
         return Evaluation(float(square.mean()), slope, np.sqrt(square))
 
     def _case(self, stiffness: Floats, case: int) -> tuple[float, Floats, Floats, Factor | None]:
         """Squared error, its slope, the shape of one case and its factored tangent."""
-        springs, start = self._springs, self.position[case]
-        settled, factor = settle(springs, stiffness, self._force[case], start, self._factor[case], _LOOSE)
+        springs = self._springs
+        start = self.position[case] if self._factor[case] is not None else None
+        settled, factor = settle(springs, stiffness, self._force[case], start, self._factor[case], self._tolerance)
         if factor is None and start is not None:
-            settled, factor = settle(springs, stiffness, self._force[case], None, None, _LOOSE)
+            settled, factor = settle(springs, stiffness, self._force[case], None, None, self._tolerance)
         if factor is None:
             return _LOST, np.zeros_like(stiffness), settled.position, None
         surface = slice(springs.n_surface)

@@ -121,6 +121,11 @@ class Springs:
         first, second = self.counts[0], self.counts[0] + self.counts[1]
         return values[:first], values[first:second], values[second:]
 
+    def trace(self) -> Floats:
+        """What a unit of each stiffness (p,) adds to the trace of the tangent at rest."""
+        bending = np.sum(self._bending(self.rest).slope ** 2, axis=(1, 2))
+        return np.concatenate([np.full(self.counts[0], 2.0), bending, np.full(self.counts[2], 3.0)])
+
     # energy and forces -------------------------------------------------------------------------
     def energy(self, position: Floats, stiffness: Floats) -> float:
         """Elastic energy, J."""
@@ -138,7 +143,7 @@ class Springs:
         return self._add_up(position, stiffness, self._slopes(position))
 
     def _slopes(self, position: Floats) -> tuple[Floats, Floats, Floats]:
-        """Energy gradients by node, over stiffness: axial (s, 3) at the second end, angular (h, 4, 3), return (r, 3)."""
+        """Energy gradients over stiffness: axial (s, 3) at the second end, angular (h, 4, 3), return (r, 3)."""
         along = position[self.ends[:, 1]] - position[self.ends[:, 0]]
         length = np.maximum(np.linalg.norm(along, axis=1), SHORTEST * self.length)
         axial = (1.0 - self.length / length)[:, None] * along
@@ -363,9 +368,9 @@ def settle(
     load = np.zeros_like(springs.rest)
     load[: springs.n_surface] = force
     size = max(float(np.linalg.norm(load)), 1e-300)
-    position = (springs.rest if start is None else start).copy()
+    position: Floats = (springs.rest if start is None else start).copy()
     potential = springs.energy(position, stiffness) - float(np.vdot(load, position))
-    left = np.inf
+    left, worn = np.inf, factor is None
     for iteration in range(iterations):
         residual = (springs.gradient(position, stiffness) - load).ravel()[springs.free]
         before, left = left, float(np.linalg.norm(residual))
@@ -373,23 +378,26 @@ def settle(
             factor = Factor(springs.tangent(position, stiffness))
             stable = factor.is_positive
             return Settled(position, True, stable, iteration), factor if stable else None
-        if factor is None or left > _SLOW * before:
+        worn = worn or left > _SLOW * before
+        if factor is None or worn:
             factor = Factor(springs.tangent(position, stiffness))
             if not factor.is_positive:
                 factor = Factor(springs.tangent(position, stiffness, convex=True))
         move = np.zeros(position.size)
         move[springs.free] = -factor.solve(residual)
         fall = float(residual @ move[springs.free])
-        move = move.reshape(position.shape)
-        share = min(1.0, _LONGEST_STEP / float(np.linalg.norm(move, axis=1).max()))
+        way: Floats = move.reshape(position.shape)
+        share = min(1.0, _LONGEST_STEP / float(np.linalg.norm(way, axis=1).max()))
         while share > _LEAST_SHARE:
-            moved = position + share * move
+            moved = position + share * way
             reached = springs.energy(moved, stiffness) - float(np.vdot(load, moved))
             # Near the minimum rounding hides how far the potential falls.
             if reached <= potential + _ARMIJO * share * fall + 1e-13 * abs(potential):
+                position, potential, worn = moved, reached, False
                 break
             share *= 0.5
         else:
-            break
-        position, potential = moved, reached
+            if worn:
+                break
+            left, worn = np.inf, True  # once more from here with a tangent of this place
     return Settled(position, False, False, iteration + 1), None

@@ -1,0 +1,49 @@
+"""The paper's search over a factor for each group."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from tissue_sim.calibration.cases import fit_cases
+from tissue_sim.calibration.fit import LinearMisfit
+from tissue_sim.calibration.groups import GROUPS, group_of, search
+from tissue_sim.calibration.static import Springs
+from tissue_sim.model.assembly import assemble
+from tissue_sim.organ.organ import SpringKind
+
+from ..scenes import ball
+from .test_fit import ORGAN, SPRINGS, START, linear_answers
+
+
+def test_groups_name_the_kinds_of_springs():
+    organ = ball(2)
+    springs = Springs(assemble(organ))
+    group = group_of(organ, springs)
+    axial, angular, pulls = springs.split(group)
+    assert np.all((axial == 0) == (organ.spring_kind == SpringKind.EDGE))
+    assert np.all((axial == 2) == (organ.spring_kind == SpringKind.SKELETON))
+    assert set(angular) == {3}
+    assert set(pulls) == {4}
+    assert len(GROUPS) == 5
+
+
+def test_factors_on_groups_are_found():
+    group = group_of(ORGAN, SPRINGS)
+    factors = np.array([2.0, 0.5, 3.0, 1.0, 0.1])
+    force = fit_cases(ORGAN, 16, 0).force
+    misfit = LinearMisfit(SPRINGS, force, linear_answers(START * factors[group], force))
+    before = misfit.evaluate(START).error.mean()
+    seen = []
+    found = search(START, group, misfit, 200, lambda count, error: seen.append((count, np.mean(error**2))))
+    after = misfit.evaluate(found).error.mean()
+    assert before > 0.1
+    assert after < 0.15 * before
+    assert len(seen) <= 200
+    assert all(later <= sooner + 1e-12 for (_, sooner), (_, later) in pairwise(seen))
+
+
+def test_the_search_never_makes_it_worse():
+    group = group_of(ORGAN, SPRINGS)
+    force = fit_cases(ORGAN, 10, 0).force
+    misfit = LinearMisfit(SPRINGS, force, linear_answers(START, force))
+    np.testing.assert_array_equal(search(START, group, misfit, 40), START)

@@ -1,0 +1,428 @@
+"""From an organ to a calibrated one: reference answers, fit, masses, and what held-out loads say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from threading import Event, Thread
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from tissue_sim.calibration import fit as fitting
+from tissue_sim.calibration.cases import DEEP, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
+from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
+from tissue_sim.calibration.dynamics import lowest_frequencies
+from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, NonlinearMisfit
+from tissue_sim.calibration.groups import GROUPS, group_of, search
+from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
+from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass, frequencies_of
+from tissue_sim.calibration.reference import reference_error
+from tissue_sim.calibration.static import Springs
+from tissue_sim.errors import UserError
+from tissue_sim.model.assembly import Model, assemble
+from tissue_sim.model.stability import largest_frequency, model_step, substeps_for
+from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.topology import assemble_organ
+
+METHODS = ("springs", "groups")
+TOGETHER = 8  # nonlinear reference cases between two checkpoints
+RETURN_START = 0.01  # of the organ's return springs, where the fit begins: the clamp holds the organ
+INTERIOR_SHARE = 0.15  # interior atoms for each surface node, where the organ has none
+GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
+POKE = 0.005  # m, of the release
+TICK = 1e-3  # s
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a calibration is made with.
+
+    cases: linear ones, nonlinear: settled ones of the fit; smooth and sharp: held-out ones; interior: atoms in the
+    result, None for those that the organ has or else 15 for 100 surface nodes (none for groups, as in the paper);
+    steps and nonlinear_steps: evaluations of the fit before and after nonlinear cases come in.
+    """
+
+    seed: int = 0
+    method: str = "springs"
+    cases: int = 400
+    nonlinear: int = 32
+    steps: int = 60
+    nonlinear_steps: int = 12
+    interior: int | None = None
+    smooth: int = 30
+    sharp: int = 10
+
+
+class Progress(Protocol):
+    """Where a calibration tells how far it is."""
+
+    def stage(self, name: str, total: int) -> AbstractContextManager[Callable[..., None]]:
+        """A stage of `total` steps; what comes back is called after each, with a remark if there is one."""
+        ...
+
+
+class Calibrated(NamedTuple):
+    """A calibrated organ and all that a report shows."""
+
+    organ: Organ
+    figures: dict[str, Any]  # also in the organ's provenance, under `calibration`
+    cases: Cases  # held out
+    wanted: Answer  # of the finite-element body
+    linear: Floats  # (c, n_surface, 3) m, of the linear one
+    found: Answer  # of the model
+    release: Release
+
+
+def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
+    """Fit the organ's springs and masses to a finite-element body of its shape and tissue, and judge the result.
+
+    The finite-element body settles the nonlinear cases in a thread of its own meanwhile.
+    Raises UserError when the organ has no clamp or can't be filled, or a library is missing.
+    """
+    start = _prepared(organ, settings)
+    body = Body(start)
+    held_out = held_out_cases(start, settings.smooth, settings.sharp)
+    linear_cases = fit_cases(start, settings.cases, settings.seed)
+    nonlinear = fit_cases(start, settings.nonlinear if settings.method == "springs" else 0, settings.seed, stream=2)
+
+    def respond() -> Arrays:
+        return {
+            "fit": body.settle_linear(linear_cases.force),
+            "nonlinear": body.settle_linear(nonlinear.force),
+            "held_out": body.settle_linear(held_out.force),
+            "frequencies": lowest_frequencies(body, MODES),
+        }
+
+    with progress.stage("linear reference", 1) as done:
+        linear = checkpoint.remember("linear-reference", respond)
+        done(f"{body.n_nodes} nodes, {settings.cases} cases")
+    nonlinear = scale_to_depth(nonlinear, linear["nonlinear"], start, settings.seed, DEEP)
+    judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED)
+    size = np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2))
+    judged_linear = linear["held_out"] * size[:, None, None]
+    reference = _Reference(body, checkpoint, {"nonlinear": nonlinear, "held-out": judged})
+
+    model = assemble(start)
+    springs = Springs(model)
+    prior = springs.stiffness_of(model)
+    axial, angular, pulls = springs.split(prior)
+    prior = np.concatenate([axial, angular, RETURN_START * pulls])
+    misfit = LinearMisfit(springs, linear_cases.force, linear["fit"])
+    reference.begin()
+    try:
+        if settings.method == "groups":
+            stiffness, fitted = _by_groups(start, springs, prior, misfit, settings, progress)
+        else:
+            stiffness, fitted = _by_springs(
+                springs, prior, misfit, nonlinear, reference, settings, checkpoint, progress
+            )
+        with progress.stage("masses", 1) as done:
+            mass = checkpoint.remember(
+                "mass", lambda: {"mass": fit_mass(start, springs, stiffness, linear["frequencies"])}
+            )["mass"]
+            done()
+        rate = damping_rate(linear["frequencies"])
+        made = replace(
+            _with_stiffness(start, model, springs, stiffness),
+            mass=mass,
+            damping=rate * mass,
+        )
+        with progress.stage("held-out reference", len(judged)) as done:
+            wanted = reference.answer("held-out", done)
+        kept = np.flatnonzero(wanted.converged)
+        judged, judged_linear = judged.chosen(kept), judged_linear[kept]
+        wanted = Answer(*(part[kept] for part in wanted))
+        with progress.stage("held-out", len(judged)) as done:
+            found = settled_answers(made, judged, done)
+    finally:
+        reference.stop()
+    with progress.stage("error of the reference", 1) as done:
+        accuracy = reference_error(start)
+        done(f"{accuracy.worst:.2f} % at worst")
+    with progress.stage("release", 1) as done:
+        poke, node = _poke(judged, wanted)
+        motion = _remembered_release(made, body, poke, node, rate, checkpoint)
+        done()
+    figures: dict[str, Any] = {
+        "method": settings.method,
+        "settings": asdict(settings),
+        "reference": {
+            "nodes": body.n_nodes,
+            "left_out": int(len(held_out) - len(kept)),
+            "error": str(accuracy),
+            "worst_percent": round(accuracy.worst, 3),
+        },
+        "fit": fitted,
+        "held_out": held_out_figures(judged, wanted, judged_linear, found),
+        "motion": {
+            "frequencies_hz": [round(float(v), 4) for v in frequencies_of(springs, stiffness, mass)],
+            "reference_hz": [round(float(v), 4) for v in linear["frequencies"]],
+            "damping_rate_per_s": round(rate, 4),
+            "release_percent": round(100.0 * motion.error, 3),
+        },
+        "step": step_figures(made),
+    }
+    provenance = {**made.provenance, "calibration": figures}
+    return Calibrated(replace(made, provenance=provenance), figures, judged, wanted, judged_linear, found, motion)
+
+
+def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer) -> dict[str, Any]:
+    """Errors in percent, smooth and sharp loads apart, with those of the linear body beside them."""
+    error, by_linear = (
+        100.0 * errors(found.displacement, wanted.displacement),
+        100.0 * errors(linear, wanted.displacement),
+    )
+    off = np.linalg.norm(found.displacement - wanted.displacement, axis=2)
+    deepest = 1e3 * np.linalg.norm(wanted.displacement, axis=2).max(axis=1)
+    sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
+    found_figures: dict[str, Any] = {}
+    for name, some in (("smooth", ~sharp), ("sharp", sharp)):
+        if not some.any():
+            continue
+        found_figures[name] = {
+            "cases": int(some.sum()),
+            "settled": int(found.converged[some].sum()),
+            "mean_percent": round(float(error[some].mean()), 3),
+            "worst_percent": round(float(error[some].max()), 3),
+            "rms_mm": round(float(1e3 * np.sqrt(np.mean(off[some] ** 2))), 4),
+            "deepest_mm": round(float(deepest[some].max()), 3),
+            "linear_elasticity_mean_percent": round(float(by_linear[some].mean()), 3),
+            "volume_change_percent": {
+                "reference": _signed_range(wanted.volume[some]),
+                "model": _signed_range(found.volume[some]),
+            },
+        }
+    return found_figures
+
+
+def step_figures(organ: Organ) -> dict[str, Any]:
+    """Critical step and substeps of a millisecond, as Simulation chooses them."""
+    model = assemble(organ)
+    critical = model_step(model, largest_frequency(model))
+    return {"critical_us": round(1e6 * critical, 1), "substeps_a_ms": max(2, substeps_for(TICK, critical))}
+
+
+def _signed_range(volume: Floats) -> list[float]:
+    return [round(float(100.0 * value), 4) for value in (volume.min(), volume.mean(), volume.max())]
+
+
+# the organ ----------------------------------------------------------------------------------------
+
+
+def _prepared(organ: Organ, settings: Settings) -> Organ:
+    """The organ with the interior atoms wanted, its springs as they are built when their number changes."""
+    if settings.method not in METHODS:
+        raise UserError(f"unknown method '{settings.method}'; choose one of {', '.join(METHODS)}")
+    wanted = settings.interior
+    if wanted is None:
+        few = settings.method == "groups"
+        wanted = organ.n_interior or (0 if few else round(INTERIOR_SHARE * organ.n_surface))
+    if wanted == organ.n_interior:
+        return organ
+    provenance = {key: value for key, value in organ.provenance.items() if key != "calibration"}
+    return assemble_organ(
+        name=organ.name,
+        surface_positions=organ.surface_positions,
+        surface_triangles=organ.surface_triangles,
+        atom_positions=organ.atom_positions,
+        atom_radius=organ.atom_radius,
+        atom_parent=organ.atom_parent,
+        fixed=organ.fixed,
+        interior_atoms=wanted,
+        youngs_modulus=organ.youngs_modulus,
+        poisson_ratio=organ.poisson_ratio,
+        density=organ.density,
+        provenance={**provenance, "interior_atoms": wanted},
+    )
+
+
+def _with_stiffness(organ: Organ, model: Model, springs: Springs, stiffness: Floats) -> Organ:
+    """The organ with stiffnesses (p,) N/m in the order of Springs."""
+    axial, angular, pulls = springs.split(stiffness)
+    spring, hinge, pull = (
+        np.array(values) for values in (organ.spring_stiffness, organ.angular_stiffness, organ.return_stiffness)
+    )
+    spring[spring > 0.0] = axial
+    hinge[hinge > 0.0] = angular
+    pull[springs.pulled] = pulls
+    # Nothing reads those of held nodes, but they would stand in the file as what they were.
+    pull[organ.fixed] = 0.0
+    return replace(organ, spring_stiffness=spring, angular_stiffness=hinge, return_stiffness=pull)
+
+
+def _poke(cases: Cases, wanted: Answer) -> tuple[Floats, int]:
+    """Forces that dent the finite-element body by about 5 mm, and the node in their middle: of a held-out bump."""
+    centre = np.array([nodes[0] for nodes in cases.centre])
+    depth = np.linalg.norm(wanted.displacement[np.arange(len(cases)), centre], axis=1)
+    bump = np.array([kind == "bump" for kind in cases.kind], dtype=bool)
+    order = np.argsort(np.abs(depth - POKE) + np.where(bump, 0.0, 1.0), kind="stable")
+    case = int(order[0])
+    return cases.force[case] * (POKE / depth[case]), int(centre[case])
+
+
+def _remembered_release(
+    organ: Organ, body: Body, force: Floats, node: int, rate: float, checkpoint: Checkpoint
+) -> Release:
+    found = checkpoint.remember("release", lambda: released(organ, body, force, node, rate)._asdict())
+    return Release(**found)
+
+
+# the reference ------------------------------------------------------------------------------------
+
+
+class _Reference:
+    """Settles sets of cases by finite elements, one set after another, in a thread."""
+
+    def __init__(self, body: Body, checkpoint: Checkpoint, sets: dict[str, Cases]) -> None:
+        self._body, self._checkpoint, self._sets = body, checkpoint, sets
+        self._parts: dict[tuple[str, int], Arrays] = {}
+        self._ready = {key: Event() for key in self._keys()}
+        self._stopped = Event()
+        self._failure: BaseException | None = None
+        self._thread = Thread(target=self._work, daemon=True, name="finite elements")
+
+    def _keys(self) -> Iterator[tuple[str, int]]:
+        for name, cases in self._sets.items():
+            yield from ((name, first) for first in range(0, len(cases), TOGETHER))
+
+    def begin(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let the thread end after what it has at hand."""
+        self._stopped.set()
+
+    def answer(self, name: str, done: Callable[..., None]) -> Answer:
+        """Answers to a set of cases, as soon as they are there."""
+        cases, parts = self._sets[name], []
+        for first in range(0, len(cases), TOGETHER):
+            while not self._ready[name, first].wait(0.2):
+                pass  # in turns, so that an interrupt comes through
+            if self._failure is not None:
+                raise self._failure
+            part = self._parts[name, first]
+            parts.append(part)
+            for _ in range(len(part["volume"])):
+                done()
+        shape = (0, *cases.force.shape[1:])
+        empty = {"displacement": np.zeros(shape), "volume": np.zeros(0), "converged": np.zeros(0)}
+        return Answer(*(np.concatenate([part[key] for part in [empty, *parts]]) for key in Answer._fields))
+
+    def _work(self) -> None:
+        try:
+            for name, first in self._keys():
+                if self._stopped.is_set():
+                    return
+                forces = self._sets[name].force[first : first + TOGETHER]
+                make = partial(self._settled, forces)
+                self._parts[name, first] = self._checkpoint.remember(f"{name}-{first:04d}", make)
+                self._ready[name, first].set()
+        except BaseException as failure:  # handed to whoever waits
+            self._failure = failure
+            for event in self._ready.values():
+                event.set()
+
+    def _settled(self, forces: Floats) -> Arrays:
+        found = list(self._body.settle_many(forces))
+        return {
+            "displacement": np.stack([case.displacement for case in found]),
+            "volume": np.array([case.volume_change for case in found]),
+            "converged": np.array([float(case.converged) for case in found]),
+        }
+
+
+# the fit ------------------------------------------------------------------------------------------
+
+
+def _by_springs(
+    springs: Springs,
+    prior: Floats,
+    misfit: LinearMisfit,
+    nonlinear: Cases,
+    reference: _Reference,
+    settings: Settings,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> tuple[Floats, dict[str, Any]]:
+    """Every spring: first on the linear cases alone, then with the nonlinear ones."""
+    trace = springs.trace()
+    logged = _Logged(misfit, "linear", checkpoint)
+    with progress.stage("fit", settings.steps) as done:
+        stiffness = fitting.fit(prior, trace, [(1.0, logged)], settings.steps, watch=_remark(done))
+    last = logged.last
+    if len(nonlinear) and settings.nonlinear_steps:
+        with progress.stage("nonlinear reference", len(nonlinear)) as done:
+            answer = reference.answer("nonlinear", done)
+        kept = np.flatnonzero(answer.converged)
+        settled = NonlinearMisfit(springs, nonlinear.force[kept], answer.displacement[kept])
+        both = _Logged(misfit, "both-linear", checkpoint), _Logged(settled, "both-nonlinear", checkpoint)
+        with progress.stage("nonlinear fit", settings.nonlinear_steps) as done:
+            stiffness = fitting.fit(
+                stiffness,
+                trace,
+                [(0.5, both[0]), (0.5, both[1])],
+                settings.nonlinear_steps,
+                prior=prior,
+                watch=_remark(done),
+            )
+        last = {**both[0].last, "nonlinear_" + "mean_percent": both[1].last["mean_percent"]}
+        last["nonlinear_worst_percent"] = both[1].last["worst_percent"]
+    return stiffness, last
+
+
+def _by_groups(
+    organ: Organ, springs: Springs, prior: Floats, misfit: LinearMisfit, settings: Settings, progress: Progress
+) -> tuple[Floats, dict[str, Any]]:
+    """One factor for each group."""
+    group = group_of(organ, springs)
+    steps = GROUP_STEPS * (settings.steps + settings.nonlinear_steps)
+    with progress.stage("fit", steps) as done:
+        stiffness = search(prior, group, misfit, steps, lambda _, error: done(f"{100.0 * error.mean():.2f} %"))
+    error = misfit.evaluate(stiffness).error
+    factors = {GROUPS[k]: float(np.median((stiffness / prior)[group == k])) for k in np.unique(group)}
+    return stiffness, {**_figures(error), "factors": factors}
+
+
+class _Logged:
+    """A misfit whose evaluations are kept, so that a fit that was stopped finds its way back bit for bit."""
+
+    def __init__(self, misfit: Misfit, name: str, checkpoint: Checkpoint) -> None:
+        self._misfit, self._name, self._checkpoint = misfit, name, checkpoint
+        self._count = 0
+        self._replayed: Arrays | None = None
+        self.last: dict[str, Any] = {}
+
+    def evaluate(self, stiffness: Floats) -> Evaluation:
+        """As the misfit does, or as it did."""
+        kept = self._checkpoint.load(f"{self._name}-{self._count:04d}")
+        if kept is None:
+            if self._replayed is not None and isinstance(self._misfit, NonlinearMisfit):
+                self._misfit.restore(self._replayed["position"], self._replayed["stiffness"])
+            self._replayed = None
+            found = self._misfit.evaluate(stiffness)
+            kept = {"loss": np.array(found.loss), "slope": found.slope, "error": found.error}
+            if isinstance(self._misfit, NonlinearMisfit):
+                kept |= {"position": self._misfit.position, "stiffness": self._misfit.stiffness}
+            self._checkpoint.store(f"{self._name}-{self._count:04d}", kept)
+        else:
+            self._replayed = kept
+        self._count += 1
+        self.last = _figures(kept["error"])
+        return Evaluation(float(kept["loss"]), kept["slope"], kept["error"])
+
+
+def _figures(error: Floats) -> dict[str, Any]:
+    return {
+        "mean_percent": round(float(100.0 * error.mean()), 3),
+        "worst_percent": round(float(100.0 * error.max()), 3),
+    }
+
+
+def _remark(done: Callable[..., None]) -> Callable[[int, list[Evaluation]], None]:
+    """Tell the mean error of the last kind of cases after every evaluation."""
+    return lambda _, found: done(f"{100.0 * found[-1].error.mean():.2f} %")

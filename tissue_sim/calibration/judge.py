@@ -1,0 +1,79 @@
+"""How far the real-time model is off the finite-element body: settled shapes, and the motion after a release."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.calibration.cases import Cases
+from tissue_sim.calibration.dynamics import release
+from tissue_sim.calibration.fem import Body, volume_change
+from tissue_sim.model import state as st
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Floats, Organ
+
+TOLERANCE = 1e-4  # residual force over load that counts as settled
+LONGEST = 20.0  # simulated seconds after which a load is given up
+RELEASE_STEP = 0.005  # s of the implicit dynamics
+RELEASE_TIME = 1.0  # s
+
+
+class Answer(NamedTuple):
+    """What a body says to cases."""
+
+    displacement: Floats  # (c, n_surface, 3) m
+    volume: Floats  # (c,) relative change of volume
+    converged: Floats  # (c,) 1 or 0
+
+
+def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None = None) -> Answer:
+    """Where the real-time hybrid model comes to rest under each case; a fault or a snap on the way is no rest."""
+    simulation = Simulation(organ)
+    count = simulation.state.count
+    displacement, volume = np.zeros_like(cases.force), np.zeros(len(cases))
+    converged = np.zeros(len(cases))
+    for case, force in enumerate(cases.force):
+        before = count[st.FAULTS], count[st.SNAPS]
+        displacement[case], settled = simulation.settle(force, TOLERANCE, LONGEST)
+        converged[case] = float(settled and before == (count[st.FAULTS], count[st.SNAPS]))
+        volume[case] = volume_change(organ, displacement[case])
+        if watch is not None:
+            watch()
+    return Answer(displacement, volume, converged)
+
+
+def errors(found: Floats, wanted: Floats) -> Floats:
+    """Relative L2 (c,) of displacements (c, n, 3) over the surface nodes."""
+    off = np.linalg.norm((found - wanted).reshape(len(wanted), -1), axis=1)
+    size: Floats = off / np.linalg.norm(wanted.reshape(len(wanted), -1), axis=1)
+    return size
+
+
+class Release(NamedTuple):
+    """A node after its load was taken away, by both bodies."""
+
+    time: Floats  # (t,) s
+    wanted: Floats  # (t, 3) m, of the finite-element body
+    found: Floats  # (t, 3) m, of the model
+
+    @property
+    def error(self) -> float:
+        """Relative L2 over the whole time."""
+        return float(np.linalg.norm(self.found - self.wanted) / np.linalg.norm(self.wanted))
+
+
+def released(organ: Organ, body: Body, force: Floats, node: int, rate: float) -> Release:
+    """History of a node from the shape settled under forces (n_surface, 3) N, let go; damping rate 1/s in both."""
+    motion = release(body, force, RELEASE_TIME, RELEASE_STEP, rate, [node])
+    simulation = Simulation(organ)
+    simulation.settle(force, TOLERANCE, LONGEST)
+    rest = simulation.model.rest[node]
+    ticks = round(simulation.rate * RELEASE_STEP)
+    history = [simulation.positions[node] - rest]
+    for _ in range(len(motion.time) - 1):
+        for _ in range(ticks):
+            simulation.step()
+        history.append(simulation.positions[node] - rest)
+    return Release(motion.time, motion.displacement[:, 0], np.array(history))
