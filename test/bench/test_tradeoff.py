@@ -62,7 +62,7 @@ def found():
         row("in large steps", False, 994, 1.0, 20_000.0, 0.02),
         Measured("absent", False, 994, "skipped: gone is not installed", [], None, 1.0),
     ]
-    return Found(rows, [case(), case(kind="sharp")], 12_345, 0.007, 1.1)
+    return Found(rows, [case(), case(kind="sharp")], 12_345, "linear 0.52 % mean", 1.1)
 
 
 def test_error_of_the_reference_itself_is_none():
@@ -108,7 +108,7 @@ def test_figures_are_means_over_the_loads():
 
 def test_table_tells_the_references_own_error_and_what_was_skipped():
     shown = text(as_json(kidney(), found(), 12.0))
-    assert "itself good to 0.7 %" in shown
+    assert "it is itself off: linear 0.52 % mean" in shown
     assert "absent: skipped: gone is not installed" in shown
     assert "fast *" in shown
     assert "worse *" not in shown

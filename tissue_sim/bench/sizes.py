@@ -104,13 +104,16 @@ def at_size(organ: Organ, points: int) -> Organ:
     return assembled_anew(organ, made["positions"], made["triangles"])
 
 
-def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]) -> Organ:
+def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32], interior: int | None = None) -> Organ:
     """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs.
 
-    It has as many interior atoms for each surface point as the organ. A point is held where the organ's nearest one is.
+    interior: its interior atoms, by default as many for each surface point as the organ has. A point is held where
+    the organ's nearest one is.
     """
     held = np.zeros(organ.n_surface, dtype=bool)
     held[organ.fixed] = True
+    if interior is None:
+        interior = round(organ.n_interior * len(positions) / organ.n_surface)
     return assemble_organ(
         name=f"{organ.name} of {len(positions)} points",
         surface_positions=positions,
@@ -119,7 +122,7 @@ def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]
         atom_radius=organ.atom_radius,
         atom_parent=organ.atom_parent,
         fixed=np.flatnonzero(held[cKDTree(organ.surface_positions).query(positions)[1]]),
-        interior_atoms=round(organ.n_interior * len(positions) / organ.n_surface),
+        interior_atoms=interior,
         youngs_modulus=organ.youngs_modulus,
         poisson_ratio=organ.poisson_ratio,
         density=organ.density,

@@ -4,26 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from tissue_sim.bench.sizes import at_size
-from tissue_sim.calibration.calibrate import Settings, calibrate
-from tissue_sim.calibration.checkpoint import Checkpoint
+from tissue_sim.bench.sizes import assembled_anew, at_size
+from tissue_sim.calibration.calibrate import INTERIOR_SHARE, RETURN_START
+from tissue_sim.calibration.cases import fit_cases
+from tissue_sim.calibration.dynamics import lowest_frequencies
+from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.fit import LinearMisfit, fit
+from tissue_sim.calibration.groups import group_of, search
+from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass
+from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
+from tissue_sim.model.assembly import assemble
 from tissue_sim.organ.organ import Organ
 from tissue_sim.store import remembered
 
-# Beyond what is asked for at the organ's own size a calibration may take minutes, not tens of them: fewer cases, and
-# none that are settled nonlinearly on many points.
-FEW_POINTS = 1000
-CASES, FEW_CASES, NONLINEAR, STEPS = 400, 200, 16, 40
+SEED = 0  # of the fit's cases
+_VERSION = "1"  # of what is remembered
+
+
+class Effort(NamedTuple):
+    """What a fit at some size is given: linear load cases, and evaluations of the misfit."""
+
+    cases: int
+    steps: int
 
 
 class Variants(NamedTuple):
@@ -37,79 +46,81 @@ class Variants(NamedTuple):
     springs: Organ | str
 
 
-def variants_of(organ: Organ, points: int, *, fit: bool) -> Variants:
+def effort_at(points: int) -> Effort:
+    """So that a fit takes minutes at any size. The organ's own calibration has more, and nonlinear cases too."""
+    if points <= 1000:
+        return Effort(300, 60)
+    return Effort(150, 30) if points <= 2500 else Effort(80, 20)
+
+
+def variants_of(organ: Organ, points: int, *, fits: bool) -> Variants:
     """The organs of one size of an organ's body.
 
-    fit: calibrate those that are not, which takes minutes each; they are kept in the user's cache. Without it only
+    fits: calibrate those that are not, which takes minutes each; they are kept in the user's cache. Without it only
     an organ that is itself calibrated has a calibrated variant.
     """
     plain = at_size(organ, points)
-    own = points == organ.n_surface and _method(organ) == "springs"
-    left_out = "takes minutes to fit and is left out of --quick"
-    missing = "the organ is not calibrated: 'tissue_sim calibrate ORGAN --out ORGAN2'"
-    if not fit:
-        return Variants(plain, left_out, organ if own else missing)
-    return Variants(plain, _calibrated(plain, "groups"), organ if own else _calibrated(plain, "springs"))
+    own = points == organ.n_surface and is_calibrated(organ)
+    if not fits:
+        missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
+        return Variants(plain, "takes minutes to fit, left out of --quick", organ if own else missing)
+    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(_with_interior(plain), "springs"))
 
 
-def _method(organ: Organ) -> str | None:
-    """How an organ was calibrated: springs, groups, or None."""
+def is_calibrated(organ: Organ) -> bool:
+    """Whether every spring of an organ was fitted."""
     figures = organ.provenance.get("calibration")
-    return figures.get("method") if isinstance(figures, dict) else None
+    return isinstance(figures, dict) and figures.get("method") == "springs"
 
 
-def _settings(points: int, method: str) -> Settings:
-    few = points <= FEW_POINTS
-    return Settings(
-        method=method,
-        cases=CASES if few else FEW_CASES,
-        nonlinear=NONLINEAR if few and method == "springs" else 0,
-        steps=STEPS,
-        smooth=1,  # what it is judged by is measured here, beside all others
-        sharp=0,
-    )
+def _with_interior(organ: Organ) -> Organ:
+    """The organ with the interior atoms that `tissue_sim calibrate` adds where there are none."""
+    if organ.n_interior:
+        return organ
+    wanted = round(INTERIOR_SHARE * organ.n_surface)
+    return assembled_anew(organ, organ.surface_positions, organ.surface_triangles, wanted)
 
 
-def _calibrated(plain: Organ, method: str) -> Organ | str:
+def _kept(organ: Organ, method: str) -> Organ | str:
     """The organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
-    settings = _settings(plain.n_surface, method)
-    key = f"{json.dumps(dataclasses.asdict(settings), sort_keys=True)} {plain.digest()}"
-
-    def make() -> dict[str, NDArray]:
-        return packed(calibrate(plain, settings, Checkpoint(None, {}), _Bars()).organ)
-
+    effort = effort_at(organ.n_surface)
+    key = hashlib.sha256(f"{_VERSION} {SEED} {tuple(effort)} {organ.digest()}".encode()).hexdigest()
     try:
-        return unpacked(remembered(f"calibrated-{method}", hashlib.sha256(key.encode()).hexdigest(), make))
+        made: dict[str, Any] = remembered(f"calibrated-{method}", key, lambda: fitted(organ, method, effort))
     except UserError as error:
         return str(error)
+    provenance = {**organ.provenance, "fit": f"{method}: {effort.cases} linear loads, {effort.steps} evaluations"}
+    return dataclasses.replace(organ, provenance=provenance, **made)
 
 
-def packed(organ: Organ) -> dict[str, NDArray]:
-    """All of an organ as arrays."""
-    arrays = {name: getattr(organ, name) for name in _arrays()}
-    rest = {name: getattr(organ, name) for name in ("name", "youngs_modulus", "poisson_ratio", "density")}
-    return arrays | {"rest": np.array(json.dumps(rest | {"provenance": dict(organ.provenance)}))}
+def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
+    """Stiffnesses, masses and damping of an organ, fitted to linear finite elements, by the organ's names for them.
 
-
-def unpacked(arrays: dict[str, NDArray]) -> Organ:
-    """The organ of its arrays."""
-    return Organ(**json.loads(str(arrays["rest"])), **{name: arrays[name] for name in _arrays()})
-
-
-def _arrays() -> list[str]:
-    return [field.name for field in dataclasses.fields(Organ) if "dtype" in field.metadata]
-
-
-class _Bars:
-    """A bar for every stage of a calibration."""
-
-    @contextmanager
-    def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
-        """A bar that is gone when the stage is done."""
-        with tqdm(total=total, desc=name, leave=False) as bar:
-
-            def done(remark: str = "") -> None:
-                bar.set_postfix_str(remark, refresh=False)
-                bar.update()
-
-            yield done
+    method: `groups`, one factor for each group of springs, as the paper has it; `springs`, every spring.
+    Raises UserError when the organ can't be filled with finite elements, or its springs leave something free.
+    """
+    body = Body(organ)
+    cases = fit_cases(organ, effort.cases, SEED)
+    model = assemble(organ)
+    springs = Springs(model)
+    axial, angular, pulls = springs.split(springs.stiffness_of(model))
+    start = np.concatenate([axial, angular, RETURN_START * pulls])
+    misfit = LinearMisfit(springs, cases.force, body.settle_linear(cases.force))
+    with tqdm(total=effort.steps, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
+        if method == "groups":
+            group = group_of(organ, springs)
+            stiffness = search(start, group, misfit, effort.steps, lambda *_: bar.update())
+        else:
+            stiffness = fit(start, springs.trace(), [(1.0, misfit)], effort.steps, watch=lambda *_: bar.update())
+    frequencies = lowest_frequencies(body, MODES)
+    mass = fit_mass(organ, springs, stiffness, frequencies)
+    axial, angular, pulls = springs.split(stiffness)
+    spring, hinge, pull = organ.spring_stiffness.copy(), organ.angular_stiffness.copy(), np.zeros(organ.n_nodes)
+    spring[spring > 0.0], hinge[hinge > 0.0], pull[springs.pulled] = axial, angular, pulls
+    return {
+        "spring_stiffness": spring,
+        "angular_stiffness": hinge,
+        "return_stiffness": pull,
+        "mass": mass,
+        "damping": damping_rate(frequencies) * mass,
+    }

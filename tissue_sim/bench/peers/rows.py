@@ -83,7 +83,8 @@ def _ours(organ: Organ | str, *, finer: int = 1, **options: Any) -> tuple[Engine
     engine = Ours(organ, **options)
     if finer > 1:
         engine = Ours(organ, substeps=finer * engine.substeps, **options)
-    return engine, f"{organ.n_interior} interior atoms, {engine.substeps} substeps"
+    fit = f"; fitted by {organ.provenance['fit']}" if "fit" in organ.provenance else ""
+    return engine, f"{organ.n_interior} interior atoms, {engine.substeps} substeps{fit}"
 
 
 class _Shared:

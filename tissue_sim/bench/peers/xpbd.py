@@ -24,7 +24,7 @@ UNIT = 1e-6  # m
 DAMPING_RATE = 8.0  # 1/s: with what its steps lose, a kidney settles in a second or two
 DAMPED_EVERY = 0.01  # s
 TREMBLING = 2e-3  # of its displacement: it never stands quite still
-ROUNDS = 2  # of scaling the stiffness
+ROUNDS = 1  # of scaling the stiffness
 FEM_CONSTRAINTS = 3  # pypbd's number of the XPBD constraint of a tetrahedron's strain energy
 
 
@@ -119,7 +119,7 @@ def tuned(organ: Organ, mesh: Tetrahedra, loads: Sequence[Load], iterations: Seq
     """Settings that come closest to the reference on some loads: the iterations, and how stiff its constraints are.
 
     What it settles to depends on its iterations, which it stops before they converge, as real time asks. So for each
-    number of them the stiffness is scaled twice by how far the answers are too small or too large.
+    number of them the stiffness is scaled by how far the answers are too small or too large.
     Raises ModuleNotFoundError without pypbd.
     """
     best = math.inf, Settings()
