@@ -34,7 +34,13 @@ COMMANDS = ("demo", "build", "info", "export", "solve", "replay", "view", "bridg
 EXECUTABLES = dict(entry.split(" = ") for entry in SETUP["entry_points"]["console_scripts"])
 
 # Modules whose distribution has another name, and the ROS packages that an extra brings as one.
-DISTRIBUTION_OF = {"fcl": "python-fcl", "skimage": "scikit-image", "skfem": "scikit-fem", "SimpleITK": "simpleitk"}
+DISTRIBUTION_OF = {
+    "fcl": "python-fcl",
+    "skimage": "scikit-image",
+    "netgen": "netgen-mesher",
+    "skfem": "scikit-fem",
+    "SimpleITK": "simpleitk",
+}
 ROS_PACKAGES_OF = re.compile(r"rclpy|rpyutils|rcl_interfaces|ament_index_python|(\w+_(msgs|srvs|interfaces))")
 
 GPL_FAMILY = re.compile(r"GPL|General Public License|Affero|SSPL", re.IGNORECASE)
