@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,15 +30,28 @@ def noise_lines(noise: float) -> list[str]:
     return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
 
 
-def check_json(path: str | None) -> None:
-    """Raise UserError when the file for JSON (None or - for no file) is an organ: `--json ORGAN` takes it for one."""
-    if path and path.endswith(".npz"):
-        raise UserError(f"--json {path} would write over an organ; put ORGAN before --json, or - after it")
+def emit(found: Any, text: str, json_to: str | None) -> None:
+    """Print the text and write JSON to a file, or with - print the JSON instead.
+
+    Raises UserError when the file can't be written.
+    """
+    if json_to == "-":
+        print(json.dumps(found, indent=2))
+        return
+    print(text)
+    if json_to:
+        write_json(found, Path(json_to))
 
 
-def write_json(found: Any, path: str) -> None:
+def told(pictures: Iterable[Path]) -> None:
+    """Name the pictures that were written, beside the standard output."""
+    for path in pictures:
+        print(f"picture: {path}", file=sys.stderr)
+
+
+def write_json(found: Any, path: Path) -> None:
     """Write JSON to a file; raises UserError when it can't be written."""
     try:
-        Path(path).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from None

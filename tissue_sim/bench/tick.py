@@ -6,15 +6,14 @@ Everything that is compared is measured in one run, in turns, in one process wit
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissue_sim.bench import growth
+from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.report import aligned, check_json, noise_lines, write_json
+from tissue_sim.bench.report import aligned, emit, noise_lines, told
 from tissue_sim.bench.rows import (
     ASLEEP,
     C_PLAIN,
@@ -76,21 +75,14 @@ class Measured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("organ", nargs="?", metavar="ORGAN", help="organ file (.npz); default: the kidney that ships")
-    parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
-    )
-    parser.add_argument("--out", metavar="FOLDER", help="write plots there, as PNG")
+    add_shared(parser, out="write plots there, as PNG")
     parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points, no compiling")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print the tables, write plots; returns 0, or with --check 1 when a bound is missed."""
-    check_json(args.json)
-    if args.out:
-        import matplotlib  # noqa: F401  # when it is missing, say so before the work
-
+    check_shared(args)
     path = Path(args.organ) if args.organ else shipped_organ()
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
@@ -99,17 +91,11 @@ def run(args: argparse.Namespace) -> int:
     if not args.quick:
         starts["empty"] = first_start(path, compiled=False)
     found = as_json(organ, measured, starts)
-    if args.json == "-":
-        print(json.dumps(found, indent=2))
-    else:
-        print(text(found))
-    if args.json and args.json != "-":
-        write_json(found, args.json)
+    emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.plots import write_plots
 
-        for picture in write_plots(found, Path(args.out)):
-            print(f"picture: {picture}", file=sys.stderr)
+        told(write_plots(found, Path(args.out)))
     return 1 if args.check and any(bound["met"] is False for bound in found["bounds"]) else 0
 
 
