@@ -8,6 +8,7 @@ from scenes import ball, kidney
 
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body, volume_change
+from tissue_sim.errors import UserError
 
 SMALL = 1e-4  # N
 
@@ -151,6 +152,12 @@ def test_quarter_points_do_the_work_of_halvings(monkeypatch):
     without = [error(halvings) for halvings in (1, 2)]
     assert with_them < 0.05
     assert with_them < without[1] < without[0]
+
+
+@pytest.mark.parametrize("tissue", [{"poisson_ratio": 0.5}, {"youngs_modulus": 0.0}, {"density": float("nan")}])
+def test_tissue_that_is_no_solid_is_named(tissue):
+    with pytest.raises(UserError, match=r"'ball'.*is none"):
+        Body(replace(ball(1), **tissue))
 
 
 @pytest.mark.slow
