@@ -10,7 +10,7 @@ from tissue_sim.calibration.cholesky import NotPositive
 
 @pytest.fixture(scope="module")
 def held_box():
-    solid = box(np.linspace(0.0, 2.0, 7), np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 5), bend=0.03)
+    solid = box(np.linspace(0.0, 2.0, 5), np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 4), bend=0.03)
     solid.held[solid.nodes[:, 0] == 0.0] = True
     solid.held[solid.nodes[:, 1] == 0.0, 1] = True  # single axes too
     return solid
