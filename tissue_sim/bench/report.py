@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,35 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
         return "  ".join(parts).rstrip()
 
     return [line(rows[0]), "  ".join("-" * width for width in widths), *map(line, rows[1:])]
+
+
+def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table whose last column is aligned left, after all others."""
+    lines = aligned([row[:-1] for row in table])
+    remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
+    width = max(len(line) for line in lines)
+    return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
+
+
+def figure(value: float) -> str:
+    """Three significant digits, no exponent."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def made_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exception]) -> tuple[Made | None, str]:
+    """What can be measured here and a remark on it; None and the reason where it can't be made.
+
+    That is a package that is not installed, a UserError, or one of `also`.
+    """
+    known: tuple[type[Exception], ...] = (UserError, *also)
+    try:
+        return make()
+    except known as error:
+        return None, f"skipped: {error}"
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("tissue_sim"):
+            raise
+        return None, f"skipped: {error.name} is not installed: pip install 'tissue_sim[bench]'"
 
 
 def noise_lines(noise: float) -> list[str]:

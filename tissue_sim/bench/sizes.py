@@ -10,7 +10,6 @@ import hashlib
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.spatial import cKDTree
@@ -69,6 +68,8 @@ def sized(organ: Organ, reference: Organ) -> Sized:
 
 def interpolation(source: Organ, target: Organ) -> csr_array:
     """Values at the target's surface nodes of values at the source's, (m, n): barycentric at the nearest place."""
+    import trimesh
+
     triangles, points = source.surface_triangles, target.surface_positions
     corner = source.surface_positions[triangles]
     count = min(_CANDIDATES, len(triangles))

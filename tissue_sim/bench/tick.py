@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from tissue_sim.bench import growth
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.report import aligned, emit, noise_lines, told
+from tissue_sim.bench.report import aligned, emit, figure, noise_lines, told, with_remarks
 from tissue_sim.bench.rows import (
     ASLEEP,
     C_PLAIN,
@@ -203,9 +203,9 @@ def text(found: dict[str, Any]) -> str:
         if row["median_us"] is None:
             table.append([row["name"], "-", "-", "0", "-", row["remark"]])
             continue
-        figures = [_figure(row[key]) for key in ("median_us", "p99_us")]
+        figures = [figure(row[key]) for key in ("median_us", "p99_us")]
         table.append([row["name"], *figures, str(row["samples"]), f"{row['of_whole_tick']:.3g}", row["remark"]])
-    lines += _with_remarks(table)
+    lines += with_remarks(table)
     lines += ["", *_growth_lines(found["growth"]), ""]
     compiled = found["compile"]
     kept = "read from disk" if compiled["kernels_found_on_disk"] else "compiled"
@@ -226,31 +226,18 @@ def text(found: dict[str, Any]) -> str:
         value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
         verdict = {True: "ok", False: "missed", None: "not measured"}[bound["met"]]
         table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
-    lines += _with_remarks(table)
+    lines += with_remarks(table)
     return "\n".join(lines + noise_lines(found["noise"]))
 
 
 def _growth_lines(found: dict[str, Any]) -> list[str]:
     table = [["points", "whole us", "substeps", "us a substep", "modal us", "modal substeps", "nodes", "modes", "s"]]
     for size in found["sizes"]:
-        row = [str(size["points"]), _figure(size["whole_us"]), str(size["substeps"]), _figure(size["substep_us"])]
-        row += [_figure(size["modal_us"]), str(size["modal_substeps"]), str(size["modal_nodes"])]
+        row = [str(size["points"]), figure(size["whole_us"]), str(size["substeps"]), figure(size["substep_us"])]
+        row += [figure(size["modal_us"]), str(size["modal_substeps"]), str(size["modal_nodes"])]
         table.append([*row, f"{size['modes']} by {size['modes_by']}", f"{size['modes_s']:.1f}"])
     return [
         *aligned(table, left=0),
         f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
         " shorter edges ask for more substeps; the same pressure on 19 nodes at every size",
     ]
-
-
-def _with_remarks(table: list[list[str]]) -> list[str]:
-    """A table whose last column is aligned left, after all others."""
-    lines = aligned([row[:-1] for row in table])
-    remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
-    width = max(len(line) for line in lines)
-    return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
-
-
-def _figure(value: float) -> str:
-    """Three significant digits, no exponent."""
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import Row, rows_of
-from tissue_sim.bench.report import aligned, emit, noise_lines, told
+from tissue_sim.bench.report import emit, figure, made_or_skipped, noise_lines, told, with_remarks
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.bench.variants import variants_of
@@ -148,16 +148,9 @@ def measure_rows(
     bursts: dict[str, Burst] = {NOISE: noise_burst}
     measured: list[Measured] = []
     for number, (row, size) in enumerate(tqdm(rows, desc="rows", unit="row")):
-        try:
-            engine, remark = row.make()
-        except UserError as error:
-            measured.append(Measured(row.name, row.ours, row.points, f"skipped: {error}", [], None, 1.0))
-            continue
-        except ModuleNotFoundError as error:
-            if (error.name or "").startswith("tissue_sim"):
-                raise
-            skipped = f"skipped: {error.name} is not installed: pip install 'tissue_sim[bench]'"
-            measured.append(Measured(row.name, row.ours, row.points, skipped, [], None, 1.0))
+        engine, remark = made_or_skipped(row.make)
+        if engine is None:
+            measured.append(Measured(row.name, row.ours, row.points, remark, [], None, 1.0))
             continue
         errors = [error_of(engine, case, size) for case in cases]
         measured.append(Measured(row.name, row.ours, row.points, remark, errors, None, engine.update))
@@ -318,26 +311,13 @@ def text(found: dict[str, Any]) -> str:
     for row in found["rows"]:
         if not row["errors"]:
             continue
-        figures = [f"{row['points']}", _figure(row["ms_per_ms"]), _figure(row["settle_ms"])]
+        figures = [f"{row['points']}", figure(row["ms_per_ms"]), figure(row["settle_ms"])]
         figures += [f"{row[key]:.1f}" for key in ("mean_percent", "worst_percent", "sharp_percent")]
         figures += [f"{row['rms_mm']:.2f}", f"{row['rms_over_max_percent']:.1f}", f"{row['volume_change_percent']:.2f}"]
         figures += [f"{row['settled']}/{len(row['errors'])}"]
         table.append([row["name"] + (" *" if row["pareto"] else ""), *figures, row["remark"]])
-    lines += _with_remarks(table)
+    lines += with_remarks(table)
     lines.append("* on the Pareto front of ms per ms and L2: nothing else is both faster and closer")
     skipped = {(row["name"], row["remark"]): None for row in found["rows"] if not row["errors"]}
     lines += [f"{name}: {remark}" for name, remark in skipped]
     return "\n".join(lines + noise_lines(found["noise"]))
-
-
-def _with_remarks(table: list[list[str]]) -> list[str]:
-    """A table whose last column is aligned left, after all others."""
-    lines = aligned([row[:-1] for row in table])
-    remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
-    width = max(len(line) for line in lines)
-    return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
-
-
-def _figure(value: float) -> str:
-    """Three significant digits, no exponent."""
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"

@@ -130,6 +130,8 @@ def tuned(organ: Organ, mesh: Tetrahedra, loads: Sequence[Load], iterations: Seq
             found = [(engine.settle(load).displacement, load.reached) for load in loads]
             off = [float(np.linalg.norm(u - wanted) / np.linalg.norm(wanted)) for u, wanted in found]
             best = min(best, (sum(off) / len(off), settings))
+            if not all(np.any(u) for u, _ in found):
+                break  # it has run away
             short = [float(np.vdot(u, wanted) / np.vdot(u, u)) for u, wanted in found]
             settings = settings._replace(stiffness=settings.stiffness / float(np.median(short)))
     return best[1]
