@@ -4,7 +4,9 @@
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
-EXTRAS := ros,image,viewer,bench,test
+# Tests that need no clock and no network run two at once.
+APART := test/organ test/model test/calibration
+EXTRAS := ros,image,viewer,calibration,bench,test
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
 unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
@@ -23,8 +25,8 @@ demo: .venv/.installed ## node, scripted haptic bridge and viewer (http://127.0.
 
 # The organ's tests run two at once; those of loops and processes in real time alone. 5: none was selected.
 test: lint ## checks and tests; PYTEST="-k node" for some of them
-	@$(PY) -m pytest -n 2 test/organ $(PYTEST) || [ $$? = 5 ]
-	@$(PY) -m pytest --ignore=test/organ $(PYTEST) || [ $$? = 5 ]
+	@$(PY) -m pytest -n 2 $(APART) $(PYTEST) || [ $$? = 5 ]
+	@$(PY) -m pytest $(APART:%=--ignore=%) $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)

@@ -34,13 +34,21 @@ COMMANDS = ("demo", "build", "info", "export", "solve", "replay", "view", "bridg
 EXECUTABLES = dict(entry.split(" = ") for entry in SETUP["entry_points"]["console_scripts"])
 
 # Modules whose distribution has another name, and the ROS packages that an extra brings as one.
-DISTRIBUTION_OF = {"fcl": "python-fcl", "skimage": "scikit-image", "skfem": "scikit-fem", "SimpleITK": "simpleitk"}
+DISTRIBUTION_OF = {
+    "fcl": "python-fcl",
+    "skimage": "scikit-image",
+    "netgen": "netgen-mesher",
+    "skfem": "scikit-fem",
+    "SimpleITK": "simpleitk",
+}
 ROS_PACKAGES_OF = re.compile(r"rclpy|rpyutils|rcl_interfaces|ament_index_python|(\w+_(msgs|srvs|interfaces))")
 
 GPL_FAMILY = re.compile(r"GPL|General Public License|Affero|SSPL", re.IGNORECASE)
 # Distributions whose metadata names a licence of the GPL family, and why they may stay.
 CLEARED = {
     "pygame": "LGPL, unchanged and linked dynamically; comes with pypbd, for benchmarks alone",
+    "netgen-mesher": "LGPL-2.1, unchanged and linked dynamically; for calibration alone",
+    "netgen-occt": "LGPL-2.1, as netgen-mesher, which brings it",
     "docutils": "public domain and BSD; the GPL covers an Emacs mode that is not in the wheel; comes with colcon",
 }
 

@@ -84,7 +84,7 @@ def test_rows_that_cannot_be_measured_say_why(monkeypatch):
     makers = rows.makers_of(ball(2))
     names = (rows.FLEX, rows.C_PLAIN, rows.C_NATIVE, rows.PRODUCT)
     bursts, remarks = rows.make_bursts({name: makers[name] for name in names})
-    assert remarks[rows.FLEX] == "skipped: mujoco is not installed"
+    assert remarks[rows.FLEX] == "skipped: mujoco is not installed: pip install 'tissue_sim[bench]'"
     assert remarks[rows.C_PLAIN] == remarks[rows.C_NATIVE] == "skipped: no C compiler"
     assert list(bursts) == [rows.PRODUCT]
 

@@ -6,7 +6,7 @@ import pytest
 from tissue_sim.model import state as st
 from tissue_sim.model.guard import (
     CELLS_A_TICK,
-    LANES,
+    KEEP_EVERY,
     MAX_BACKOFF,
     MOST_TURNED,
     RUNAWAY_RATE,
@@ -92,7 +92,7 @@ def test_nodes_that_are_held_or_not_asked_for_are_not_looked_at():
 
 
 @pytest.mark.parametrize("size", [1, 15, 16, 17, 126])
-def test_sums_pass_no_state_that_a_look_at_each_node_would_not(size):
+def test_coordinate_over_its_bound_is_seen_wherever_it_is(size):
     """One value at a time is put over its bound, or made no number; the same just under it passes."""
     rest = np.random.default_rng(0).standard_normal(size)
     for index in (0, size // 2, size - 1):
@@ -100,8 +100,7 @@ def test_sums_pass_no_state_that_a_look_at_each_node_would_not(size):
             for offsets, speeds in ((value, 0.0), (0.0, 100.0 * value)):
                 away, speed = np.zeros(size), np.zeros(size)
                 away[index], speed[index] = offsets, speeds
-                sums = np.full(2 * LANES, np.nan)
-                assert is_bounded(rest + away, speed, rest, sums, 0.1**2, 10.0**2) == passes
+                assert is_bounded(rest + away, speed, rest, 0.1, 10.0) == passes
 
 
 # whole ticks -----------------------------------------------------------------------------------
@@ -134,6 +133,19 @@ def test_fault_is_counted_and_named_and_the_last_good_state_is_back(bad, integra
         simulation.step()
     assert simulation.asleep
     assert simulation.state.count[st.FAULTS] == 1
+
+
+def test_shape_that_comes_back_is_one_of_the_last_few():
+    simulation = Simulation(ball(2))
+    poke(simulation, 20)
+    for _ in range(2 * KEEP_EVERY):
+        last = []
+        for _ in range(KEEP_EVERY + 1):
+            poke(simulation, 1)
+            last.append(simulation.positions.copy())
+        simulation.velocities[simulation.model.moving[0]] = np.nan
+        poke(simulation, 1)
+        assert any(np.array_equal(simulation.positions, shape) for shape in last)
 
 
 def test_substeps_double_with_each_fault_and_start_again_after_eight():

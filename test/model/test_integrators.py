@@ -16,7 +16,8 @@ from ..scenes import assembled, ball
 ONE = np.array([0], dtype=np.int32)
 
 
-def test_step_is_the_written_recurrence():
+@pytest.mark.parametrize("inertia", [1.0, 7.0])
+def test_step_is_the_written_recurrence(inertia):
     random = np.random.default_rng(0)
     n, step, scale = 9, 3e-4, 1.7
     x, v, force = random.standard_normal((3, n, 3))
@@ -24,11 +25,12 @@ def test_step_is_the_written_recurrence():
     moving = np.array([0, 2, 3, 7], dtype=np.int32)
     expected_x, expected_v = x.copy(), v.copy()
     for i in moving:
-        expected_v[i] = (v[i] + step * force[i] / mass[i]) / (1.0 + step * scale * damping[i] / mass[i])
+        heavy = inertia * mass[i]
+        expected_v[i] = (v[i] + step * force[i] / heavy) / (1.0 + step * scale * damping[i] / heavy)
         expected_x[i] = x[i] + step * expected_v[i]
     held = np.setdiff1d(np.arange(n), moving)
     before = x[held].copy(), v[held].copy()
-    symplectic_euler(x, v, force, moving, 1.0 / mass, damping, scale, step)
+    symplectic_euler(x, v, force, moving, 1.0 / mass, damping, scale, step, inertia)
     np.testing.assert_allclose(v, expected_v, rtol=1e-13)
     np.testing.assert_allclose(x, expected_x, rtol=1e-13)
     assert np.array_equal(x[held], before[0])

@@ -67,6 +67,28 @@ def test_small_load_settles_near_the_linear_model_and_frozen_does_not(organ, pla
     assert error(frozen, expected, core) > 0.3
 
 
+def test_stiff_region_is_made_heavier_instead_of_stepped_more_often_and_settles_the_same():
+    organ = ball(3)
+    _, forces = patch(organ, UP)
+    forces *= 1e-3
+    expected = linear_answer(organ, forces)
+    whole, modal = Simulation(organ), Simulation(organ, local_region="modal")
+    assert modal.settings[st.REGION_INERTIA] == 1.0
+    for simulation in (whole, modal):
+        simulation.settings[st.STIFFNESS_SCALE] = 400.0
+        simulation.set_substeps()
+    needed = whole.settings[st.WANTED_SUBSTEPS]
+    assert needed > 12
+    assert modal.settings[st.REGION_SUBSTEPS] == 6
+    assert modal.settings[st.WANTED_SUBSTEPS] == needed  # of a tick of the whole model
+    # Step and inertia make up for each other: the same share of the critical step.
+    assert modal.settings[st.REGION_INERTIA] == pytest.approx((needed / 6) ** 2, rel=0.15)
+    found, settled = modal.settle(400.0 * forces, tolerance=1e-4)
+    assert settled
+    assert modal.state.count[st.FAULTS] == 0
+    assert error(found, expected) <= 0.025
+
+
 BENDS_OUTSIDE = pytest.mark.xfail(strict=True, reason="the pole bends outside the region, where springs are linear")
 DENTED = [pytest.param(*one.values, marks=[*one.marks, BENDS_OUTSIDE], id=one.id) for one in KIDNEY[:2]] + KIDNEY[2:]
 

@@ -15,6 +15,10 @@ BENCHMARKS = {
     "tick": ("tissue_sim.bench.tick", "time of a tick beside a C loop, MuJoCo flex and a precomputed compliance"),
     "table1": ("tissue_sim.bench.table1", "the paper's Table 1 and Figure 6"),
     "region": ("tissue_sim.bench.region", "how far the local regions are off the whole model"),
+    "tradeoff": (
+        "tissue_sim.bench.tradeoff",
+        "run time against error, beside finite elements, MuJoCo, XPBD, ChainMail",
+    ),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -19,27 +20,46 @@ _SLIVER = 1e-3  # volume over cube of the longest edge, below which a tetrahedro
 
 
 class Flex:
-    """Bursts of 1 ms steps of the organ in MuJoCo, under forces (k, 3) N on nodes (k,).
+    """Bursts of steps of the organ in MuJoCo, under forces (k, 3) N on nodes (k,).
+
+    filling: points (p, 3) m, the organ's surface first, and tetrahedra (c, 4), instead of Delaunay's of the organ's
+    nodes; step s; damping s, proportional to stiffness.
 
     Integrator `discrete` with conjugate gradients: MuJoCo integrates a flex's elasticity implicitly with no other,
     and its explicit one diverges here even at 0.05 ms. Raises ModuleNotFoundError without mujoco, UserError when it
     can't load the organ.
     """
 
-    def __init__(self, organ: Organ, nodes: NDArray[np.int64], forces: Floats) -> None:
+    def __init__(
+        self,
+        organ: Organ,
+        nodes: NDArray[np.int64],
+        forces: Floats,
+        *,
+        filling: tuple[Floats, NDArray[np.int32]] | None = None,
+        step: float = STEP,
+        damping: float = DAMPING,
+    ) -> None:
         import mujoco
 
         self._step = mujoco.mj_step
         # Else it would write its warnings to a file in the working folder.
         mujoco.set_mju_user_warning(self._note)
         self.warnings: list[str] = []
-        cells = tetrahedra(organ)
+        points, cells = filling or (organ.rest_positions, tetrahedra(organ))
+        self.rest = points
         self.n_tetrahedra = len(cells)
         try:
-            self.model: Any = mujoco.MjModel.from_xml_string(scene_xml(organ, cells))
+            self.model: Any = mujoco.MjModel.from_xml_string(scene_xml(organ, points, cells, step, damping))
         except ValueError as error:
             raise UserError(f"MuJoCo does not load '{organ.name}': {str(error).splitlines()[0]}") from None
+        self._reset = mujoco.mj_resetData
         self.data: Any = mujoco.MjData(self.model)
+        self.load(nodes, forces)
+
+    def load(self, nodes: NDArray[np.int64], forces: Floats) -> None:
+        """Back to the rest shape, under forces (k, 3) N on nodes (k,)."""
+        self._reset(self.model, self.data)
         self.data.xfrc_applied[self.model.flex_vertbodyid[nodes], :3] = forces
 
     def _note(self, message: str) -> None:
@@ -48,6 +68,12 @@ class Flex:
     def __call__(self, count: int) -> Floats:
         """Seconds (count,) of count steps."""
         return time_calls(lambda: self._step(self.model, self.data), count)
+
+    def step(self) -> float:
+        """Do a step; returns its seconds."""
+        start = time.thread_time()
+        self._step(self.model, self.data)
+        return time.thread_time() - start
 
     @property
     def positions(self) -> Floats:
@@ -67,17 +93,17 @@ def tetrahedra(organ: Organ) -> NDArray[np.int32]:
     return cells[np.abs(volume) > _SLIVER * longest**3].astype(np.int32)
 
 
-def scene_xml(organ: Organ, cells: NDArray[np.int32]) -> str:
-    """MuJoCo's description of the organ: no gravity, no contacts."""
-    points = " ".join(f"{value:.9g}" for value in organ.rest_positions.ravel())
+def scene_xml(organ: Organ, points: Floats, cells: NDArray[np.int32], step: float, damping: float) -> str:
+    """MuJoCo's description of the organ with points (p, 3) m and cells (c, 4): no gravity, no contacts."""
+    places = " ".join(f"{value:.9g}" for value in points.ravel())
     return f"""<mujoco>
-  <option timestep="{STEP}" integrator="discrete" solver="CG" gravity="0 0 0"/>
+  <option timestep="{step}" integrator="discrete" solver="CG" gravity="0 0 0"/>
   <size memory="256M"/>
   <worldbody>
     <flexcomp name="organ" type="direct" dim="3" mass="{organ.mass.sum():.9g}" radius="0.0005"
-        point="{points}" element="{" ".join(map(str, cells.ravel()))}">
+        point="{places}" element="{" ".join(map(str, cells.ravel()))}">
       <edge equality="false"/>
-      <elasticity young="{organ.youngs_modulus:.9g}" poisson="{organ.poisson_ratio:.9g}" damping="{DAMPING}"/>
+      <elasticity young="{organ.youngs_modulus:.9g}" poisson="{organ.poisson_ratio:.9g}" damping="{damping}"/>
       <contact selfcollide="none" contype="0" conaffinity="0"/>
       <pin id="{" ".join(map(str, organ.fixed))}"/>
     </flexcomp>

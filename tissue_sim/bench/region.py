@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
+from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, node_normals, patch
-from tissue_sim.bench.report import aligned, check_json, write_json
+from tissue_sim.bench.report import aligned, emit
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.hops import hop_table
@@ -45,28 +45,20 @@ class Case(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("organ", nargs="?", metavar="ORGAN", help="organ file (.npz); default: the kidney that ships")
+    add_shared(parser)
     parser.add_argument("--patches", type=int, default=6, help="how many patches, drawn at random")
-    parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
-    )
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Settle every case in every region and print errors; returns 1 with --check when a bound is missed, else 0."""
-    check_json(args.json)
+    check_shared(args)
     if not 1 <= args.patches <= 1000:
         raise UserError(f"--patches {args.patches} is outside 1..1000")
     organ = Organ.load(args.organ or shipped_organ())
     cases = measure(organ, args.patches)
     found = summary(cases)
-    if args.json == "-":
-        print(json.dumps(found, indent=2))
-    else:
-        print("\n".join(lines(organ, cases, found)))
-        if args.json:
-            write_json(found, args.json)
+    emit(found, "\n".join(lines(organ, cases, found)), args.json)
     return 1 if args.check and not found["ok"] else 0
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,35 @@ def aligned(rows: Sequence[Sequence[str]], left: int = 1) -> list[str]:
     return [line(rows[0]), "  ".join("-" * width for width in widths), *map(line, rows[1:])]
 
 
+def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table whose last column is aligned left, after all others."""
+    lines = aligned([row[:-1] for row in table])
+    remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
+    width = max(len(line) for line in lines)
+    return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
+
+
+def figure(value: float) -> str:
+    """Three significant digits, no exponent."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def made_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exception]) -> tuple[Made | None, str]:
+    """What can be measured here and a remark on it; None and the reason where it can't be made.
+
+    That is a package that is not installed, a UserError, or one of `also`.
+    """
+    known: tuple[type[Exception], ...] = (UserError, *also)
+    try:
+        return make()
+    except known as error:
+        return None, f"skipped: {error}"
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("tissue_sim"):
+            raise
+        return None, f"skipped: {error.name} is not installed: pip install 'tissue_sim[bench]'"
+
+
 def noise_lines(noise: float) -> list[str]:
     """A remark on noise, the p99 of a fixed loop over its median, where it is high; else nothing."""
     if noise < NOISY:
@@ -29,15 +59,28 @@ def noise_lines(noise: float) -> list[str]:
     return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
 
 
-def check_json(path: str | None) -> None:
-    """Raise UserError when the file for JSON (None or - for no file) is an organ: `--json ORGAN` takes it for one."""
-    if path and path.endswith(".npz"):
-        raise UserError(f"--json {path} would write over an organ; put ORGAN before --json, or - after it")
+def emit(found: Any, text: str, json_to: str | None) -> None:
+    """Print the text and write JSON to a file, or with - print the JSON instead.
+
+    Raises UserError when the file can't be written.
+    """
+    if json_to == "-":
+        print(json.dumps(found, indent=2))
+        return
+    print(text)
+    if json_to:
+        write_json(found, Path(json_to))
 
 
-def write_json(found: Any, path: str) -> None:
+def told(pictures: Iterable[Path]) -> None:
+    """Name the pictures that were written, beside the standard output."""
+    for path in pictures:
+        print(f"picture: {path}", file=sys.stderr)
+
+
+def write_json(found: Any, path: Path) -> None:
     """Write JSON to a file; raises UserError when it can't be written."""
     try:
-        Path(path).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from None

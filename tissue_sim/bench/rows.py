@@ -12,10 +12,10 @@ from tissue_sim.bench.c_loop import NATIVE, PLAIN, CLoop, CLoopError
 from tissue_sim.bench.compliance import Product, surface_compliance
 from tissue_sim.bench.flex import Flex
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
+from tissue_sim.bench.report import made_or_skipped
 from tissue_sim.bench.timing import Burst, Floats, Ticks
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import Simulation
@@ -44,14 +44,9 @@ def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str
     bursts: dict[str, Burst] = {}
     remarks: dict[str, str] = {}
     for name, make in makers.items():
-        try:
-            bursts[name], remarks[name] = make()
-        except (UserError, CLoopError) as error:
-            remarks[name] = f"skipped: {error}"
-        except ModuleNotFoundError as error:
-            if (error.name or "").startswith("tissue_sim"):
-                raise
-            remarks[name] = f"skipped: {error.name} is not installed"
+        burst, remarks[name] = made_or_skipped(make, CLoopError)
+        if burst is not None:
+            bursts[name] = burst
     return bursts, remarks
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -12,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.report import emit, told, write_json
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.errors import UserError
@@ -23,11 +24,10 @@ OUTCOMES = ("stable", "guarded", "diverged")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument(
-        "organ",
-        metavar="ORGAN",
-        nargs="?",
-        help="organ file (.npz); default: the kidney that ships, a small ellipsoid with --quick",
+    add_shared(
+        parser,
+        organ="the kidney that ships, a small ellipsoid with --quick",
+        out="write stability.png and stability.json there",
     )
     parser.add_argument("--quick", action="store_true", help="fewer cells and shorter times, within a minute")
     parser.add_argument(
@@ -41,36 +41,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="loky",
         help="joblib backend: loky (processes here), or dask or ray where one is set up and registered",
     )
-    parser.add_argument("--out", metavar="FOLDER", help="write stability.png and stability.json there")
-    parser.add_argument("--json", metavar="FILE", help="write the records as JSON; - for standard output")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a cell with default settings diverged")
 
 
 def run(args: argparse.Namespace) -> int:
     """Sweep, map and report; returns 1 with --check when a cell with default settings diverged."""
+    check_shared(args)
     axes = axes_named(args.axes or (",".join(QUICK_AXES) if args.quick else "all"))
     if args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
-    folder = _folder(args.out)
     organ = args.organ or (SMALL_ORGAN if args.quick else str(shipped_organ()))
     cells = cells_of(axes, organ, args.quick)
     start = time.perf_counter()
     records = sweep(cells, args.jobs, args.backend)
     seconds = time.perf_counter() - start
     report = _report(records, organ, args.quick, seconds)
-    text = json.dumps(report, indent=1)
-    if folder is not None:
+    shown = summary(records, seconds)
+    emit(report, shown, args.json)
+    if args.json == "-":
+        print(shown, file=sys.stderr)
+    if args.out:
         from tissue_sim.bench.sweeps.stability_map import draw_map
 
-        draw_map(records, f"Stability of {report['organ']}: {len(records)} cells", folder / "stability.png")
-        _write(folder / "stability.json", text)
-    if args.json == "-":
-        print(text)
-    elif args.json:
-        _write(Path(args.json), text)
-    print(summary(records, seconds), file=sys.stderr if args.json == "-" else sys.stdout)
-    if folder is not None:
-        print(f"map: {folder / 'stability.png'}, records: {folder / 'stability.json'}", file=sys.stderr)
+        picture = Path(args.out) / "stability.png"
+        draw_map(records, f"Stability of {report['organ']}: {len(records)} cells", picture)
+        write_json(report, picture.with_suffix(".json"))
+        told([picture])
     return int(bool(args.check and violations(records)))
 
 
@@ -150,21 +146,3 @@ def _compile(cells: Sequence[Cell]) -> None:
         print("compiling the kernels, about half a minute, once", file=sys.stderr)
     for integrator in dict.fromkeys(cell.integrator for cell in cells):
         simulation_of(next(cell for cell in cells if cell.integrator == integrator)).step()
-
-
-def _folder(name: str | None) -> Path | None:
-    if name is None:
-        return None
-    folder = Path(name)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make folder {folder}: {error.strerror}; name another with --out") from None
-    return folder
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None

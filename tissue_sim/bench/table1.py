@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import node_normals, spread_nodes
-from tissue_sim.bench.report import aligned, check_json, noise_lines, write_json
+from tissue_sim.bench.report import aligned, emit, noise_lines, told
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
@@ -69,38 +68,25 @@ class Cell(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("organ", nargs="?", metavar="ORGAN", help="organ file (.npz); default: the kidney that ships")
-    parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
-    )
-    parser.add_argument("--out", metavar="FOLDER", help="write Figure 6 there, as PNG")
+    add_shared(parser, out="write Figure 6 there, as PNG")
     parser.add_argument("--unit", type=float, default=2.0, help="mN that one unit of the paper's forces stands for")
     parser.add_argument("--quick", action="store_true", help="shorter measurements, and 2 s instead of 5 to settle")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print the table, write pictures; returns 0. Raises UserError for a unit out of range."""
-    check_json(args.json)
+    check_shared(args)
     if not 1e-3 <= args.unit <= 1e3:
         raise UserError(f"--unit {args.unit:g} mN is outside 0.001..1000")
-    if args.out:
-        import matplotlib  # noqa: F401  # when it is missing, say so before the work
-
     organ = Organ.load(args.organ or shipped_organ())
     unit = 1e-3 * args.unit
     cells, noise = in_one_thread(measure, organ, unit, args.quick)
     found = as_json(organ, unit, cells, noise)
-    if args.json == "-":
-        print(json.dumps(found, indent=2))
-    else:
-        print(text(found))
-    if args.json and args.json != "-":
-        write_json(found, args.json)
+    emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.pictures import write_figure
 
-        for path in write_figure(organ, panels(organ, unit, cells), Path(args.out)):
-            print(f"picture: {path}", file=sys.stderr)
+        told(write_figure(organ, panels(organ, unit, cells), Path(args.out)))
     return 0
 
 

@@ -6,15 +6,14 @@ Everything that is compared is measured in one run, in turns, in one process wit
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissue_sim.bench import growth
+from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.report import aligned, check_json, noise_lines, write_json
+from tissue_sim.bench.report import aligned, emit, figure, noise_lines, told, with_remarks
 from tissue_sim.bench.rows import (
     ASLEEP,
     C_PLAIN,
@@ -76,21 +75,14 @@ class Measured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("organ", nargs="?", metavar="ORGAN", help="organ file (.npz); default: the kidney that ships")
-    parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
-    )
-    parser.add_argument("--out", metavar="FOLDER", help="write plots there, as PNG")
+    add_shared(parser, out="write plots there, as PNG")
     parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points, no compiling")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print the tables, write plots; returns 0, or with --check 1 when a bound is missed."""
-    check_json(args.json)
-    if args.out:
-        import matplotlib  # noqa: F401  # when it is missing, say so before the work
-
+    check_shared(args)
     path = Path(args.organ) if args.organ else shipped_organ()
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
@@ -99,17 +91,11 @@ def run(args: argparse.Namespace) -> int:
     if not args.quick:
         starts["empty"] = first_start(path, compiled=False)
     found = as_json(organ, measured, starts)
-    if args.json == "-":
-        print(json.dumps(found, indent=2))
-    else:
-        print(text(found))
-    if args.json and args.json != "-":
-        write_json(found, args.json)
+    emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.plots import write_plots
 
-        for picture in write_plots(found, Path(args.out)):
-            print(f"picture: {picture}", file=sys.stderr)
+        told(write_plots(found, Path(args.out)))
     return 1 if args.check and any(bound["met"] is False for bound in found["bounds"]) else 0
 
 
@@ -217,9 +203,9 @@ def text(found: dict[str, Any]) -> str:
         if row["median_us"] is None:
             table.append([row["name"], "-", "-", "0", "-", row["remark"]])
             continue
-        figures = [_figure(row[key]) for key in ("median_us", "p99_us")]
+        figures = [figure(row[key]) for key in ("median_us", "p99_us")]
         table.append([row["name"], *figures, str(row["samples"]), f"{row['of_whole_tick']:.3g}", row["remark"]])
-    lines += _with_remarks(table)
+    lines += with_remarks(table)
     lines += ["", *_growth_lines(found["growth"]), ""]
     compiled = found["compile"]
     kept = "read from disk" if compiled["kernels_found_on_disk"] else "compiled"
@@ -240,31 +226,18 @@ def text(found: dict[str, Any]) -> str:
         value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
         verdict = {True: "ok", False: "missed", None: "not measured"}[bound["met"]]
         table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
-    lines += _with_remarks(table)
+    lines += with_remarks(table)
     return "\n".join(lines + noise_lines(found["noise"]))
 
 
 def _growth_lines(found: dict[str, Any]) -> list[str]:
     table = [["points", "whole us", "substeps", "us a substep", "modal us", "modal substeps", "nodes", "modes", "s"]]
     for size in found["sizes"]:
-        row = [str(size["points"]), _figure(size["whole_us"]), str(size["substeps"]), _figure(size["substep_us"])]
-        row += [_figure(size["modal_us"]), str(size["modal_substeps"]), str(size["modal_nodes"])]
+        row = [str(size["points"]), figure(size["whole_us"]), str(size["substeps"]), figure(size["substep_us"])]
+        row += [figure(size["modal_us"]), str(size["modal_substeps"]), str(size["modal_nodes"])]
         table.append([*row, f"{size['modes']} by {size['modes_by']}", f"{size['modes_s']:.1f}"])
     return [
         *aligned(table, left=0),
         f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
         " shorter edges ask for more substeps; the same pressure on 19 nodes at every size",
     ]
-
-
-def _with_remarks(table: list[list[str]]) -> list[str]:
-    """A table whose last column is aligned left, after all others."""
-    lines = aligned([row[:-1] for row in table])
-    remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
-    width = max(len(line) for line in lines)
-    return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
-
-
-def _figure(value: float) -> str:
-    """Three significant digits, no exponent."""
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,7 +75,9 @@ def quadratic(mesh: Any) -> tuple[Floats, Ints]:
     """Nodes (n, 3) m and quadratic elements (e, 10) of a skfem.MeshTet, its own points first."""
     skfem, _ = libraries()
     basis = skfem.CellBasis(mesh, skfem.ElementTetP2(), intorder=1)
-    return np.ascontiguousarray(basis.doflocs.T), np.ascontiguousarray(basis.element_dofs.T.astype(np.int32))
+    nodes = np.ascontiguousarray(basis.doflocs.T)
+    nodes[: mesh.p.shape[1]] = mesh.p.T  # without the mapping's rounding
+    return nodes, np.ascontiguousarray(basis.element_dofs.T.astype(np.int32))
 
 
 def _to_quarter_points(nodes: Floats, pairs: Ints, front: NDArray[np.bool_]) -> None:
@@ -202,23 +205,37 @@ def _along(positions: Floats, edges: Ints, apart: float) -> Floats:
 
 def _tetrahedra(organ: Organ) -> tuple[Floats, Ints]:
     """Points (p, 3) m, the surface nodes first, and tetrahedra (c, 4) of Netgen's mesh inside the surface."""
+    try:
+        points, cells = _meshed(organ.surface_positions.tobytes(), organ.surface_triangles.tobytes())
+    except _Unfilled as error:
+        raise UserError(f"organ '{organ.name}': Netgen can't fill the surface ({error}); remesh it") from None
+    return points.copy(), cells.copy()
+
+
+class _Unfilled(Exception):
+    """Netgen's reason."""
+
+
+@lru_cache(maxsize=8)
+def _meshed(positions: bytes, triangles: bytes) -> tuple[Floats, Ints]:
+    """Netgen's mesh of a surface, given as bytes: bodies of several gradings and materials share one."""
     _, meshing = libraries()
     meshing.SetMessageImportance(0)
+    surface = np.frombuffer(positions).reshape(-1, 3)
     mesh = meshing.Mesh(3)
-    points = [mesh.Add(meshing.MeshPoint(meshing.Pnt(*(x / MESHER_UNIT)))) for x in organ.surface_positions]
+    points = [mesh.Add(meshing.MeshPoint(meshing.Pnt(*(x / MESHER_UNIT)))) for x in surface]
     mesh.Add(meshing.FaceDescriptor(surfnr=1, domin=1, domout=0, bc=1))
-    for triangle in organ.surface_triangles:
+    for triangle in np.frombuffer(triangles, dtype=np.int32).reshape(-1, 3):
         mesh.Add(meshing.Element2D(1, [points[node] for node in triangle]))
     try:
         mesh.GenerateVolumeMesh()
-        found = mesh.Coordinates() * MESHER_UNIT
-        cells = np.array([[vertex.nr - 1 for vertex in cell.vertices] for cell in mesh.Elements3D()], dtype=np.int32)
     except Exception as error:  # Netgen's own exception type
-        raise UserError(f"organ '{organ.name}': Netgen can't fill the surface ({error}); remesh it") from None
+        raise _Unfilled(str(error).strip().splitlines()[0] if str(error).strip() else "no reason given") from None
+    found = mesh.Coordinates() * MESHER_UNIT
+    cells = np.array([[vertex.nr - 1 for vertex in cell.vertices] for cell in mesh.Elements3D()], dtype=np.int32)
     if not len(cells):
-        raise UserError(f"organ '{organ.name}': Netgen can't fill the surface; does it intersect itself? remesh it")
-    n = organ.n_surface
-    found[:n] = organ.surface_positions  # as they were, without the rounding of the unit
+        raise _Unfilled("it may intersect itself")
+    found[: len(surface)] = surface  # as they were, without the rounding of the unit
     return found, cells
 
 

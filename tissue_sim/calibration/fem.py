@@ -11,6 +11,7 @@ from scipy.sparse import coo_array, csr_array
 
 from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
 from tissue_sim.calibration.solid import Solid
+from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ, signed_volume
 
 FACET_QUADRATURE = 6  # order: a linear traction, quadratic shape functions, and quarter points
@@ -36,6 +37,7 @@ class Body:
     """
 
     def __init__(self, organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> None:
+        _check_material(organ)
         self.organ = organ
         self.filling = fill(organ, near, grading)
         held = np.zeros((len(self.filling.nodes), 3), dtype=bool)
@@ -87,6 +89,16 @@ class Body:
                 found.load_steps,
                 found.least_det,
             )
+
+
+def _check_material(organ: Organ) -> None:
+    """Raise UserError unless the tissue is that of an elastic solid that can be compressed."""
+    if not (0.0 < organ.youngs_modulus < np.inf and 0.0 < organ.density < np.inf and -1.0 < organ.poisson_ratio < 0.5):
+        raise UserError(
+            f"organ '{organ.name}': a solid of Young's modulus {organ.youngs_modulus:g} Pa, Poisson's ratio "
+            f"{organ.poisson_ratio:g} and {organ.density:g} kg/m^3 is none; build it with other values, Poisson's "
+            "ratio below 0.5"
+        )
 
 
 def volume_change(organ: Organ, displacement: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Keeps the last good state, goes back to it when a tick went wrong, and knows the inside from the outside."""
+"""Keeps the last good shape, goes back to it when a tick went wrong, and knows the inside from the outside."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tissue_sim.model.state import (
     COLLAPSING,
     FAULT_KIND,
     FAULTS,
+    GOOD_AGE,
     LAST_GOOD_SPAN,
     MODAL,
     NEXT_CELL,
@@ -30,13 +31,14 @@ MAX_BACKOFF = 8
 RUNAWAY_RATE = 100.0  # 1/s, speed over the organ's size that the nodes together never have
 WAY_BACK = 20.0  # 1/s on the way to rest
 CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks
-LANES = 16
+PER_AXIS = 1.0 / math.sqrt(3.0)  # a vector with smaller coordinates than this is shorter than 1
+KEEP_EVERY = 4  # ticks between two shapes that are kept to go back to
 MOST_TURNED = 0.5  # share of the cells; an organ turned that far knows no way back
 
 
-@part
+@kernel
 def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Keep this state if it is finite and bounded, else go back to the last good one, at rest.
+    """Keep this shape if it is finite and bounded, else go back to the last good one, at rest.
 
     Bounded: no node farther from rest than the organ's own size, none faster than that in a tick, and not all of
     them together faster than a hundred times that in a second. After a fault the substeps double, up to 8 times and
@@ -52,7 +54,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         x, v, x0 = state.position.reshape(size), state.velocity.reshape(size), model.rest.reshape(size)
         fault = 0
         # Seldom anything is wrong, and then the nodes are looked at one by one.
-        if not is_bounded(x, v, x0, scratch.sums, span * span, min(speed * speed, energy)):
+        if not is_bounded(x, v, x0, span * PER_AXIS, min(speed, RUNAWAY_RATE * span) * PER_AXIS):
             fault = check(model, state, model.moving, span * span, speed * speed, energy)
     else:
         fault = check(model, state, watched(state, scratch), span * span, speed * speed, energy)
@@ -109,28 +111,18 @@ def watched(state: Any, scratch: Any) -> Any:
 
 
 @kernel
-def is_bounded(position: Any, velocity: Any, rest: Any, sums: Any, span: float, speed: float) -> bool:
-    """True when the sums over all nodes tell that none can be beyond span, m^2, or speed, m^2/s^2; flat arrays.
+def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: float) -> bool:
+    """True when no coordinate is span, m, from rest or beyond, nor changes at speed, m/s, or faster; flat arrays.
 
-    sums (2 LANES,): that many at once, so that the processor's vector units add them up. A value that is not finite
-    leaves no sum under a bound.
+    They are counted, since whole numbers may be added up in any order, so that the vector units do it. Comparisons
+    with NaN are false, so this catches it too.
     """
-    sums[:] = 0.0
-    whole = len(position) - len(position) % LANES
-    for first in range(0, whole, LANES):
-        for lane in range(LANES):
-            away, along = position[first + lane] - rest[first + lane], velocity[first + lane]
-            sums[lane] += away * away
-            sums[LANES + lane] += along * along
-    for index in range(whole, len(position)):
-        away, along = position[index] - rest[index], velocity[index]
-        sums[0] += away * away
-        sums[LANES] += along * along
-    moved = sped = 0.0
-    for lane in range(LANES):
-        moved += sums[lane]
-        sped += sums[LANES + lane]
-    return moved < span and sped < speed
+    good = 0
+    for index in range(len(position)):
+        near = abs(position[index] - rest[index]) < span
+        slow = abs(velocity[index]) < speed
+        good += near & slow
+    return good == len(position)
 
 
 @kernel
@@ -159,31 +151,31 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
     return RUNAWAY if moved_sum + sped_sum < math.inf else NOT_FINITE
 
 
-@part
+@kernel
 def keep(state: Any, scratch: Any) -> None:
-    """Take this state as the last good one."""
-    if state.count[REGION] == WHOLE:
-        copy(state.position, state.good_position)
-        copy(state.velocity, state.good_velocity)
+    """Take this shape as the last good one; of the whole organ every few ticks only, since copying it takes a while."""
+    if state.count[REGION] != WHOLE:
+        copy_nodes(state.position, state.good_position, watched(state, scratch))
+        state.count[GOOD_AGE] = KEEP_EVERY
         return
-    nodes = watched(state, scratch)
-    copy_nodes(state.position, state.good_position, nodes)
-    copy_nodes(state.velocity, state.good_velocity, nodes)
+    state.count[GOOD_AGE] += 1
+    if state.count[GOOD_AGE] >= KEEP_EVERY:
+        copy(state.position, state.good_position)
+        state.count[GOOD_AGE] = 0
 
 
-@part
+@kernel
 def restore(state: Any, scratch: Any) -> None:
-    """Back to the last good state, without speed; outside a modal region it is the one that was last looked at."""
+    """Back to the last good shape, without speed; outside a modal region it is the one that was last looked at."""
     if state.count[REGION] == MODAL:
         copy_nodes(state.good_position, state.position, watched(state, scratch))
         copy(state.position, state.good_position)
     else:
         copy(state.good_position, state.position)
     state.velocity[:] = 0.0
-    state.good_velocity[:] = 0.0
 
 
-@part
+@kernel
 def check_cells(model: Any, state: Any) -> None:
     """Note which of the next few cells are inside out; state.count[TURNED] tells how many are."""
     count, cells, x, is_turned = state.count, model.cells, state.position, state.is_turned

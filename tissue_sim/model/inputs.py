@@ -154,7 +154,6 @@ def reset_state(model: Any, state: Any) -> None:
     copy(model.rest, state.position)
     copy(model.rest, state.good_position)
     state.velocity[:] = 0.0
-    state.good_velocity[:] = 0.0
     state.nodal_force[:] = 0.0
     state.is_loaded[:] = 0
     state.is_turned[:] = 0

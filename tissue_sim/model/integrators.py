@@ -20,16 +20,17 @@ def symplectic_euler(
     damping: Any,
     damping_scale: float,
     step: float,
+    inertia: float = 1.0,
 ) -> None:
     """Symplectic Euler with implicit nodal damping: v+ = (v + h f/m) / (1 + h d/m), x+ = x + h v+.
 
     position, velocity, force (n, 3); nodes (a,) the nodes to move; inverse_mass (n,) 1/kg, 0 where
-    held; damping (n,) kg/s, times damping_scale;
+    held; damping (n,) kg/s, times damping_scale; inertia: a factor on all mass;
     step s. Stable for h < (2/w)(sqrt(1 + z^2) + z), z the damping ratio.
     """
     for index in range(len(nodes)):
         i = nodes[index]
-        push = step * inverse_mass[i]
+        push = step / inertia * inverse_mass[i]
         shrink = 1.0 / (1.0 + push * damping_scale * damping[i])
         for axis in range(3):
             speed = (velocity[i, axis] + push * force[i, axis]) * shrink

@@ -35,7 +35,7 @@ CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
 
 
-@part
+@kernel
 def choose_region(state: Any, settings: Any) -> None:
     """On waking: a local region if asked for, else the whole model."""
     if settings[LOCAL_REGION] == 0.0:
@@ -46,7 +46,7 @@ def choose_region(state: Any, settings: Any) -> None:
     state.count[REGION] = FROZEN if settings[LOCAL_REGION] == FROZEN_SMALL else MODAL
 
 
-@part
+@kernel
 def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Grow the local region to what is loaded, and move its edge."""
     count = state.count
@@ -112,7 +112,7 @@ def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: A
             enter_region(model, state, shapes, settings, scratch)
 
 
-@part
+@kernel
 def is_calm(model: Any, state: Any) -> bool:
     """True when no node moves faster than a new region could take up."""
     for index in range(len(model.moving)):
@@ -122,7 +122,7 @@ def is_calm(model: Any, state: Any) -> bool:
     return True
 
 
-@part
+@kernel
 def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """From here on the whole model moves, from where the region and the rest of the organ are."""
     if state.count[REGION] == MODAL:

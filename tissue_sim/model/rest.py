@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.jit import kernel, part
+from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.guard import lead_back
 from tissue_sim.model.regions import leave_region
@@ -47,7 +47,7 @@ def largest_motion(model: Any, state: Any, nodes: Any) -> tuple[float, float]:
     return max(speed_x, speed_y, speed_z), max(away_x, away_y, away_z)
 
 
-@part
+@kernel
 def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
@@ -82,7 +82,7 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         snap(model, state, settings, scratch)
 
 
-@part
+@kernel
 def fall_asleep(model: Any, state: Any) -> None:
     """At rest, to the last bit."""
     count = state.count
@@ -93,7 +93,6 @@ def fall_asleep(model: Any, state: Any) -> None:
     copy(model.rest, state.position)
     copy(model.rest, state.good_position)
     state.velocity[:] = 0.0
-    state.good_velocity[:] = 0.0
 
 
 @kernel
@@ -104,13 +103,12 @@ def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     state.count[SNAPS] += 1
 
 
-@part
+@kernel
 def find_back(model: Any, state: Any, settings: Any) -> None:
     """A step of the way back from a false rest shape."""
     displacement = lead_back(model, state, settings)
     # A fault on the way must not restore the false shape.
     copy(state.position, state.good_position)
-    state.good_velocity[:] = 0.0
     if displacement <= QUIET_DISPLACEMENT:
         state.count[SNAPPED] = 0
         state.count[QUIET] = 0

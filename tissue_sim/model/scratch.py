@@ -9,7 +9,6 @@ import numpy as np
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.blocks import BLOCK, empty_blocks
 from tissue_sim.model.contact_constraint import MOST_NEAR
-from tissue_sim.model.guard import LANES
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 
 
@@ -19,7 +18,7 @@ class Scratch(NamedTuple):
     force: Any  # (n, 3) N
     impulse: Any  # (T, 6) N s on the tissue
     mobility: Any  # (n,) 1/kg
-    mobility_key: Any  # (4,) settings that it was worked out for
+    mobility_key: Any  # (5,) settings that it was worked out for
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
@@ -31,7 +30,6 @@ class Scratch(NamedTuple):
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
     work: Any  # (9 BLOCK,)
-    sums: Any  # (2 LANES,) of the guard
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
     was: Any
@@ -90,7 +88,7 @@ def make_scratch(model: Model, n_tools: int) -> Scratch:
         force=empty(n, 3),
         impulse=empty(n_tools, 6),
         mobility=empty(n),
-        mobility_key=empty(4),
+        mobility_key=empty(5),
         predicted=model.rest.copy(),
         change=empty(len(model.factor.order), 3),
         origin=empty(n_tools, 3),
@@ -102,7 +100,6 @@ def make_scratch(model: Model, n_tools: int) -> Scratch:
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
         work=empty(9 * BLOCK),
-        sums=empty(2 * LANES),
         fresh=ints(local),
         was=longs(local),
         region_node=ints(local),

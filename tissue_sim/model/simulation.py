@@ -31,6 +31,10 @@ LOCAL_REGIONS: tuple[str, ...] = get_args(LocalRegion)
 
 LONGEST_STEP = 5e-4  # s, however soft the organ: in a longer one a needle slips through what it pushes
 
+# s. In a modal region nodes are made so much heavier that they need no shorter step: on a fine organ they are tiny, and
+# how fast they shiver is nothing that a hand feels. The organ's own motion is that of its modes.
+REGION_STEP = 1e-3 / 6
+
 NO_TOOLS = Shapes(
     kind=np.zeros(0, dtype=np.int64),
     size=np.zeros((0, 2)),
@@ -192,6 +196,12 @@ class Simulation:
             if integrator != "implicit":
                 longest = min(longest, LONGEST_STEP / SAFETY)
             settings[place] = self._fixed_substeps or substeps_for(settings[st.TICK_TIME], longest)
+        settings[st.REGION_INERTIA] = 1.0
+        if local == "symplectic" and LOCAL_REGIONS[int(settings[st.LOCAL_REGION])] in ("modal", "auto"):
+            most = math.ceil(settings[st.TICK_TIME] / REGION_STEP)
+            if settings[st.REGION_SUBSTEPS] > most and not self._fixed_substeps:
+                settings[st.REGION_SUBSTEPS] = most
+                settings[st.REGION_INERTIA] = (settings[st.TICK_TIME] / (most * SAFETY * longest)) ** 2
         if self.integrator == "implicit":
             self._set_factor()
 

@@ -40,7 +40,8 @@ ALONE = 25  # ticks in a row without touch and load
 CALM = 26  # ticks in a row with a load small enough for a local region
 SHOWN = 27  # tick in which the nodes outside a modal region were last put where they belong
 COLLAPSING = 28  # 1 while more of the inside is turned inside out than can find back by itself
-N_COUNT = 29
+GOOD_AGE = 29  # ticks since the last good shape was kept
+N_COUNT = 30
 
 NO_FAULT, NOT_FINITE, RUNAWAY, COLLAPSED = 0, 1, 2, 3
 FAULT_NAMES = ("none", "not finite", "runaway", "collapsed")
@@ -71,7 +72,8 @@ WANTED_SUBSTEPS = 10  # substeps in a tick, from the critical step
 INTEGRATOR = 11  # index in INTEGRATORS
 REGION_SUBSTEPS = 12  # substeps in a tick of a local region, whose nodes are never stepped implicitly
 FACTOR_SLOT = 13  # which of the implicit matrix' two factors is in use
-N_SETTINGS = 14
+REGION_INERTIA = 14  # factor on mass and damping of the nodes in a modal region, so that it needs no more substeps
+N_SETTINGS = 15
 
 MAX_ENTRIES = 2048
 
@@ -81,8 +83,7 @@ class State(NamedTuple):
 
     position: Floats  # (n, 3) m
     velocity: Floats  # (n, 3) m/s
-    good_position: Floats  # (n, 3) the last state that passed the guard
-    good_velocity: Floats  # (n, 3)
+    good_position: Floats  # (n, 3) m, a shape that passed the guard, at most KEEP_EVERY ticks old
     nodal_force: Floats  # (n, 3) N, for the coming tick
     contact_impulse: Floats  # (n, 3) N s on the tissue in this tick, kept for the modal region
     static_load: Floats  # (n, 3) N that bends the organ outside a modal region: loads, and what its springs add
@@ -118,7 +119,6 @@ class StateBuffer:
             "position": (n, 3),
             "velocity": (n, 3),
             "good_position": (n, 3),
-            "good_velocity": (n, 3),
             "nodal_force": (n, 3),
             "contact_impulse": (n, 3),
             "static_load": (n, 3),

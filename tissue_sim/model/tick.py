@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import part
+from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
 from tissue_sim.model.forces import elastic_forces
@@ -36,6 +36,7 @@ from tissue_sim.model.state import (
     N_LOADED,
     QUIET,
     REGION,
+    REGION_INERTIA,
     REGION_SUBSTEPS,
     SNAPPED,
     STIFFNESS_SCALE,
@@ -111,7 +112,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         rest_if_quiet(model, state, settings, scratch)
 
 
-@part
+@kernel
 def steps_implicitly(state: Any, settings: Any) -> bool:
     """True when this tick is one of the implicit integrator.
 
@@ -121,7 +122,7 @@ def steps_implicitly(state: Any, settings: Any) -> bool:
     return settings[INTEGRATOR] == IMPLICIT and state.count[REGION] == WHOLE and sound
 
 
-@part
+@kernel
 def caution(model: Any, state: Any) -> int:
     """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than sound ones."""
     if state.count[TURNED] == 0:
@@ -129,7 +130,7 @@ def caution(model: Any, state: Any) -> int:
     return 4 if state.count[TURNED] > CRUMPLED * len(model.cells) else 2
 
 
-@part
+@kernel
 def advance_substep(
     model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int
 ) -> None:
@@ -164,7 +165,7 @@ def advance_substep(
     )
 
 
-@part
+@kernel
 def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
@@ -182,7 +183,7 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
             scratch.change,
         )
         return
-    scale = damping_scale(state, settings)
+    scale, inertia = damping_scale(state, settings), region_inertia(state, settings)
     nodes = model.moving if state.count[REGION] == WHOLE else scratch.moved_node[: scratch.moved[0]]
     if settings[INTEGRATOR] == EXPLICIT:
         explicit_euler(
@@ -203,12 +204,19 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
             nodes,
             model.inverse_mass,
             model.damping,
-            scale,
+            scale * inertia,
             step,
+            inertia,
         )
 
 
-@part
+@kernel
+def region_inertia(state: Any, settings: Any) -> float:
+    """Factor on mass and damping of the nodes that move."""
+    return settings[REGION_INERTIA] if state.count[REGION] == MODAL else 1.0
+
+
+@kernel
 def damping_scale(state: Any, settings: Any) -> float:
     """Factor on the damping; a modal region has at least the organ's own.
 
@@ -218,7 +226,7 @@ def damping_scale(state: Any, settings: Any) -> float:
     return max(scale, 1.0) if state.count[REGION] == MODAL else scale
 
 
-@part
+@kernel
 def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any) -> None:
     """Velocity that an impulse gives each node within a substep, (n,) 1/kg, when settings have changed.
 
@@ -228,9 +236,10 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
     implicit = steps_implicitly(state, settings)
     slot = settings[FACTOR_SLOT] if implicit else -1.0
     key, damping, scale = scratch.mobility_key, damping_scale(state, settings), settings[STIFFNESS_SCALE]
-    if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale:
+    inertia = region_inertia(state, settings)
+    if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale and key[4] == inertia:
         return
-    key[0], key[1], key[2], key[3] = step, damping, slot, scale
+    key[0], key[1], key[2], key[3], key[4] = step, damping, slot, scale, inertia
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
     for index in range(len(moving)):
         node = moving[index]
@@ -240,10 +249,10 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
         elif settings[INTEGRATOR] == EXPLICIT:
             mobility[node] = inverse
         else:
-            mobility[node] = inverse / (1.0 + step * inverse * damping * model.damping[node])
+            mobility[node] = inverse / inertia / (1.0 + step * inverse * damping * model.damping[node])
 
 
-@part
+@kernel
 def scale_force(settings: Any, force: Any) -> None:
     """Scale the elastic forces by the tissue's stiffness."""
     scale = settings[STIFFNESS_SCALE]
@@ -253,7 +262,7 @@ def scale_force(settings: Any, force: Any) -> None:
                 force[node, c] *= scale
 
 
-@part
+@kernel
 def add_loads(state: Any, settings: Any, force: Any) -> None:
     """Add the external forces."""
     for index in range(state.count[N_LOADED]):
@@ -263,7 +272,7 @@ def add_loads(state: Any, settings: Any, force: Any) -> None:
     add_tip_forces(state, settings, force)
 
 
-@part
+@kernel
 def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
     """What each hand should feel: minus the mean force on the tissue, faded when stale, clamped."""
     cut = False

@@ -1,0 +1,85 @@
+"""One body at several point counts: what carries loads and displacements between its surfaces."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.bench.sizes import assembled_anew, at_size, interpolation, node_area, sized
+
+from ..scenes import ball, filled, kidney
+
+COARSE, FINE = ball(2), ball(3)
+MATRIX = np.array([[0.02, 0.01, 0.0], [-0.01, 0.03, 0.02], [0.0, 0.01, -0.02]])
+
+
+def bump(organ, towards=(0.3, 0.2, 0.9), total=0.3):
+    """A smooth push on one side of the ball, by area, `total` N in all."""
+    unit = organ.surface_positions / np.linalg.norm(organ.surface_positions, axis=1, keepdims=True)
+    weight = np.maximum(unit @ (np.array(towards) / np.linalg.norm(towards)) - 0.6, 0.0) ** 2 * node_area(organ)
+    return total * weight[:, None] / weight.sum() * np.array([0.1, -0.2, -1.0])
+
+
+@pytest.mark.parametrize(("source", "target"), [(COARSE, FINE), (FINE, COARSE)], ids=["finer", "coarser"])
+def test_interpolation_carries_linear_fields_to_the_nearest_place(source, target):
+    carry = interpolation(source, target)
+    np.testing.assert_allclose(carry.sum(axis=1), 1.0, rtol=1e-12)
+    assert carry.data.min() >= 0.0
+    # Off by no more than the surfaces are apart.
+    apart = np.linalg.norm(carry @ source.surface_positions - target.surface_positions, axis=1)
+    assert apart.max() < 0.05 * 0.03
+    off = carry @ (source.surface_positions @ MATRIX) - target.surface_positions @ MATRIX
+    assert np.abs(off).max() < 0.05 * 0.05 * 0.03
+
+
+def test_own_points_take_everything_as_it_is():
+    size = sized(FINE, FINE)
+    force = bump(FINE)
+    np.testing.assert_array_equal(size.forces(force), force)
+    np.testing.assert_array_equal(size.displacement(force), force)
+
+
+@pytest.mark.parametrize(("organ", "reference"), [(COARSE, FINE), (FINE, COARSE)], ids=["coarser", "finer"])
+def test_force_is_the_same_in_all_and_acts_at_the_same_place(organ, reference):
+    size = sized(organ, reference)
+    force = bump(reference)
+    carried = size.forces(force)
+    np.testing.assert_allclose(carried.sum(axis=0), force.sum(axis=0), rtol=1e-9)
+    moment = np.cross(reference.surface_positions, force).sum(axis=0)
+    found = np.cross(organ.surface_positions, carried).sum(axis=0)
+    assert np.linalg.norm(found - moment) < 0.05 * np.linalg.norm(np.linalg.norm(force, axis=1)) * 0.03
+
+
+def test_coarser_surface_does_the_same_work():
+    size = sized(COARSE, FINE)
+    force, displacement = bump(FINE), COARSE.surface_positions @ MATRIX
+    assert np.vdot(size.forces(force), displacement) == pytest.approx(np.vdot(force, size.displacement(displacement)))
+
+
+def test_finer_surface_takes_a_traction_and_not_single_forces():
+    size = sized(FINE, COARSE)
+    traction = size.forces(bump(COARSE)) / node_area(FINE)[:, None]
+    expected = bump(FINE) / node_area(FINE)[:, None]
+    assert np.linalg.norm(traction - expected) < 0.2 * np.linalg.norm(expected)
+
+
+def test_organ_assembled_anew_keeps_clamp_tissue_and_atoms():
+    organ = filled(kidney(), 20)
+    anew = assembled_anew(organ, organ.surface_positions, organ.surface_triangles)
+    np.testing.assert_array_equal(anew.fixed, organ.fixed)
+    np.testing.assert_array_equal(anew.spring_stiffness, organ.spring_stiffness)
+    assert (anew.n_interior, anew.n_atoms, anew.youngs_modulus) == (20, organ.n_atoms, organ.youngs_modulus)
+    finer = assembled_anew(COARSE, FINE.surface_positions, FINE.surface_triangles)
+    assert finer.surface_positions[finer.fixed, 2].max() < -0.5 * 0.03
+    assert len(finer.fixed) / finer.n_surface == pytest.approx(len(COARSE.fixed) / COARSE.n_surface, rel=0.5)
+
+
+@pytest.mark.slow
+def test_body_at_another_size_is_the_same_body(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    other = at_size(FINE, 400)
+    assert other.n_surface == 400
+    assert other.volume == pytest.approx(FINE.volume, rel=0.02)
+    apart = interpolation(other, FINE) @ other.surface_positions - FINE.surface_positions
+    assert np.linalg.norm(apart, axis=1).mean() < 0.01 * 0.03
+    kept = list((tmp_path / "tissue_sim").glob("size-*.npz"))
+    assert len(kept) == 1
+    np.testing.assert_array_equal(at_size(FINE, 400).surface_positions, other.surface_positions)

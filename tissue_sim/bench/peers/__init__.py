@@ -1,0 +1,1 @@
+"""What `tissue_sim bench tradeoff` sets side by side: the package's models and others, behind one interface."""

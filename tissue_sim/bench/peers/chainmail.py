@@ -1,0 +1,162 @@
+"""ChainMail: geometric limits that pass a displacement on from node to node, then relaxation.
+
+Gibson, 3D ChainMail: a fast algorithm for deforming volumetric objects (1997), on the edges of tetrahedra instead of
+a grid, with the limits of Li and Brodlie, Soft object modelling with generalised ChainMail (2003): node j, whose rest
+offset from its neighbour i is d, stays on each axis within (1 -+ STRETCH) d -+ SHEAR (|d| on the other two axes). On a
+grid that is Gibson's: along a link it may stretch, across it shear.
+
+It knows no forces. What is loaded is moved to where the reference has it, and the rest follows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.bench.peers.engine import Answer, Load, timed
+from tissue_sim.bench.timing import Burst, time_calls
+from tissue_sim.jit import kernel
+from tissue_sim.organ.organ import Floats, Ints, Organ
+
+STRETCH, SHEAR = 0.1, 0.1  # how far a link may be longer or shorter, and sheared
+SWEEPS = 5000  # of relaxation at most
+STILL = 1e-5  # of what it was moved by: a sweep that moves no node by more has settled it
+UPDATE = 0.001  # s that an update stands for: it is done once a tick
+SWELLING = 200  # updates in which a load swells and ebbs
+
+Longs = NDArray[np.int64]
+
+
+class ChainMail:
+    """Nodes (n, 3) m at rest, of which the first are the organ's surface, linked by edges (e, 2); some are held.
+
+    The organ's nodes fixed are held.
+    """
+
+    def __init__(self, organ: Organ, nodes: Floats, edges: Ints) -> None:
+        self.organ = organ
+        self.update = UPDATE
+        self.rest = np.ascontiguousarray(nodes)
+        self.position = self.rest.copy()
+        self.start, self.neighbours = linked(len(nodes), edges)
+        self._held = np.zeros(len(nodes), dtype=np.bool_)
+        self._held[organ.fixed] = True
+        none = np.zeros(0, dtype=np.int64)
+        self.move(none, np.zeros((0, 3)))  # compiles, before anything is timed
+        self.relax(none)
+
+    def move(self, nodes: Longs, displacement: Floats) -> None:
+        """Move nodes (k,) by displacements (k, 3) m from rest, and let the limits pass it on, from held nodes too."""
+        self.position[nodes] = self.rest[nodes] + displacement
+        driven = self._held.copy()
+        driven[nodes] = True
+        sources = np.concatenate([nodes, np.flatnonzero(self._held)])
+        pass_on(self.position, self.rest, self.start, self.neighbours, driven, sources, STRETCH, SHEAR)
+
+    def relax(self, nodes: Longs) -> float:
+        """One sweep of relaxation about the moved nodes (k,); returns how far a node moved at most, m."""
+        free = ~self._held
+        free[nodes] = False
+        return float(relax(self.position, self.rest, self.start, self.neighbours, np.flatnonzero(free)))
+
+    def settle(self, load: Load) -> Answer:
+        """Passed on and relaxed until nothing moves."""
+        self.position[:] = self.rest
+        nodes, displacement = moved_by(load)
+        still = STILL * float(np.abs(displacement).max(initial=0.0))
+        moves: list[float] = []
+
+        def work() -> None:
+            self.move(nodes, displacement)
+            while len(moves) < SWEEPS and (not moves or moves[-1] > still):
+                moves.append(self.relax(nodes))
+
+        seconds = timed(work)
+        return Answer((self.position - self.rest)[: self.organ.n_surface], seconds, moves[-1] <= still)
+
+    def burst(self, load: Load) -> Burst:
+        """Updates: the loaded nodes swell and ebb, the limits pass it on, one sweep of relaxation."""
+        nodes, displacement = moved_by(load)
+        count = 0
+
+        def update() -> None:
+            nonlocal count
+            count += 1
+            self.move(nodes, 0.5 * (1.0 - np.cos(2.0 * np.pi * count / SWELLING)) * displacement)
+            self.relax(nodes)
+
+        return lambda times: time_calls(update, times)
+
+
+def moved_by(load: Load) -> tuple[Longs, Floats]:
+    """The loaded nodes (k,), and where the reference has them, (k, 3) m."""
+    nodes = np.flatnonzero(np.any(load.force != 0.0, axis=1)).astype(np.int64)
+    return nodes, load.reached[nodes]
+
+
+def linked(count: int, edges: Ints) -> tuple[Longs, Longs]:
+    """Neighbours of each of `count` nodes along edges (e, 2), as compressed rows start (count + 1,), neighbours."""
+    both = np.unique(np.concatenate([edges, edges[:, ::-1]]).astype(np.int64), axis=0)
+    start = np.searchsorted(both[:, 0], np.arange(count + 1)).astype(np.int64)
+    return start, np.ascontiguousarray(both[:, 1])
+
+
+@kernel
+def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):  # type: ignore[no-untyped-def]
+    """Pass on what was moved, (n, 3) m in place: first in, first out, each node once, as Gibson has it.
+
+    driven (n,): nodes that stay where they are; sources (k,): where it starts.
+    """
+    n = len(position)
+    queue = np.empty(n, dtype=np.int64)
+    seen = np.zeros(n, dtype=np.bool_)
+    tail = 0
+    for k in range(len(sources)):
+        if not seen[sources[k]]:
+            seen[sources[k]] = True
+            queue[tail] = sources[k]
+            tail += 1
+    head = 0
+    while head < tail:
+        i = queue[head]
+        head += 1
+        for slot in range(start[i], start[i + 1]):
+            j = neighbours[slot]
+            if driven[j] or seen[j]:
+                continue
+            around = 0.0
+            for axis in range(3):
+                around += abs(rest[j, axis] - rest[i, axis])
+            moved = False
+            for axis in range(3):
+                offset = rest[j, axis] - rest[i, axis]
+                slack = stretch * abs(offset) + shear * (around - abs(offset))
+                now = position[j, axis] - position[i, axis]
+                within = min(max(now, offset - slack), offset + slack)
+                if within != now:
+                    position[j, axis] = position[i, axis] + within
+                    moved = True
+            if moved:
+                seen[j] = True
+                queue[tail] = j
+                tail += 1
+
+
+@kernel
+def relax(position, rest, start, neighbours, free):  # type: ignore[no-untyped-def]
+    """Put every free node (f,) in the middle of where its neighbours want it, one after the other; largest move, m."""
+    largest = 0.0
+    for k in range(len(free)):
+        i = free[k]
+        count = start[i + 1] - start[i]
+        if count == 0:
+            continue
+        for axis in range(3):
+            total = 0.0
+            for slot in range(start[i], start[i + 1]):
+                j = neighbours[slot]
+                total += position[j, axis] - rest[j, axis]
+            wanted = rest[i, axis] + total / count
+            largest = max(largest, abs(wanted - position[i, axis]))
+            position[i, axis] = wanted
+    return largest

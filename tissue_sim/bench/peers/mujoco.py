@@ -1,0 +1,44 @@
+"""MuJoCo's flex: linear tetrahedra, corotated, stepped implicitly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.bench.flex import Flex
+from tissue_sim.bench.peers.engine import Answer, Load, settle_by_steps
+from tissue_sim.bench.peers.tetrahedra import Tetrahedra
+from tissue_sim.bench.timing import Burst
+from tissue_sim.organ.organ import Floats, Organ
+
+DAMPING = 0.1  # s, proportional to stiffness: it changes how an organ settles, not where
+
+
+class Mujoco:
+    """An organ of tetrahedra as a flex, in steps of `step` s.
+
+    Raises ModuleNotFoundError without mujoco, UserError when MuJoCo can't load the organ.
+    """
+
+    def __init__(self, organ: Organ, mesh: Tetrahedra, step: float, longest: float = 2.0) -> None:
+        self.organ, self.update, self.longest = organ, step, longest
+        none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+        self._flex = Flex(organ, *none, filling=mesh, step=step, damping=DAMPING)
+
+    def settle(self, load: Load) -> Answer:
+        """Steps until the surface stands still."""
+        self._load(load)
+        return settle_by_steps(self._flex.step, self._surface, self.update, self.longest)
+
+    def burst(self, load: Load) -> Burst:
+        """Steps under the load."""
+        self._load(load)
+        return self._flex
+
+    def _load(self, load: Load) -> None:
+        nodes = np.flatnonzero(np.any(load.force != 0.0, axis=1)).astype(np.int64)
+        self._flex.load(nodes, load.force[nodes])
+
+    def _surface(self) -> Floats:
+        """Displacements (n_surface, 3) m now."""
+        n = self.organ.n_surface
+        return self._flex.positions[:n] - self._flex.rest[:n]

@@ -1,0 +1,45 @@
+"""The package's own models."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.bench.peers.engine import TOLERANCE, Answer, Load, timed
+from tissue_sim.bench.timing import Burst, Ticks
+from tissue_sim.model import state as st
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Floats, Organ
+
+
+class Ours:
+    """A simulation with these options; a local region is kept whatever the load, so that it is judged alone.
+
+    Raises UserError as Simulation does.
+    """
+
+    def __init__(self, organ: Organ, longest: float = 5.0, **options: Any) -> None:
+        self.organ = organ
+        self.longest = longest
+        self.simulation = Simulation(organ, **options)
+        self.simulation.settings[st.REGION_FORCE] = np.inf
+        self.update = 1.0 / self.simulation.rate
+        self.simulation.step()  # compiles, before anything is timed
+
+    @property
+    def substeps(self) -> int:
+        """Substeps of a tick; of one of the local region where there is one."""
+        local = self.simulation.settings[st.LOCAL_REGION] != 0.0
+        return int(self.simulation.settings[st.REGION_SUBSTEPS if local else st.WANTED_SUBSTEPS])
+
+    def settle(self, load: Load) -> Answer:
+        """Where the model comes to rest."""
+        found: list[tuple[Floats, bool]] = []
+        seconds = timed(lambda: found.append(self.simulation.settle(load.force, TOLERANCE, self.longest)))
+        return Answer(found[0][0], seconds, found[0][1])
+
+    def burst(self, load: Load) -> Burst:
+        """Ticks under the load, which swells and ebbs."""
+        nodes = np.flatnonzero(np.any(load.force != 0.0, axis=1)).astype(np.int64)
+        return Ticks(self.simulation, nodes, load.force[nodes])

@@ -1,0 +1,323 @@
+"""`tissue_sim bench tradeoff`: run time against error for the package's models and their peers.
+
+One run, one machine, one set of loads, one reference: nonlinear finite elements inside the organ's surface. Every
+engine's displacements are carried to the reference's points, between an engine's own points by its triangles: so a
+coarse surface answers for what it doesn't resolve, and all are judged at the same places.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.peers.engine import Engine, Load
+from tissue_sim.bench.peers.rows import Row, rows_of
+from tissue_sim.bench.report import emit, figure, made_or_skipped, noise_lines, told, with_remarks
+from tissue_sim.bench.sizes import Sized, sized
+from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
+from tissue_sim.bench.variants import variants_of
+from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
+from tissue_sim.calibration.fem import Body, volume_change
+from tissue_sim.calibration.reference import reference_error
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+POINTS = (250, 500, 2000, 4000)  # surface points, beside the organ's own
+FEWEST, MOST = 100, 20_000
+LOADS, QUICK_LOADS = (12, 4), (3, 1)  # smooth and sharp ones
+TUNING = 2  # loads that an engine with parameters of its own is tuned on; drawn apart from the others
+NEO_HOOKEAN = 2  # of the loads, on which the reference itself is compared with a finer one nonlinearly
+SEED, TUNING_SEED = 20061, 20062
+NOISE = "noise"
+
+
+class Case(NamedTuple):
+    """A load on the reference's points, and what the reference makes of it."""
+
+    kind: str
+    force: Floats  # (m, 3) N
+    displacement: Floats  # (m, 3) m
+    volume_change: float
+
+
+class Error(NamedTuple):
+    """How far an engine is off the reference under one load."""
+
+    kind: str
+    relative: float  # L2 over the reference's points
+    rms: float  # m
+    of_largest: float  # rms over the reference's largest displacement
+    volume_change: float  # of what its own surface encloses
+    settled: bool
+    seconds: float  # to settle
+
+
+class Measured(NamedTuple):
+    """A row of the table; errors and update are empty and None where it was skipped, and the remark says why."""
+
+    name: str
+    ours: bool
+    points: int
+    remark: str
+    errors: list[Error]
+    update: Timing | None  # s for an update
+    simulated: float  # s that an update stands for
+
+
+class Found(NamedTuple):
+    """What the measuring process hands back."""
+
+    rows: list[Measured]
+    cases: list[Case]
+    nodes: int  # of the reference
+    accuracy: str  # of the reference itself, one line
+    noise: float
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, out="write the plot of time against error there, as PNG")
+    parser.add_argument(
+        "--points",
+        metavar="N,N",
+        help=f"surface points to compare at, beside the organ's own (default: {','.join(map(str, POINTS))};"
+        " none with --quick)",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer loads, the organ's own points alone, in 2 minutes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print the table, draw the plot; returns 0."""
+    check_shared(args)
+    points = sizes_named(args.points) if args.points else () if args.quick else POINTS
+    organ = Organ.load(args.organ or shipped_organ())
+    start = time.perf_counter()
+    found = in_one_thread(measure, organ, points, args.quick)
+    figures = as_json(organ, found, time.perf_counter() - start)
+    emit(figures, text(figures), args.json)
+    if args.out:
+        from tissue_sim.bench.tradeoff_plot import write_plot
+
+        told([write_plot(figures, Path(args.out))])
+    return 0
+
+
+def sizes_named(text: str) -> tuple[int, ...]:
+    """Point counts of `250,500`; raises UserError for what is none, or outside 100..20000."""
+    try:
+        points = tuple(int(word) for word in text.split(","))
+    except ValueError:
+        raise UserError(f"--points {text}: use numbers with commas between them, such as 250,500") from None
+    for count in points:
+        if not FEWEST <= count <= MOST:
+            raise UserError(f"--points {count} is outside {FEWEST}..{MOST}")
+    return points
+
+
+# measuring -----------------------------------------------------------------------------------------
+
+
+def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
+    """The reference, then every row at every size; meant for a process of one thread."""
+    body, cases, tuning = reference(organ, *(QUICK_LOADS if quick else LOADS))
+    rows: list[tuple[Row, Sized]] = []
+    for count in sorted({organ.n_surface, *points}):
+        variants = variants_of(organ, count, fits=not quick)
+        size = sized(variants.plain, organ)
+        thorough = count == organ.n_surface and not quick
+        rows += [(row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], thorough=thorough)]
+    measured, noise = measure_rows(rows, cases, 0.2 if quick else 1.0)
+    return Found(measured, cases, body.n_nodes, accuracy_of(organ, cases, quick), noise.p99 / noise.median)
+
+
+def measure_rows(
+    rows: Sequence[tuple[Row, Sized]], cases: Sequence[Case], seconds: float
+) -> tuple[list[Measured], Timing]:
+    """Settle every row under every load, then time the updates of all in turns, `seconds` each; a fixed loop's time.
+
+    What can't be made is skipped, and the remark says why.
+    """
+    bursts: dict[str, Burst] = {NOISE: noise_burst}
+    measured: list[Measured] = []
+    for number, (row, size) in enumerate(tqdm(rows, desc="rows", unit="row")):
+        engine, remark = made_or_skipped(row.make)
+        if engine is None:
+            measured.append(Measured(row.name, row.ours, row.points, remark, [], None, 1.0))
+            continue
+        errors = [error_of(engine, case, size) for case in cases]
+        measured.append(Measured(row.name, row.ours, row.points, remark, errors, None, engine.update))
+        bursts[str(number)] = engine.burst(load_of(cases[0], size))
+    timings = interleave(Phase(bursts, seconds, "updates"))
+    return [row._replace(update=timings.get(str(number))) for number, row in enumerate(measured)], timings[NOISE]
+
+
+def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], list[Case]]:
+    """The reference's body, the loads with its answers, and those for tuning.
+
+    Raises UserError when it doesn't settle under a load.
+    """
+    body = Body(organ)
+    drawn: list[tuple[str, Floats]] = []
+    for cases, seed in (
+        (held_out_cases(organ, smooth, sharp, SEED), SEED),
+        (held_out_cases(organ, TUNING, 0, TUNING_SEED), TUNING_SEED),
+    ):
+        scaled = scale_to_depth(cases, body.settle_linear(cases.force), organ, seed)
+        drawn += zip(scaled.kind, scaled.force, strict=True)
+    answers = body.settle_many(force for _, force in drawn)
+    found = []
+    for (kind, force), answer in zip(
+        drawn, tqdm(answers, desc="reference", total=len(drawn), unit="load"), strict=True
+    ):
+        if not answer.converged:
+            raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")
+        found.append(Case(kind, force, answer.displacement, answer.volume_change))
+    return body, found[: smooth + sharp], found[smooth + sharp :]
+
+
+def accuracy_of(organ: Organ, cases: Sequence[Case], quick: bool) -> str:
+    """How far the reference itself is off, one line: a finer mesh under these very loads.
+
+    quick: what an organ's calibration has found with the same finite elements, where it has one.
+    """
+    known = organ.provenance.get("calibration")
+    if quick and isinstance(known, dict):
+        return str(known["reference"]["error"])
+    forces = np.stack([case.force for case in cases])
+    return str(reference_error(organ, forces, neo_hookean=NEO_HOOKEAN))
+
+
+def load_of(case: Case, size: Sized) -> Load:
+    """A case as a load on another surface of the same body."""
+    return Load(size.forces(case.force), size.reached(case.displacement))
+
+
+def error_of(engine: Engine, case: Case, size: Sized) -> Error:
+    """Settle an engine under a load, and compare."""
+    answer = engine.settle(load_of(case, size))
+    off = size.displacement(answer.displacement) - case.displacement
+    rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return Error(
+        case.kind,
+        float(np.linalg.norm(off) / np.linalg.norm(case.displacement)),
+        rms,
+        rms / float(np.linalg.norm(case.displacement, axis=1).max()),
+        volume_change(size.organ, answer.displacement),
+        answer.settled,
+        answer.seconds,
+    )
+
+
+# results -------------------------------------------------------------------------------------------
+
+
+def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
+    """All figures for machines; units stand in the names."""
+    rows = [_row_as_json(row) for row in found.rows]
+    for row, best in zip(rows, pareto([(row["ms_per_ms"], row["mean_percent"]) for row in rows]), strict=True):
+        row["pareto"] = best
+    return {
+        "benchmark": "tradeoff",
+        "organ": organ.name,
+        "surface_points": organ.n_surface,
+        "threads": 1,
+        "noise": found.noise,
+        "seconds": seconds,
+        "reference": {
+            "name": "nonlinear FEM, neo-Hookean, quadratic tetrahedra",
+            "nodes": found.nodes,
+            "accuracy": found.accuracy,
+            "volume_change_percent": _mean([100.0 * abs(case.volume_change) for case in found.cases]),
+        },
+        "loads": [
+            {
+                "kind": case.kind,
+                "force_n": float(np.linalg.norm(case.force, axis=1).sum()),
+                "largest_mm": 1e3 * float(np.linalg.norm(case.displacement, axis=1).max()),
+                "volume_change_percent": 100.0 * case.volume_change,
+            }
+            for case in found.cases
+        ],
+        "rows": rows,
+    }
+
+
+def _row_as_json(row: Measured) -> dict[str, Any]:
+    errors = row.errors
+    sharp = [100.0 * error.relative for error in errors if error.kind == "sharp"]
+    smooth = [100.0 * error.relative for error in errors if error.kind != "sharp"]
+    return {
+        "name": row.name,
+        "ours": row.ours,
+        "points": row.points,
+        "remark": row.remark,
+        "ms_per_ms": row.update.median / row.simulated if row.update else None,
+        "update_ms": 1e3 * row.update.median if row.update else None,
+        "update_p99_ms": 1e3 * row.update.p99 if row.update else None,
+        "settle_ms": 1e3 * float(np.median([error.seconds for error in errors])) if errors else None,
+        "settled": sum(error.settled for error in errors),
+        "mean_percent": _mean([*smooth, *sharp]),
+        "smooth_percent": _mean(smooth),
+        "sharp_percent": _mean(sharp),
+        "worst_percent": max([*smooth, *sharp], default=None),
+        "rms_mm": _mean([1e3 * error.rms for error in errors]),
+        "rms_over_max_percent": _mean([100.0 * error.of_largest for error in errors]),
+        "volume_change_percent": _mean([100.0 * abs(error.volume_change) for error in errors]),
+        "errors": [error._asdict() for error in errors],
+    }
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def pareto(costs: Sequence[tuple[float | None, float | None]]) -> list[bool]:
+    """Which pairs of time and error no other undercuts in one without exceeding them in the other; None is none.
+
+    Errors that differ by less than a thousandth are the same.
+    """
+    known = [(time, float(f"{error:.3g}")) for time, error in costs if time is not None and error is not None]
+
+    def beaten(time: float, error: float) -> bool:
+        return any(t <= time and e <= error and (t < time or e < error) for t, e in known)
+
+    return [time is not None and error is not None and not beaten(time, float(f"{error:.3g}")) for time, error in costs]
+
+
+def text(found: dict[str, Any]) -> str:
+    """The table for people."""
+    reference, loads = found["reference"], found["loads"]
+    sharp = sum(load["kind"] == "sharp" for load in loads)
+    depths = [load["largest_mm"] for load in loads]
+    lines = [
+        f"organ '{found['organ']}', {found['surface_points']} surface points; {len(loads)} loads, {sharp} of them"
+        f" sharp, {min(depths):.1f} to {max(depths):.1f} mm deep",
+        f"reference: {reference['name']}, {reference['nodes']} nodes;"
+        f" its volume changes by {reference['volume_change_percent']:.2f} % in the mean",
+        f"it is itself off: {reference['accuracy']}",
+        "processor time of one thread, updates measured in turns; what has no steps of its own is asked once a ms",
+        "",
+    ]
+    head = ["", "points", "ms per ms", "ms to settle", "L2 %", "worst %", "sharp %", "RMS mm", "RMS/max %", "volume %"]
+    table = [[*head, "settled", ""]]
+    for row in found["rows"]:
+        if not row["errors"]:
+            continue
+        figures = [f"{row['points']}", figure(row["ms_per_ms"]), figure(row["settle_ms"])]
+        figures += [f"{row[key]:.1f}" for key in ("mean_percent", "worst_percent", "sharp_percent")]
+        figures += [f"{row['rms_mm']:.2f}", f"{row['rms_over_max_percent']:.1f}", f"{row['volume_change_percent']:.2f}"]
+        figures += [f"{row['settled']}/{len(row['errors'])}"]
+        table.append([row["name"] + (" *" if row["pareto"] else ""), *figures, row["remark"]])
+    lines += with_remarks(table)
+    lines.append("* on the Pareto front of ms per ms and L2: nothing else is both faster and closer")
+    skipped = {(row["name"], row["remark"]): None for row in found["rows"] if not row["errors"]}
+    lines += [f"{name}: {remark}" for name, remark in skipped]
+    return "\n".join(lines + noise_lines(found["noise"]))

@@ -1,0 +1,126 @@
+"""The organs that are compared at one size: as the pipeline makes it, and calibrated in both ways."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from tissue_sim.bench.sizes import assembled_anew, at_size
+from tissue_sim.calibration.calibrate import INTERIOR_SHARE, RETURN_START
+from tissue_sim.calibration.cases import fit_cases
+from tissue_sim.calibration.dynamics import lowest_frequencies
+from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.fit import LinearMisfit, fit
+from tissue_sim.calibration.groups import group_of, search
+from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass
+from tissue_sim.calibration.static import Springs
+from tissue_sim.errors import UserError
+from tissue_sim.model.assembly import assemble
+from tissue_sim.organ.organ import Organ
+from tissue_sim.store import remembered
+
+SEED = 0  # of the fit's cases
+_VERSION = "1"  # of what is remembered
+
+
+class Effort(NamedTuple):
+    """What a fit at some size is given: linear load cases, and evaluations of the misfit."""
+
+    cases: int
+    steps: int
+
+
+class Variants(NamedTuple):
+    """The organs of one size: as the pipeline makes it, calibrated by the few groups, and spring by spring.
+
+    In place of one that is missing, the reason.
+    """
+
+    plain: Organ
+    groups: Organ | str
+    springs: Organ | str
+
+
+def effort_at(points: int) -> Effort:
+    """So that a fit takes minutes at any size. The organ's own calibration has more, and nonlinear cases too."""
+    if points <= 1000:
+        return Effort(300, 60)
+    return Effort(150, 30) if points <= 2500 else Effort(80, 20)
+
+
+def variants_of(organ: Organ, points: int, *, fits: bool) -> Variants:
+    """The organs of one size of an organ's body.
+
+    fits: calibrate those that are not, which takes minutes each; they are kept in the user's cache. Without it only
+    an organ that is itself calibrated has a calibrated variant.
+    """
+    plain = at_size(organ, points)
+    own = points == organ.n_surface and is_calibrated(organ)
+    if not fits:
+        missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
+        return Variants(plain, "takes minutes to fit, left out of --quick", organ if own else missing)
+    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(_with_interior(plain), "springs"))
+
+
+def is_calibrated(organ: Organ) -> bool:
+    """Whether every spring of an organ was fitted."""
+    figures = organ.provenance.get("calibration")
+    return isinstance(figures, dict) and figures.get("method") == "springs"
+
+
+def _with_interior(organ: Organ) -> Organ:
+    """The organ with the interior atoms that `tissue_sim calibrate` adds where there are none."""
+    if organ.n_interior:
+        return organ
+    wanted = round(INTERIOR_SHARE * organ.n_surface)
+    return assembled_anew(organ, organ.surface_positions, organ.surface_triangles, wanted)
+
+
+def _kept(organ: Organ, method: str) -> Organ | str:
+    """The organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
+    effort = effort_at(organ.n_surface)
+    key = hashlib.sha256(f"{_VERSION} {SEED} {tuple(effort)} {organ.digest()}".encode()).hexdigest()
+    try:
+        made: dict[str, Any] = remembered(f"calibrated-{method}", key, lambda: fitted(organ, method, effort))
+    except UserError as error:
+        return str(error)
+    provenance = {**organ.provenance, "fit": f"{method}: {effort.cases} linear loads, {effort.steps} evaluations"}
+    return dataclasses.replace(organ, provenance=provenance, **made)
+
+
+def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
+    """Stiffnesses, masses and damping of an organ, fitted to linear finite elements, by the organ's names for them.
+
+    method: `groups`, one factor for each group of springs, as the paper has it; `springs`, every spring.
+    Raises UserError when the organ can't be filled with finite elements, or its springs leave something free.
+    """
+    body = Body(organ)
+    cases = fit_cases(organ, effort.cases, SEED)
+    model = assemble(organ)
+    springs = Springs(model)
+    axial, angular, pulls = springs.split(springs.stiffness_of(model))
+    start = np.concatenate([axial, angular, RETURN_START * pulls])
+    misfit = LinearMisfit(springs, cases.force, body.settle_linear(cases.force))
+    with tqdm(total=effort.steps, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
+        if method == "groups":
+            group = group_of(organ, springs)
+            stiffness = search(start, group, misfit, effort.steps, lambda *_: bar.update())
+        else:
+            stiffness = fit(start, springs.trace(), [(1.0, misfit)], effort.steps, watch=lambda *_: bar.update())
+    frequencies = lowest_frequencies(body, MODES)
+    mass = fit_mass(organ, springs, stiffness, frequencies)
+    axial, angular, pulls = springs.split(stiffness)
+    spring, hinge, pull = organ.spring_stiffness.copy(), organ.angular_stiffness.copy(), np.zeros(organ.n_nodes)
+    spring[spring > 0.0], hinge[hinge > 0.0], pull[springs.pulled] = axial, angular, pulls
+    return {
+        "spring_stiffness": spring,
+        "angular_stiffness": hinge,
+        "return_stiffness": pull,
+        "mass": mass,
+        "damping": damping_rate(frequencies) * mass,
+    }
