@@ -25,7 +25,7 @@ HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of t
 KIDNEY = 1.34e-4  # m^3; in a smaller organ all lengths below shrink with the root of its volume
 CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
-NEAR_CLAMP = 0.25  # of the centres: those nearest to the clamp, where every third case of the fit lies
+NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp, where many cases of the fit lie
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
 DEEP = (0.006, 0.012)  # m, the same of the cases that the fit settles as nonlinear ones
@@ -98,18 +98,17 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
     return np.sort(mixed[held:]), np.sort(mixed[:held])
 
 
-def fit_cases(organ: Organ, count: int, seed: int, stream: int = 1) -> Cases:
+def fit_cases(organ: Organ, count: int, seed: int, stream: int = 1, near: int = 3) -> Cases:
     """`count` cases for the fit: uniform tractions of 1 N on patches of five sizes; another stream draws others.
 
     Of ten cases four press along the normal, two obliquely, one along the surface, one pulls, two have several
-    patches at once. Every third lies near the clamp: small errors there turn the whole organ.
+    patches at once. One of `near` lies near the clamp, where small errors turn the whole organ.
     """
     surface, centres = surface_of(organ), split_centres(organ)[0]
     random = np.random.default_rng([seed, stream])
     kinds = ("normal", "oblique", "many", "normal", "pulling", "normal", "tangential", "many", "normal", "oblique")
     spread = _spread(surface.positions, centres, count, random)
-    near = _nearest_to_clamp(organ, centres)
-    spread[::3] = _spread(surface.positions, near, len(spread[::3]), random)
+    spread[::near] = _spread(surface.positions, _nearest_to_clamp(organ, centres), len(spread[::near]), random)
     force, centre, kind = np.zeros((count, organ.n_surface, 3)), [], []
     for case in range(count):
         kind.append(kinds[case % len(kinds)])
@@ -181,7 +180,7 @@ def scale_to_depth(
 
 
 def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:
-    """The quarter of the nodes that is nearest to the clamp; all of them without one."""
+    """The share of the nodes that is nearest to the clamp; all of them without one."""
     if not len(organ.fixed):
         return nodes
     apart = cKDTree(organ.surface_positions[organ.fixed]).query(organ.surface_positions[nodes])[0]

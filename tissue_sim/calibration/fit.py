@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.optimize import minimize
 
-from tissue_sim.calibration.static import Factor, Springs, settle
+from tissue_sim.calibration.static import THREADS, Factor, Springs, settle
 from tissue_sim.organ.organ import Floats
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
@@ -80,7 +80,7 @@ class NonlinearMisfit:
     """
 
     def __init__(
-        self, springs: Springs, force: Floats, wanted: Floats, threads: int = 2, tolerance: float = LOOSE
+        self, springs: Springs, force: Floats, wanted: Floats, threads: int = THREADS, tolerance: float = LOOSE
     ) -> None:
         self._springs, self._force, self._wanted = springs, force, wanted
         self._threads, self._tolerance = threads, tolerance

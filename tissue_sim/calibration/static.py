@@ -6,6 +6,7 @@ stiffnesses as arguments, so that a fit can change them without an organ being a
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from tissue_sim.organ.organ import Floats
 
 Longs = NDArray[np.int64]
 
+THREADS = 2
 TOLERANCE = 1e-8  # residual force over load that counts as settled
 MOST_ITERATIONS = 60
 _LONGEST_STEP = 0.01  # m that a node moves in one iteration at the most
@@ -61,12 +63,20 @@ class Factor:
         """Solutions (a, c) or (a,) of right-hand sides of that shape, of a matrix that is positive definite."""
         columns = right.reshape(len(right), -1)
         answer = np.empty_like(columns)
-        for first in range(0, columns.shape[1], _SOLVED_AT_ONCE):
+
+        def part(first: int) -> None:
             some = slice(first, first + _SOLVED_AT_ONCE)
-            part = np.empty((len(columns), columns[:, some].shape[1]))
-            part[self._order] = columns[:, some]
-            _substitute(self._start, self._row, self._value, self._pivot, part)
-            answer[:, some] = part[self._order]
+            block = np.empty((len(columns), columns[:, some].shape[1]))
+            block[self._order] = columns[:, some]
+            _substitute(self._start, self._row, self._value, self._pivot, block)
+            answer[:, some] = block[self._order]
+
+        starts = range(0, columns.shape[1], _SOLVED_AT_ONCE)
+        if len(starts) == 1:
+            part(0)
+        else:
+            with ThreadPoolExecutor(THREADS) as pool:
+                list(pool.map(part, starts))
         return answer.reshape(right.shape)
 
 

@@ -1,0 +1,153 @@
+"""`tissue_sim calibrate`, as users run it: on a small ball, stopped and gone on with, and used wrongly."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from tissue_sim.calibration import calibrate as pipeline
+from tissue_sim.calibration.checkpoint import Checkpoint
+from tissue_sim.cli import main
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+
+from ..scenes import ball
+
+SMALL = ("--cases=30", "--steps=25", "--nonlinear=4", "--nonlinear-steps=3", "--smooth=4", "--sharp=2", "--interior=12")
+needs_finite_elements = pytest.mark.usefixtures("_finite_elements")
+
+
+@pytest.fixture
+def _finite_elements():
+    pytest.importorskip("skfem")
+    pytest.importorskip("netgen")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibrate")
+    ball(2).save(folder / "ball.npz")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def calibrated(folder):
+    """The ball, calibrated with the report's pictures; what was printed lies beside it."""
+    pytest.importorskip("skfem")
+    pytest.importorskip("netgen")
+    assert main(["calibrate", str(folder / "ball.npz"), "--out", str(folder / "out.npz"), *SMALL]) == 0
+    return folder / "out.npz"
+
+
+@pytest.mark.slow
+@needs_finite_elements
+def test_the_organ_is_better_and_says_so(calibrated, folder, capsys):
+    made = Organ.load(calibrated)
+    figures = made.provenance["calibration"]
+    assert made.n_interior == 12
+    assert figures["held_out"]["smooth"]["cases"] == 4
+    assert figures["held_out"]["smooth"]["mean_percent"] < 8.0
+    assert figures["held_out"]["sharp"]["settled"] == 2
+    assert figures["motion"]["release_percent"] < 15.0
+    np.testing.assert_allclose(figures["motion"]["frequencies_hz"], figures["motion"]["reference_hz"], rtol=0.1)
+    assert made.mass.sum() == pytest.approx(made.density * made.volume)
+    assert not list(folder.glob(".out.npz*"))
+    assert main(["info", str(calibrated)]) == 0
+    assert "mean percent" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@needs_finite_elements
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(calibrated, folder, monkeypatch, capsys):
+    out = folder / "again.npz"
+    command = ["calibrate", str(folder / "ball.npz"), "--out", str(out), *SMALL]
+    evaluate, left = pipeline._Logged.evaluate, [12]
+
+    def stopping(self, stiffness):
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return evaluate(self, stiffness)
+
+    for evaluations in (12, 30):  # in the first stage of the fit, and in the second
+        left[0] = evaluations
+        monkeypatch.setattr(pipeline._Logged, "evaluate", stopping)
+        assert main(command) == 130
+        assert not out.exists()
+        assert "goes on from" in capsys.readouterr().err
+    monkeypatch.setattr(pipeline._Logged, "evaluate", evaluate)
+    assert main(command) == 0
+    assert "going on from" in capsys.readouterr().out
+    assert Organ.load(out).digest() == Organ.load(calibrated).digest()
+    assert Organ.load(out).provenance == Organ.load(calibrated).provenance
+
+
+@pytest.mark.slow
+@needs_finite_elements
+def test_groups_are_the_baseline(calibrated, folder, capsys):
+    out = folder / "groups.npz"
+    command = ["calibrate", str(folder / "ball.npz"), "--out", str(out), "--method", "groups", "--cases=20"]
+    assert main([*command, "--steps=12", "--nonlinear-steps=0", "--smooth=4", "--sharp=2", "--check"]) == 1
+    assert "missed: " in capsys.readouterr().out
+    figures = [Organ.load(path).provenance["calibration"]["held_out"]["smooth"] for path in (calibrated, out)]
+    assert figures[0]["mean_percent"] < figures[1]["mean_percent"] < 60.0
+    assert Organ.load(out).n_interior == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--out", "x.txt"), "must end in .npz"),
+        (("--out", "missing/x.npz"), "does not exist"),
+        (("--out", "x.npz", "--cases=2"), "outside 8..10000"),
+        (("--out", "x.npz", "--interior=-1"), "is negative"),
+        (("--out", "x.npz", "--method=best"), "invalid choice"),
+    ],
+)
+def test_wrong_use_takes_one_line(folder, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(folder)
+    try:
+        code = main(["calibrate", "ball.npz", *words])
+    except SystemExit as exit_:
+        code = exit_.code
+    error = capsys.readouterr().err
+    assert code == 2
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@needs_finite_elements
+def test_an_organ_without_a_clamp_is_refused(folder, capsys):
+    ball(2, held=False).save(folder / "free.npz")
+    assert main(["calibrate", str(folder / "free.npz"), "--out", str(folder / "x.npz"), *SMALL]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("module", ["skfem", "netgen"])
+def test_a_missing_library_is_named(folder, monkeypatch, capsys, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    assert main(["calibrate", str(folder / "ball.npz"), "--out", str(folder / "x.npz"), *SMALL]) == 2
+    assert "pip install 'tissue_sim[calibration]'" in capsys.readouterr().err
+
+
+def test_a_checkpoint_keeps_what_belongs_to_its_inputs(tmp_path):
+    first = Checkpoint(tmp_path / "kept", {"seed": 1})
+    made = [first.remember("a", lambda: {"x": np.arange(3)})["x"] for _ in range(2)]
+    np.testing.assert_array_equal(made[0], made[1])
+    again = Checkpoint(tmp_path / "kept", {"seed": 1})
+    assert again.found
+    np.testing.assert_array_equal(again.remember("a", lambda: pytest.fail("was made again"))["x"], np.arange(3))
+    (tmp_path / "kept" / "a.npz").write_bytes(b"cut short")
+    assert again.load("a") is None
+    other = Checkpoint(tmp_path / "kept", {"seed": 2})
+    assert not other.found
+    assert other.load("a") is None
+    other.remove()
+    assert not (tmp_path / "kept").exists()
+
+
+def test_a_checkpoint_leaves_other_folders_alone(tmp_path):
+    (tmp_path / "mine").write_text("precious")
+    with pytest.raises(UserError, match="something else"):
+        Checkpoint(tmp_path, {})
+    assert (tmp_path / "mine").read_text() == "precious"
