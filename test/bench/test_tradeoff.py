@@ -167,7 +167,7 @@ def test_missing_finite_elements_are_named(monkeypatch, capsys):
 
 
 def test_reference_hands_out_loads_for_tuning_apart_from_the_others():
-    body, cases, tuning = tradeoff.reference(ball(2), 1, 1)
+    body, cases, tuning = tradeoff.reference(ball(1), 1, 1)
     assert [case.kind == "sharp" for case in cases] == [False, True]
     assert len(tuning) == tradeoff.TUNING
     for one in tuning:
@@ -175,7 +175,7 @@ def test_reference_hands_out_loads_for_tuning_apart_from_the_others():
     deep = [np.linalg.norm(case.displacement, axis=1).max() for case in (*cases, *tuning)]
     assert min(deep) > 0.001
     assert max(deep) < 0.02
-    assert body.n_nodes > 1000
+    assert body.n_nodes > 200
 
 
 @pytest.mark.slow
