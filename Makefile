@@ -43,8 +43,9 @@ format: .venv/.installed ## ruff's formatting and safe fixes
 	@$(PY) -m ruff check --fix --output-format concise
 	@$(PY) -m ruff format
 
-organ: .venv/.installed ## rebuilds config/organs/kidney.npz from the phantom
+organ: .venv/.installed ## rebuilds the kidney that ships from the phantom and calibrates it
 	@$(PY) -m tissue_sim.organ.ship
+	@.venv/bin/tissue_sim calibrate config/organs/kidney_as_built.npz --out config/organs/kidney.npz
 
 colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels, in .colcon
 	@$(COLCON) build --build-base .colcon/build --install-base .colcon/install

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue_sim.calibration.static import Factor, Springs, settle
+from tissue_sim.calibration.static import Springs, settle
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.energy import energy_of
 from tissue_sim.model.forces import elastic_forces
@@ -81,15 +81,15 @@ def test_strain_rows_make_the_stiffness_matrix():
 def test_convex_tangent_is_positive_definite_where_the_tangent_is_not():
     model, springs, stiffness = parts(SOFT)
     x = shaken(model, 8e-3)
-    assert not Factor(springs.tangent(x, stiffness)).is_positive
-    assert Factor(springs.tangent(x, stiffness, convex=True)).is_positive
+    assert not springs.factor(springs.tangent(x, stiffness)).is_positive
+    assert springs.factor(springs.tangent(x, stiffness, convex=True)).is_positive
 
 
 def test_factor_solves_one_and_many():
     _, springs, stiffness = parts(ball(2))
     matrix = springs.rest_tangent(stiffness)
     right = np.random.default_rng(2).standard_normal((len(springs.free), 150))
-    factor = Factor(matrix)
+    factor = springs.factor(matrix)
     answer = factor.solve(right)
     assert np.abs(matrix @ answer - right).max() < 1e-9
     np.testing.assert_allclose(factor.solve(right[:, 3]), answer[:, 3], rtol=1e-9)

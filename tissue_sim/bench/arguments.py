@@ -8,6 +8,7 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 
 DEFAULT_ORGAN = "the kidney that ships"
+AS_BUILT_ORGAN = "the kidney that ships, as built, with the paper's 48 atoms"
 
 
 def add_shared(parser: argparse.ArgumentParser, *, organ: str = DEFAULT_ORGAN, out: str | None = None) -> None:

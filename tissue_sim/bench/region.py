@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, node_normals, patch
 from tissue_sim.bench.report import aligned, emit
 from tissue_sim.errors import UserError
@@ -18,7 +18,7 @@ from tissue_sim.model.hops import hop_table
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Floats, Organ
-from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
 SMALL = 0.02  # N, under which the whole model is as good as linear
 DENT = 3e-3  # m
@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser)
+    add_shared(parser, organ=AS_BUILT_ORGAN)
     parser.add_argument("--patches", type=int, default=6, help="how many patches, drawn at random")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     if not 1 <= args.patches <= 1000:
         raise UserError(f"--patches {args.patches} is outside 1..1000")
-    organ = Organ.load(args.organ or shipped_organ())
+    organ = Organ.load(args.organ or shipped_organ(AS_BUILT))
     cases = measure(organ, args.patches)
     found = summary(cases)
     emit(found, "\n".join(lines(organ, cases, found)), args.json)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import node_normals, spread_nodes
 from tissue_sim.bench.report import aligned, emit, noise_lines, told
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
@@ -18,7 +18,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import ACTIVE, SUBSTEPS
 from tissue_sim.organ.organ import Floats, Organ
-from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
 GLOBAL_POINTS = 10
 
@@ -68,7 +68,7 @@ class Cell(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser, out="write Figure 6 there, as PNG")
+    add_shared(parser, organ=AS_BUILT_ORGAN, out="write Figure 6 there, as PNG")
     parser.add_argument("--unit", type=float, default=2.0, help="mN that one unit of the paper's forces stands for")
     parser.add_argument("--quick", action="store_true", help="shorter measurements, and 2 s instead of 5 to settle")
 
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     if not 1e-3 <= args.unit <= 1e3:
         raise UserError(f"--unit {args.unit:g} mN is outside 0.001..1000")
-    organ = Organ.load(args.organ or shipped_organ())
+    organ = Organ.load(args.organ or shipped_organ(AS_BUILT))
     unit = 1e-3 * args.unit
     cells, noise = in_one_thread(measure, organ, unit, args.quick)
     found = as_json(organ, unit, cells, noise)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissue_sim.bench import growth
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
 from tissue_sim.bench.report import aligned, emit, figure, noise_lines, told, with_remarks
 from tissue_sim.bench.rows import (
@@ -32,7 +32,7 @@ from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interle
 from tissue_sim.jit import is_compiled
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
 NOISE = "noise"
 
@@ -75,7 +75,7 @@ class Measured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser, out="write plots there, as PNG")
+    add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG")
     parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points, no compiling")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
@@ -83,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure, print the tables, write plots; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
-    path = Path(args.organ) if args.organ else shipped_organ()
+    path = Path(args.organ) if args.organ else shipped_organ(AS_BUILT)
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
     # The kernels are on disk now.

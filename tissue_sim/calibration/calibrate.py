@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
 from dataclasses import asdict, dataclass, replace
-from functools import partial
-from threading import Event, Thread
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from tissue_sim.calibration import fit as fitting
-from tissue_sim.calibration.cases import DEEP, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
+from tissue_sim.calibration.background import Reference, Task
+from tissue_sim.calibration.cases import DEEP, DEPTH, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.dynamics import lowest_frequencies
+from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, NonlinearMisfit
+from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, SharedMisfit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass, frequencies_of
@@ -29,10 +29,11 @@ from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.topology import assemble_organ
 
 METHODS = ("springs", "groups")
-TOGETHER = 8  # nonlinear reference cases between two checkpoints
 RETURN_START = 0.01  # of the organ's return springs, where the fit begins: the clamp holds the organ
 INTERIOR_SHARE = 0.15  # interior atoms for each surface node, where the organ has none
 GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
+COARSE = Grading(clamp=0)  # of the mesh on which the fit's nonlinear cases are settled
+NONLINEAR_SHARE = 0.7  # of the misfit, of the large loads; the rest is that of the linear ones
 POKE = 0.005  # m, of the release
 TICK = 1e-3  # s
 
@@ -49,9 +50,9 @@ class Settings:
     seed: int = 0
     method: str = "springs"
     cases: int = 400
-    nonlinear: int = 32
+    nonlinear: int = 96
     steps: int = 60
-    nonlinear_steps: int = 12
+    nonlinear_steps: int = 24
     interior: int | None = None
     smooth: int = 30
     sharp: int = 10
@@ -80,7 +81,7 @@ class Calibrated(NamedTuple):
 def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
     """Fit the organ's springs and masses to a finite-element body of its shape and tissue, and judge the result.
 
-    The finite-element body settles the nonlinear cases in a thread of its own meanwhile.
+    The finite-element body settles the nonlinear cases in a process of its own meanwhile.
     Raises UserError when the organ has no clamp or can't be filled, or a library is missing.
     """
     start = _prepared(organ, settings)
@@ -100,11 +101,10 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     with progress.stage("linear reference", 1) as done:
         linear = checkpoint.remember("linear-reference", respond)
         done(f"{body.n_nodes} nodes, {settings.cases} cases")
-    nonlinear = scale_to_depth(nonlinear, linear["nonlinear"], start, settings.seed, DEEP)
-    judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED)
-    size = np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2))
-    judged_linear = linear["held_out"] * size[:, None, None]
-    reference = _Reference(body, checkpoint, {"nonlinear": nonlinear, "held-out": judged})
+    nonlinear, nonlinear_linear = _scaled(nonlinear, linear["nonlinear"], start, settings.seed, DEEP)
+    judged, judged_linear = _scaled(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
+    tasks = {"nonlinear": Task(nonlinear, COARSE, nonlinear_linear), "held-out": Task(judged)}
+    reference = Reference(start, checkpoint, tasks)
 
     model = assemble(start)
     springs = Springs(model)
@@ -141,7 +141,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     finally:
         reference.stop()
     with progress.stage("error of the reference", 1) as done:
-        accuracy = reference_error(start)
+        accuracy = reference_error(start, neo_hookean=0)  # settled on the finer mesh they take longer than the fit
         done(f"{accuracy.worst:.2f} % at worst")
     with progress.stage("release", 1) as done:
         poke, node = _poke(judged, wanted)
@@ -168,6 +168,15 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     }
     provenance = {**made.provenance, "calibration": figures}
     return Calibrated(replace(made, provenance=provenance), figures, judged, wanted, judged_linear, found, motion)
+
+
+def _scaled(
+    cases: Cases, compliance: Floats, organ: Organ, seed: int, depth: tuple[float, float]
+) -> tuple[Cases, Floats]:
+    """Cases scaled to a depth, and the linear body's answers (c, n_surface, 3) m to them."""
+    scaled = scale_to_depth(cases, compliance, organ, seed, depth)
+    size = np.linalg.norm(scaled.force, axis=(1, 2)) / np.linalg.norm(cases.force, axis=(1, 2))
+    return scaled, compliance * size[:, None, None]
 
 
 def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer) -> dict[str, Any]:
@@ -271,71 +280,6 @@ def _remembered_release(
     return Release(**found)
 
 
-# the reference ------------------------------------------------------------------------------------
-
-
-class _Reference:
-    """Settles sets of cases by finite elements, one set after another, in a thread."""
-
-    def __init__(self, body: Body, checkpoint: Checkpoint, sets: dict[str, Cases]) -> None:
-        self._body, self._checkpoint, self._sets = body, checkpoint, sets
-        self._parts: dict[tuple[str, int], Arrays] = {}
-        self._ready = {key: Event() for key in self._keys()}
-        self._stopped = Event()
-        self._failure: BaseException | None = None
-        self._thread = Thread(target=self._work, daemon=True, name="finite elements")
-
-    def _keys(self) -> Iterator[tuple[str, int]]:
-        for name, cases in self._sets.items():
-            yield from ((name, first) for first in range(0, len(cases), TOGETHER))
-
-    def begin(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Let the thread end after what it has at hand."""
-        self._stopped.set()
-
-    def answer(self, name: str, done: Callable[..., None]) -> Answer:
-        """Answers to a set of cases, as soon as they are there."""
-        cases, parts = self._sets[name], []
-        for first in range(0, len(cases), TOGETHER):
-            while not self._ready[name, first].wait(0.2):
-                pass  # in turns, so that an interrupt comes through
-            if self._failure is not None:
-                raise self._failure
-            part = self._parts[name, first]
-            parts.append(part)
-            for _ in range(len(part["volume"])):
-                done()
-        shape = (0, *cases.force.shape[1:])
-        empty = {"displacement": np.zeros(shape), "volume": np.zeros(0), "converged": np.zeros(0)}
-        return Answer(*(np.concatenate([part[key] for part in [empty, *parts]]) for key in Answer._fields))
-
-    def _work(self) -> None:
-        try:
-            for name, first in self._keys():
-                if self._stopped.is_set():
-                    return
-                forces = self._sets[name].force[first : first + TOGETHER]
-                make = partial(self._settled, forces)
-                self._parts[name, first] = self._checkpoint.remember(f"{name}-{first:04d}", make)
-                self._ready[name, first].set()
-        except BaseException as failure:  # handed to whoever waits
-            self._failure = failure
-            for event in self._ready.values():
-                event.set()
-
-    def _settled(self, forces: Floats) -> Arrays:
-        found = list(self._body.settle_many(forces))
-        return {
-            "displacement": np.stack([case.displacement for case in found]),
-            "volume": np.array([case.volume_change for case in found]),
-            "converged": np.array([float(case.converged) for case in found]),
-        }
-
-
 # the fit ------------------------------------------------------------------------------------------
 
 
@@ -344,7 +288,7 @@ def _by_springs(
     prior: Floats,
     misfit: LinearMisfit,
     nonlinear: Cases,
-    reference: _Reference,
+    reference: Reference,
     settings: Settings,
     checkpoint: Checkpoint,
     progress: Progress,
@@ -359,13 +303,13 @@ def _by_springs(
         with progress.stage("nonlinear reference", len(nonlinear)) as done:
             answer = reference.answer("nonlinear", done)
         kept = np.flatnonzero(answer.converged)
-        settled = NonlinearMisfit(springs, nonlinear.force[kept], answer.displacement[kept])
+        settled = SharedMisfit(springs, nonlinear.force[kept], answer.displacement[kept])
         both = _Logged(misfit, "both-linear", checkpoint), _Logged(settled, "both-nonlinear", checkpoint)
-        with progress.stage("nonlinear fit", settings.nonlinear_steps) as done:
+        with progress.stage("nonlinear fit", settings.nonlinear_steps) as done, closing(settled):
             stiffness = fitting.fit(
                 stiffness,
                 trace,
-                [(0.5, both[0]), (0.5, both[1])],
+                [(1.0 - NONLINEAR_SHARE, both[0]), (NONLINEAR_SHARE, both[1])],
                 settings.nonlinear_steps,
                 prior=prior,
                 watch=_remark(done),
@@ -401,12 +345,12 @@ class _Logged:
         """As the misfit does, or as it did."""
         kept = self._checkpoint.load(f"{self._name}-{self._count:04d}")
         if kept is None:
-            if self._replayed is not None and isinstance(self._misfit, NonlinearMisfit):
+            if self._replayed is not None and isinstance(self._misfit, SharedMisfit):
                 self._misfit.restore(self._replayed["position"], self._replayed["stiffness"])
             self._replayed = None
             found = self._misfit.evaluate(stiffness)
             kept = {"loss": np.array(found.loss), "slope": found.slope, "error": found.error}
-            if isinstance(self._misfit, NonlinearMisfit):
+            if isinstance(self._misfit, SharedMisfit):
                 kept |= {"position": self._misfit.position, "stiffness": self._misfit.stiffness}
             self._checkpoint.store(f"{self._name}-{self._count:04d}", kept)
         else:

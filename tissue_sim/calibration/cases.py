@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from tissue_sim.errors import UserError
@@ -28,9 +28,10 @@ FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
 NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp, where many cases of the fit lie
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
-DEEP = (0.006, 0.012)  # m, the same of the cases that the fit settles as nonlinear ones
+DEEP = (0.004, 0.012)  # m, the same of the cases that the fit settles as nonlinear ones
 SHARP_TRACTION = (0.2, 0.4)  # of Young's modulus, on a node and its neighbours: 0.1 to 0.2 N on the kidney
 MOST_TRACTION = 0.4  # of Young's modulus, at any node: near the clamp a depth of 12 mm would crush the tissue
+MOST_FORCE = 0.019  # of Young's modulus times the volume's root squared, for each patch: 0.5 N on the kidney
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +165,8 @@ def scale_to_depth(
 ) -> Cases:
     """Cases of 1 N scaled so that the linear body gives by a depth drawn between two, m, its largest displacement.
 
-    compliance (c, n, 3) m: the linear body's answer to the cases as they are. The traction stays under 0.4 of Young's
-    modulus. Sharp cases get a traction of 0.2 to 0.4 of it instead, as far as the body gives by no more than the
+    compliance (c, n, 3) m: the linear body's answer to the cases as they are. No case gets stronger than `strongest`.
+    Sharp ones get a traction of 0.2 to 0.4 of Young's modulus instead, as far as the body gives by no more than the
     larger depth.
     """
     random = np.random.default_rng([seed, 3])
@@ -175,8 +176,23 @@ def scale_to_depth(
     wanted = surface.size * random.uniform(*depth, len(cases)) / reach
     pressed = random.uniform(*SHARP_TRACTION, len(cases)) / traction
     sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
-    most = np.minimum(MOST_TRACTION / traction, surface.size * depth[1] / reach)
+    patches = np.array([len(at) for at in cases.centre])
+    most = np.minimum(strongest(cases.force, patches, organ), surface.size * depth[1] / reach)
     return cases.scaled(np.minimum(np.where(sharp, pressed, wanted), most))
+
+
+def strongest(force: Floats, patches: ArrayLike, organ: Organ) -> Floats:
+    """How many times as strong loads (c, n, 3) N, of so many patches each (c,), may be at most, (c,).
+
+    The traction stays under 0.4 of Young's modulus, the mean force of a patch under 0.5 N on an organ like the kidney.
+    """
+    size = np.linalg.norm(force, axis=2)
+    traction = (size / surface_of(organ).area).max(axis=1) / organ.youngs_modulus
+    push = size.sum(axis=1) / np.asarray(patches)
+    most: Floats = np.minimum(
+        MOST_TRACTION / traction, MOST_FORCE * organ.youngs_modulus * organ.volume ** (2.0 / 3.0) / push
+    )
+    return most
 
 
 def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:

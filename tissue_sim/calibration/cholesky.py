@@ -3,6 +3,9 @@
 SciPy has no sparse Cholesky; its LU takes five times as long here, since it neither knows the symmetry nor
 multiplies dense blocks of this size. Elements are halved again and again; what lies inside a part is eliminated
 there as one dense front, and the rest handed on to the part above.
+
+Dense blocks go through SciPy's BLAS alone: NumPy has one of its own, and the threads of two that are called in turns
+wait for work on each other's cores, which made solutions for many loads ten times slower.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyrk, dtrsm, strsm
+from scipy.linalg.blas import dgemm, dsyrk, dtrsm, sgemm, strsm
 from scipy.linalg.lapack import dpotrf
 
 from tissue_sim.jit import kernel
@@ -22,6 +25,9 @@ from tissue_sim.organ.organ import Floats, Ints
 Longs = NDArray[np.int64]
 BALANCE = 0.3  # the least share of elements in a part
 LEAF = 32  # elements that are not divided further
+
+# Transposed, so that rows run along memory: of a front's (p + b) rows those inside (p, p), below (p, b), rest (b, b).
+Pieces = tuple[Floats, Floats, Floats]
 
 
 class Front(NamedTuple):
@@ -44,11 +50,11 @@ class NotPositive(Exception):
     """The matrix has a direction without stiffness, or one of negative stiffness."""
 
 
-def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_]) -> list[Front]:
+def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_], leaf: int = LEAF) -> list[Front]:
     """Order of elimination for elements (e, k) with centres (e, 3); held (n, 3) unknowns are left out.
 
-    Fronts come children first. Every part is cut in two halves along that of its principal axes where they share
-    the fewest nodes.
+    Fronts come children first. Every part is cut in two along that of its principal axes where they share
+    the fewest nodes, down to `leaf` elements.
     """
     count = np.bincount(elements.ravel(), minlength=len(held))  # elements around each node that are not yet merged
     fronts: list[Front] = []
@@ -60,7 +66,7 @@ def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_]) -> list[Fr
 
     def build(cells: Longs) -> tuple[int, Longs, Longs]:
         """Number of the front, nodes on its boundary, and how many elements inside each has."""
-        if len(cells) <= LEAF:
+        if len(cells) <= leaf:
             nodes, inner = np.unique(elements[cells], return_counts=True)
             children: tuple[int, ...] = ()
         else:
@@ -71,8 +77,8 @@ def dissect(elements: Ints, centres: Floats, held: NDArray[np.bool_]) -> list[Fr
             nodes, where = np.unique(np.concatenate([nodes_first, nodes_second]), return_inverse=True)
             inner = np.bincount(where, np.concatenate([inner_first, inner_second])).astype(np.int64)
         whole = inner == count[nodes]
-        leaf = cells.astype(np.int32) if not children else np.zeros(0, dtype=np.int32)
-        fronts.append(Front(leaf, children, unknowns(nodes[whole]), unknowns(nodes[~whole])))
+        undivided = cells.astype(np.int32) if not children else np.zeros(0, dtype=np.int32)
+        fronts.append(Front(undivided, children, unknowns(nodes[whole]), unknowns(nodes[~whole])))
         return len(fronts) - 1, nodes[~whole], inner[~whole]
 
     build(np.arange(len(elements)))
@@ -107,9 +113,8 @@ def _parts(elements: Ints, centres: Floats, cells: Longs) -> tuple[Longs, Longs]
 
 @kernel
 def _add(update: Floats, where: Longs, diagonal: Floats, below: Floats, rest: Floats) -> None:
-    """Add the lower triangle of a symmetric matrix to that of a front, given by its three pieces.
+    """Add the lower triangle of a symmetric matrix, transposed (k, k), to that of a front, given by its Pieces.
 
-    All transposed, so that rows run along memory: update (k, k), diagonal (p, p), below (p, b), rest (b, b).
     where (k,): rows of the front, -1 for those left out.
     """
     p = len(diagonal)
@@ -128,13 +133,27 @@ def _add(update: Floats, where: Longs, diagonal: Floats, below: Floats, rest: Fl
                 rest[low - p, high - p] += update[j, i]
 
 
-class Cholesky:
-    """L L' of a stiffness matrix that is given element by element.
+@kernel
+def _add_each(matrices: Floats, where: Longs, diagonal: Floats, below: Floats, rest: Floats) -> None:
+    """Add symmetric matrices (e, k, k) to a front; where (e, k)."""
+    for e in range(len(matrices)):
+        _add(matrices[e], where[e], diagonal, below, rest)
 
-    matrices(cells) returns (e, 3k, 3k) N/m of elements (e, k). Raises NotPositive.
+
+def add_elements(matrices: Floats, elements: Ints, place: Longs, pieces: Pieces) -> None:
+    """Add matrices (e, 3k, 3k) N/m of elements (e, k) to a front; place: its row of each unknown."""
+    axes = (3 * elements[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(elements), -1)
+    _add_each(matrices, place[axes], *pieces)
+
+
+class Cholesky:
+    """L L' of a symmetric matrix over the unknowns of n nodes.
+
+    fill(number, place, pieces) adds to a front what no other front does of the matrix; place: the front's row of each
+    of the 3n unknowns. Raises NotPositive.
     """
 
-    def __init__(self, fronts: list[Front], elements: Ints, n: int, matrices: Callable[[Ints], Floats]) -> None:
+    def __init__(self, fronts: list[Front], n: int, fill: Callable[[int, Longs, Pieces], None]) -> None:
         self.fronts = fronts
         self._free = np.concatenate([front.inside for front in fronts])
         self.factors: list[Factor] = []
@@ -147,10 +166,7 @@ class Cholesky:
             place[front.inside], place[front.boundary] = np.arange(p), np.arange(p, p + b)
             for child in front.children:
                 _add(updates.pop(child).T, place[fronts[child].boundary], *pieces)
-            if len(front.cells):
-                axes = (3 * elements[front.cells][:, :, None] + np.arange(3)).reshape(len(front.cells), -1)
-                for where, part in zip(place[axes], matrices(front.cells), strict=True):
-                    _add(part, where, *pieces)
+            fill(number, place, pieces)
             place[front.inside] = place[front.boundary] = -1
             if p:
                 diagonal, failed = dpotrf(diagonal, lower=1, clean=0, overwrite_a=1)
@@ -175,13 +191,13 @@ class Cholesky:
 
     def solve(self, right: Floats) -> Floats:
         """Solution (3n, c) of the free unknowns for right-hand sides (3n, c); 0 at the held ones."""
-        return self._solve(right, self.factors, dtrsm, np.float64)
+        return self._solve(right, self.factors, dtrsm, dgemm, np.float64)
 
     def precondition(self, right: Floats) -> Floats:
         """The solution (3n, c) to single precision, in half the time: a few columns take as long as reading L."""
-        return self._solve(right, self._single, strsm, np.float32).astype(np.float64)
+        return self._solve(right, self._single, strsm, sgemm, np.float32).astype(np.float64)
 
-    def _solve(self, right: Floats, factors: list[Factor], triangle: Any, kind: Any) -> Any:
+    def _solve(self, right: Floats, factors: list[Factor], triangle: Any, product: Any, kind: Any) -> Any:
         work = np.zeros(np.shape(right), dtype=kind)
         work[self._free] = right[self._free]
         for front, (diagonal, below) in zip(self.fronts, factors, strict=True):
@@ -189,11 +205,11 @@ class Cholesky:
                 found = triangle(1.0, diagonal, work[front.inside], lower=1)
                 work[front.inside] = found
                 if len(front.boundary):
-                    work[front.boundary] -= below @ found
+                    work[front.boundary] -= product(1.0, below, found)
         for front, (diagonal, below) in zip(reversed(self.fronts), reversed(factors), strict=True):
             if len(front.inside):
                 found = work[front.inside]
                 if len(front.boundary):
-                    found = found - below.T @ work[front.boundary]
+                    found -= product(1.0, below, work[front.boundary], trans_a=1)
                 work[front.inside] = triangle(1.0, diagonal, found, lower=1, trans_a=1)
         return work

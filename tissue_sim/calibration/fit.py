@@ -7,21 +7,24 @@ is that of the settled surface; its slope by every stiffness comes from one adjo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import minimize
 
-from tissue_sim.calibration.static import THREADS, Factor, Springs, settle
+from tissue_sim.calibration.factor import Factor
+from tissue_sim.calibration.remote import Remote
+from tissue_sim.calibration.static import Springs, settle
 from tissue_sim.organ.organ import Floats
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
 SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
 SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
+PROCESSES = 2  # among which the nonlinear cases are shared out
 MEMORY = 20  # steps that L-BFGS remembers
-LOOSE = 1e-6  # residual force over load, in a fit
-_LOST = 1e3  # loss of a stiffness under which a case finds no rest
+LOOSE = 1e-5  # residual force over load, in a fit
+OUTLIER = 0.25  # error from which on a nonlinear case counts less and less (Cauchy), so that none outweighs the rest
+_LOST = 1.0  # loss of a case that finds no rest
 
 
 class Evaluation(NamedTuple):
@@ -59,7 +62,7 @@ class LinearMisfit:
 
     def evaluate(self, stiffness: Floats) -> Evaluation:
         """Loss, slope and errors; one factorisation, two solves."""
-        factor = Factor(self._springs.rest_tangent(stiffness))
+        factor = self._springs.factor(self._springs.rest_tangent(stiffness))
         answer = factor.solve(self._load)
         off = answer[self._inside] - self._wanted
         square = np.sum(off**2, axis=0) * self._weight
@@ -75,39 +78,43 @@ class LinearMisfit:
 class NonlinearMisfit:
     """Misfit of the model's settled shapes, case by case; each starts where it last came to rest.
 
-    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m; threads: cases settled at a time;
-    tolerance: residual force over load that counts as settled.
+    The loss of a case is b^2 log(1 + e^2 / b^2) of its error e, which is e^2 as long as that is well below b = 0.25.
+
+    force (c, n_surface, 3) N, wanted (c, n_surface, 3) m; tolerance: residual force over load that counts as settled.
     """
 
-    def __init__(
-        self, springs: Springs, force: Floats, wanted: Floats, threads: int = THREADS, tolerance: float = LOOSE
-    ) -> None:
+    def __init__(self, springs: Springs, force: Floats, wanted: Floats, tolerance: float = LOOSE) -> None:
         self._springs, self._force, self._wanted = springs, force, wanted
-        self._threads, self._tolerance = threads, tolerance
+        self._tolerance = tolerance
         self._weight = 1.0 / np.sum(wanted**2, axis=(1, 2))
         # Where each case last came to rest, (c, n, 3) m, and under which stiffness (c, p); not finite: nowhere yet.
         self.position = np.full((len(force), *springs.rest.shape), np.nan)
         self.stiffness = np.full((len(force), sum(springs.counts)), np.nan)
         self._factor: list[Factor | None] = [None] * len(force)
 
+    def state(self) -> tuple[Floats, Floats]:
+        """What `restore` takes."""
+        return self.position, self.stiffness
+
     def restore(self, position: Floats, stiffness: Floats) -> None:
         """Go on from shapes and stiffnesses, as `position` and `stiffness` held them."""
         self.position, self.stiffness = position.copy(), stiffness.copy()
         for case in range(len(position)):
             if np.isfinite(stiffness[case, 0]):
-                self._factor[case] = Factor(self._springs.tangent(position[case], stiffness[case]))
+                self._factor[case] = self._springs.factor(self._springs.tangent(position[case], stiffness[case]))
 
     def evaluate(self, stiffness: Floats) -> Evaluation:
-        """Loss, slope and errors. A case that finds no rest makes the loss so large that no search stays there."""
-        with ThreadPoolExecutor(self._threads) as pool:
-            cases = list(pool.map(lambda case: self._case(stiffness, case), range(len(self._force))))
+        """Loss, slope and errors; a case that finds no rest adds 1 to the sum of losses."""
+        cases = [self._case(stiffness, case) for case in range(len(self._force))]
         square = np.array([found[0] for found in cases])
-        slope = np.sum([found[1] for found in cases], axis=0) / len(cases)
+        found_rest = np.array([found[3] is not None for found in cases], dtype=bool)
+        loss = np.where(found_rest, OUTLIER**2 * np.log1p(square / OUTLIER**2), _LOST)
+        slope = (1.0 / (1.0 + square / OUTLIER**2)) @ np.array([found[1] for found in cases]) / len(cases)
         for case, (_, _, position, factor) in enumerate(cases):
             if factor is not None:
                 self.position[case], self._factor[case] = position, factor
                 self.stiffness[case] = stiffness
-        return Evaluation(float(square.mean()), slope, np.sqrt(square))
+        return Evaluation(float(loss.mean()), slope, np.sqrt(square))
 
     def _case(self, stiffness: Floats, case: int) -> tuple[float, Floats, Floats, Factor | None]:
         """Squared error, its slope, the shape of one case and its factored tangent."""
@@ -117,7 +124,7 @@ class NonlinearMisfit:
         if factor is None and start is not None:
             settled, factor = settle(springs, stiffness, self._force[case], None, None, self._tolerance)
         if factor is None:
-            return _LOST, np.zeros_like(stiffness), settled.position, None
+            return 1.0, np.zeros_like(stiffness), settled.position, None
         surface = slice(springs.n_surface)
         off = settled.position[surface] - springs.rest[surface] - self._wanted[case]
         pull = np.zeros_like(settled.position)
@@ -126,6 +133,42 @@ class NonlinearMisfit:
         adjoint[springs.free] = factor.solve(pull.ravel()[springs.free])
         slope = -springs.sensitivity(settled.position, adjoint.reshape(pull.shape))
         return float(np.sum(off**2) * self._weight[case]), slope, settled.position, factor
+
+
+class SharedMisfit:
+    """A NonlinearMisfit whose cases are shared out among processes."""
+
+    def __init__(self, springs: Springs, force: Floats, wanted: Floats, processes: int = PROCESSES) -> None:
+        self._parts = [slice(k, None, processes) for k in range(min(processes, len(force)))]
+        self._remotes = [Remote(NonlinearMisfit, springs, force[part], wanted[part]) for part in self._parts]
+        self.position = np.full((len(force), *springs.rest.shape), np.nan)
+        self.stiffness = np.full((len(force), sum(springs.counts)), np.nan)
+
+    def restore(self, position: Floats, stiffness: Floats) -> None:
+        """As NonlinearMisfit's."""
+        self._each("restore", [(position[part], stiffness[part]) for part in self._parts])
+
+    def evaluate(self, stiffness: Floats) -> Evaluation:
+        """As NonlinearMisfit's; bit for bit the same for the same number of processes."""
+        found: list[Evaluation] = self._each("evaluate", [(stiffness,)] * len(self._parts))
+        states = self._each("state", [()] * len(self._parts))
+        error = np.empty(len(self.position))
+        loss, slope = 0.0, np.zeros_like(stiffness)
+        for part, evaluation, state in zip(self._parts, found, states, strict=True):
+            error[part], (self.position[part], self.stiffness[part]) = evaluation.error, state
+            share = len(evaluation.error) / len(error)
+            loss, slope = loss + share * evaluation.loss, slope + share * evaluation.slope
+        return Evaluation(loss, slope, error)
+
+    def close(self) -> None:
+        """End the processes."""
+        for remote in self._remotes:
+            remote.close()
+
+    def _each(self, method: str, arguments: list[tuple[Any, ...]]) -> list[Any]:
+        for remote, given in zip(self._remotes, arguments, strict=True):
+            remote.ask(method, *given)
+        return [remote.answer() for remote in self._remotes]
 
 
 def fit(

@@ -16,7 +16,7 @@ from tissue_sim.organ.organ import Floats, Organ
 
 TOLERANCE = 1e-4  # residual force over load that counts as settled
 LONGEST = 20.0  # simulated seconds after which a load is given up
-RELEASE_STEP = 0.005  # s of the implicit dynamics
+RELEASE_STEP = 0.01  # s of the implicit dynamics
 RELEASE_TIME = 1.0  # s
 
 

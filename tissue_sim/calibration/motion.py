@@ -12,7 +12,8 @@ from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
-from tissue_sim.calibration.static import Factor, Springs
+from tissue_sim.calibration.factor import Factor
+from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.winding import inside
@@ -21,7 +22,7 @@ MODES = 8  # lowest ones, whose frequencies are fitted
 STEP = 6e-4  # s, critical step that masses make room for: two substeps a millisecond need 0.56 ms
 MOST_SHARE = 0.5  # of the mass may go there; a stiffer organ gets a shorter step
 SPREAD = 1e-3  # weight of the mean square of the masses' logarithms, over those of the tissue around
-EVALUATIONS = 40
+EVALUATIONS = 15
 _POINTS = 40_000  # at which the organ's volume is looked at
 
 
@@ -57,7 +58,7 @@ def fit_mass(organ: Organ, springs: Springs, stiffness: Floats, frequencies: Flo
     Raises UserError when the springs leave something free to move without any force.
     """
     tangent = springs.rest_tangent(stiffness)
-    factor = Factor(tangent)
+    factor = springs.factor(tangent)
     if not factor.is_positive:
         raise UserError(
             f"organ '{organ.name}' has parts that no spring holds; build it with more --atoms or --interior"
@@ -104,7 +105,7 @@ def frequencies_of(springs: Springs, stiffness: Floats, mass: Floats, count: int
     """The lowest frequencies (count,) Hz of springs of stiffness (p,) N/m between masses (n,) kg."""
     tangent = springs.rest_tangent(stiffness)
     start = np.random.default_rng(0).standard_normal(len(springs.free))
-    square, _ = _modes(tangent, Factor(tangent), np.repeat(mass, 3)[springs.free], count, start)
+    square, _ = _modes(tangent, springs.factor(tangent), np.repeat(mass, 3)[springs.free], count, start)
     return np.sqrt(np.maximum(square, 0.0)) / (2.0 * np.pi)
 
 

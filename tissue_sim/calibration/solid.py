@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
-from tissue_sim.calibration.cholesky import Cholesky, Front, NotPositive, dissect
+from tissue_sim.calibration.cholesky import Cholesky, Front, Longs, NotPositive, Pieces, add_elements, dissect
 from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.neo_hookean import NODES, energy_and_forces, tangent
 from tissue_sim.organ.organ import Floats, Ints
@@ -126,8 +126,11 @@ class Solid:
         Raises NotPositive.
         """
 
-        def matrices(cells: Ints) -> Floats:
+        def fill(number: int, place: Longs, pieces: Pieces) -> None:
+            cells = self._fronts[number].cells
             count = len(cells)
+            if not count:
+                return
             blocks = np.empty((count * NODES**2, 3, 3))
             slots = np.arange(len(blocks), dtype=np.int32).reshape(count, NODES, NODES)
             chosen = self.elements[cells], self._slopes, self._inverse[cells], self._weight[cells]
@@ -135,9 +138,10 @@ class Solid:
             if shift:
                 blocks += shift * self._element_masses[cells].reshape(-1, 1, 1) * np.eye(3)
             apart = blocks.reshape(count, NODES, NODES, 3, 3).transpose(0, 1, 3, 2, 4)
-            return np.ascontiguousarray(apart).reshape(count, 3 * NODES, 3 * NODES)
+            matrices = np.ascontiguousarray(apart).reshape(count, 3 * NODES, 3 * NODES)
+            add_elements(matrices, self.elements[cells], place, pieces)
 
-        return Cholesky(self._fronts, self.elements, len(self.nodes), matrices)
+        return Cholesky(self._fronts, len(self.nodes), fill)
 
     def solve(self, loads: Floats) -> Floats:
         """Linear displacements (c, n, 3) m under nodal loads (c, n, 3) N."""

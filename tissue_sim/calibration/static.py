@@ -6,15 +6,14 @@ stiffnesses as arguments, so that a fit can change them without an organ being a
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import splu
 
-from tissue_sim.jit import kernel
+from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.forces import SHORTEST
 from tissue_sim.model.modes import free_axes
@@ -22,14 +21,12 @@ from tissue_sim.organ.organ import Floats
 
 Longs = NDArray[np.int64]
 
-THREADS = 2
 TOLERANCE = 1e-8  # residual force over load that counts as settled
 MOST_ITERATIONS = 60
 _LONGEST_STEP = 0.01  # m that a node moves in one iteration at the most
 _LEAST_SHARE = 1e-4  # of a Newton step, below which the search along it gives up
 _ARMIJO = 1e-4
 _SLOW = 0.25  # of the last residual, above which a tangent is made anew
-_SOLVED_AT_ONCE = 64
 
 
 class Settled(NamedTuple):
@@ -39,65 +36,6 @@ class Settled(NamedTuple):
     converged: bool
     stable: bool  # the energy has a minimum there, no saddle
     iterations: int
-
-
-class Factor:
-    """L D L' of a symmetric matrix; solves many right-hand sides at a time."""
-
-    def __init__(self, matrix: csc_array) -> None:
-        # No pivoting, so that U = D L' and the rows stay with their columns.
-        solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        lower = solver.L
-        self._start, self._row, self._value = lower.indptr, lower.indices, lower.data
-        self._pivot = solver.U.diagonal()
-        self._order = solver.perm_c.astype(np.int64)
-        # A pivot of zero makes SuperLU take another row all the same.
-        self._symmetric = np.array_equal(solver.perm_r, solver.perm_c)
-
-    @property
-    def is_positive(self) -> bool:
-        """Whether the matrix is positive definite (Sylvester's law of inertia)."""
-        return self._symmetric and bool(np.all(self._pivot > 0.0))
-
-    def solve(self, right: Floats) -> Floats:
-        """Solutions (a, c) or (a,) of right-hand sides of that shape, of a matrix that is positive definite."""
-        columns = right.reshape(len(right), -1)
-        answer = np.empty_like(columns)
-
-        def part(first: int) -> None:
-            some = slice(first, first + _SOLVED_AT_ONCE)
-            block = np.empty((len(columns), columns[:, some].shape[1]))
-            block[self._order] = columns[:, some]
-            _substitute(self._start, self._row, self._value, self._pivot, block)
-            answer[:, some] = block[self._order]
-
-        starts = range(0, columns.shape[1], _SOLVED_AT_ONCE)
-        if len(starts) == 1:
-            part(0)
-        else:
-            with ThreadPoolExecutor(THREADS) as pool:
-                list(pool.map(part, starts))
-        return answer.reshape(right.shape)
-
-
-@kernel
-def _substitute(start: Any, row: Any, value: Any, pivot: Any, right: Any) -> None:
-    """Forward and back substitution with a unit lower triangle in compressed columns, in place in right (a, c)."""
-    size, many = right.shape
-    for k in range(size):
-        for entry in range(start[k], start[k + 1]):
-            r = row[entry]
-            if r > k:
-                for c in range(many):
-                    right[r, c] -= value[entry] * right[k, c]
-    for k in range(size - 1, -1, -1):
-        for c in range(many):
-            right[k, c] /= pivot[k]
-        for entry in range(start[k], start[k + 1]):
-            r = row[entry]
-            if r > k:
-                for c in range(many):
-                    right[k, c] -= value[entry] * right[r, c]
 
 
 class Springs:
@@ -212,6 +150,14 @@ class Springs:
         diagonal = np.repeat(pulls, 3)
         values = np.concatenate([block.ravel(), bent.ravel(), diagonal])
         return self._assembled(values)
+
+    def factor(self, tangent: csc_array) -> Factor:
+        """A factored tangent."""
+        return Factor(self._elimination, tangent)
+
+    @cached_property
+    def _elimination(self) -> Elimination:
+        return Elimination(self.rest, self.free, self._rows, self._starts)
 
     def rest_tangent(self, stiffness: Floats) -> csc_array:
         """The tangent at rest, where springs carry no force."""
@@ -385,14 +331,14 @@ def settle(
         residual = (springs.gradient(position, stiffness) - load).ravel()[springs.free]
         before, left = left, float(np.linalg.norm(residual))
         if left <= tolerance * size:
-            factor = Factor(springs.tangent(position, stiffness))
+            factor = springs.factor(springs.tangent(position, stiffness))
             stable = factor.is_positive
             return Settled(position, True, stable, iteration), factor if stable else None
         worn = worn or left > _SLOW * before
         if factor is None or worn:
-            factor = Factor(springs.tangent(position, stiffness))
+            factor = springs.factor(springs.tangent(position, stiffness))
             if not factor.is_positive:
-                factor = Factor(springs.tangent(position, stiffness, convex=True))
+                factor = springs.factor(springs.tangent(position, stiffness, convex=True))
         move = np.zeros(position.size)
         move[springs.free] = -factor.solve(residual)
         fall = float(residual @ move[springs.free])

@@ -1,4 +1,7 @@
-"""The organ that ships: the phantom's left kidney, through the real pipeline. `python -m tissue_sim.organ.ship`."""
+"""The kidney that ships, as built: the phantom's left kidney, through the real pipeline.
+
+`python -m tissue_sim.organ.ship`; `make organ` then calibrates it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.pipeline import Progress, Request, organ_from_image
 
-KIDNEY = Path("config") / "organs" / "kidney.npz"
+KIDNEY = Path("config") / "organs" / "kidney_as_built.npz"
+BACK = "y>0.9"  # where a kidney lies on the wall behind it: the patient frame's y points to the back
 
 
 def make_kidney(progress: Progress | None = None) -> Organ:
@@ -28,7 +32,7 @@ def make_kidney(progress: Progress | None = None) -> Organ:
         sitk.WriteImage(sitk.Cast(phantom.ct.to_sitk(), sitk.sitkInt16), str(path))
         ct = read_image(path)
     provenance = {"source": "synthetic abdominal CT", "phantom": asdict(parameters)}
-    request = Request(name="kidney", organ="kidney", provenance=provenance)
+    request = Request(name="kidney", organ="kidney", fixed=BACK, provenance=provenance)
     return organ_from_image(ct, phantom.seed_point, request, progress=progress)
 
 

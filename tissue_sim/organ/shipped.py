@@ -8,6 +8,8 @@ from pathlib import Path
 
 from tissue_sim.errors import UserError
 
+AS_BUILT = "kidney_as_built"  # with the paper's 48 atoms, before calibration
+
 
 def shipped_organ(name: str = "kidney") -> Path:
     """Path of an organ that ships with the package: in the checkout, or in an install's share folder.

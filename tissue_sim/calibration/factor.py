@@ -1,0 +1,90 @@
+"""Factored stiffness matrices of springs: the direct solver of the finite elements, for entries instead of elements."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+
+from tissue_sim.calibration.cholesky import Cholesky, NotPositive, Pieces, dissect
+from tissue_sim.organ.organ import Floats, Ints
+
+Longs = NDArray[np.int64]
+
+LEAF = 250  # pairs of nodes that are not divided further: some 25 nodes
+
+
+class _Entries(NamedTuple):
+    """Which entries of the matrix a front takes, and their rows and columns in it."""
+
+    source: Longs
+    column: Longs
+    row: Longs
+
+
+class Elimination:
+    """The order in which matrices of one pattern are factored.
+
+    positions (n, 3) m of the nodes; free (a,) which of their axes, 3 node + axis, the matrices' rows are;
+    rows, starts: of the pattern in compressed columns, symmetric.
+    """
+
+    def __init__(self, positions: Floats, free: Longs, rows: Ints, starts: Ints) -> None:
+        n = len(positions)
+        self.free, self.size = free, n
+        columns = np.repeat(np.arange(len(free)), np.diff(starts))
+        row, column = free[rows], free[columns]
+        pairs = np.unique(np.stack([row // 3, column // 3], axis=1)[row // 3 >= column // 3], axis=0)
+        held = np.ones(3 * n, dtype=bool)
+        held[free] = False
+        self.fronts = dissect(pairs.astype(np.int32), positions[pairs].mean(axis=1), held.reshape(n, 3), LEAF)
+        rank = np.empty(3 * n, dtype=np.int64)
+        rank[np.concatenate([front.inside for front in self.fronts])] = np.arange(len(free))
+        lower = np.flatnonzero(rank[row] >= rank[column])
+        lower = lower[np.argsort(rank[column[lower]], kind="stable")]
+        ends = np.cumsum([0, *(len(front.inside) for front in self.fronts)])
+        bounds = np.searchsorted(rank[column[lower]], ends)
+        place = np.empty(3 * n, dtype=np.int64)
+        self._entries: list[_Entries] = []
+        for front, first, last in zip(self.fronts, bounds, bounds[1:], strict=False):
+            unknowns = np.concatenate([front.inside, front.boundary])
+            place[unknowns] = np.arange(len(unknowns))
+            source = lower[first:last]
+            self._entries.append(_Entries(source, place[column[source]], place[row[source]]))
+
+    def fill(self, number: int, values: Floats, pieces: Pieces) -> None:
+        """Add the matrix's entries with these values to a front."""
+        diagonal, below, _ = pieces
+        source, column, row = self._entries[number]
+        inside = row < len(diagonal)
+        diagonal[column[inside], row[inside]] += values[source[inside]]
+        below[column[~inside], row[~inside] - len(diagonal)] += values[source[~inside]]
+
+
+class Factor:
+    """L L' of a symmetric matrix over the free axes, (a, a); solves many right-hand sides at a time."""
+
+    def __init__(self, order: Elimination, matrix: csc_array) -> None:
+        self._free, self._size = order.free, order.size
+        values = matrix.data
+        self._cholesky: Cholesky | None = None
+        with suppress(NotPositive):
+            self._cholesky = Cholesky(
+                order.fronts, order.size, lambda number, _, pieces: order.fill(number, values, pieces)
+            )
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether the matrix is positive definite; only then it can be solved."""
+        return self._cholesky is not None
+
+    def solve(self, right: Floats) -> Floats:
+        """Solutions (a, c) or (a,) of right-hand sides of that shape."""
+        assert self._cholesky is not None
+        columns = right.reshape(len(right), -1)
+        whole = np.zeros((3 * self._size, columns.shape[1]))
+        whole[self._free] = columns
+        return self._cholesky.solve(whole)[self._free].reshape(right.shape)
