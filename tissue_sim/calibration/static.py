@@ -7,12 +7,13 @@ stiffnesses as arguments, so that a fit can change them without an organ being a
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
+from tissue_sim.calibration import spring_kernels as kernels
 from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.forces import SHORTEST
@@ -77,18 +78,27 @@ class Springs:
     # energy and forces -------------------------------------------------------------------------
     def energy(self, position: Floats, stiffness: Floats) -> float:
         """Elastic energy, J."""
-        axial, angular, pulls = self.split(stiffness)
-        along = position[self.ends[:, 1]] - position[self.ends[:, 0]]
-        length, shortest = np.linalg.norm(along, axis=1), SHORTEST * self.length
-        stretch = (np.maximum(length, shortest) - self.length) ** 2
-        stretch -= (1.0 / SHORTEST - 1.0) * np.minimum(length**2 - shortest**2, 0.0)
-        bending = self._bending(position)
-        away = np.sum((position[self.pulled] - self.rest[self.pulled]) ** 2, axis=1)
-        return 0.5 * float(axial @ stretch + angular @ (bending.curvature - self.bent) ** 2 + pulls @ away)
+        return self.energy_and_gradient(position, stiffness)[0]
 
     def gradient(self, position: Floats, stiffness: Floats) -> Floats:
         """Gradient (n, 3) N of the energy: the force that must be applied to hold the shape."""
-        return self._add_up(position, stiffness, self._slopes(position))
+        return self.energy_and_gradient(position, stiffness)[1]
+
+    def energy_and_gradient(self, position: Floats, stiffness: Floats) -> tuple[float, Floats]:
+        """Elastic energy, J, and its gradient (n, 3) N."""
+        axial, angular, pulls = self.split(stiffness)
+        gradient = np.zeros_like(position)
+        total = kernels.axial_energy(position, self.ends, self.length, axial, gradient)
+        total += kernels.hinge_energy(position, *self._hinge_arguments(), angular, gradient, self._work())
+        away = position[self.pulled] - self.rest[self.pulled]
+        gradient[self.pulled] += pulls[:, None] * away
+        return float(total + 0.5 * pulls @ np.sum(away**2, axis=1)), gradient
+
+    def _hinge_arguments(self) -> tuple[Any, ...]:
+        return self.hinges, self.weight, self.bent, self.least
+
+    def _work(self) -> Floats:
+        return np.empty((kernels.WORK, 3, 3))
 
     def _slopes(self, position: Floats) -> tuple[Floats, Floats, Floats]:
         """Energy gradients over stiffness: axial (s, 3) at the second end, angular (h, 4, 3), return (r, 3)."""
@@ -98,19 +108,6 @@ class Springs:
         bending = self._bending(position)
         angular = (bending.curvature - self.bent)[:, None, None] * bending.slope
         return axial, angular, position[self.pulled] - self.rest[self.pulled]
-
-    def _add_up(self, position: Floats, stiffness: Floats, slopes: tuple[Floats, Floats, Floats]) -> Floats:
-        axial, angular, pulls = self.split(stiffness)
-        stretch, bend, away = slopes
-        total = np.zeros_like(position)
-        push = axial[:, None] * stretch
-        turn = angular[:, None, None] * bend
-        for axis in range(3):
-            total[:, axis] += np.bincount(self.ends[:, 1], push[:, axis], len(total))
-            total[:, axis] -= np.bincount(self.ends[:, 0], push[:, axis], len(total))
-            total[:, axis] += np.bincount(self.hinges.ravel(), turn[:, :, axis].ravel(), len(total))
-        total[self.pulled] += pulls[:, None] * away
-        return total
 
     def sensitivity(self, position: Floats, direction: Floats) -> Floats:
         """What each stiffness adds to the energy gradient along a direction (n, 3): (p,)."""
@@ -131,25 +128,15 @@ class Springs:
         convex: without what a pushed spring's turning takes from it, so that the matrix is positive definite.
         """
         axial, angular, pulls = self.split(stiffness)
-        along = position[self.ends[:, 1]] - position[self.ends[:, 0]]
-        length = np.linalg.norm(along, axis=1)
-        pull = 1.0 - self.length / np.maximum(length, SHORTEST * self.length)
-        steep = np.where(length > SHORTEST * self.length, self.length / np.maximum(length, 1e-12) ** 3, 0.0)
-        if convex:
-            steep = np.where(pull < 0.0, 1.0 / np.maximum(length, 1e-12) ** 2, steep)
-            pull = np.maximum(pull, 0.0)
-        block = steep[:, None, None] * along[:, :, None] * along[:, None, :]
-        block += pull[:, None, None] * np.eye(3)
-        block *= axial[:, None, None]
-        bending = self._bending(position)
-        flat = bending.slope.reshape(-1, 12)
-        bent = flat[:, :, None] * flat[:, None, :]
-        if not convex:
-            bent += (bending.curvature - self.bent)[:, None, None] * self._turning(position, bending)
-        bent *= angular[:, None, None]
-        diagonal = np.repeat(pulls, 3)
-        values = np.concatenate([block.ravel(), bent.ravel(), diagonal])
-        return self._assembled(values)
+        data = np.zeros(len(self._rows))
+        targets = self._targets
+        kernels.axial_tangent(position, self.ends, self.length, axial, convex, targets[0], data)
+        hinges = self._hinge_arguments()
+        kernels.hinge_tangent(position, *hinges, angular, convex, targets[1], data, self._work())
+        held = targets[2] < 0
+        np.add.at(data, targets[2][~held], np.repeat(pulls, 3)[~held])
+        size = len(self.free)
+        return csc_array((data, self._rows, self._starts), shape=(size, size))
 
     def factor(self, tangent: csc_array) -> Factor:
         """A factored tangent."""
@@ -186,46 +173,26 @@ class Springs:
         return coo_array(entries, shape=shape).tocsc()[:, self.free], owner
 
     def _index(self) -> None:
-        """Where the entries of every spring's block go in the tangent, once for all positions."""
-        axes = np.arange(3)
-        ends = (3 * self.ends[:, :, None] + axes).reshape(-1, 6)
-        # A spring's block B stands four times: B at (i, i) and (j, j), -B at (i, j) and (j, i).
-        rows, columns, sources, signs = [], [], [], []
-        number = 9 * np.arange(len(ends))[:, None, None] + 3 * axes[:, None] + axes
-        for a in range(2):
-            for b in range(2):
-                rows.append(np.broadcast_to(ends[:, 3 * a : 3 * a + 3, None], number.shape).ravel())
-                columns.append(np.broadcast_to(ends[:, None, 3 * b : 3 * b + 3], number.shape).ravel())
-                sources.append(number.ravel())
-                signs.append(np.full(number.size, 1.0 if a == b else -1.0))
-        turns = (3 * self.hinges[:, :, None] + axes).reshape(-1, 12)
-        shape = (len(turns), 12, 12)
-        rows.append(np.broadcast_to(turns[:, :, None], shape).ravel())
-        columns.append(np.broadcast_to(turns[:, None, :], shape).ravel())
-        sources.append(9 * len(ends) + np.arange(144 * len(turns)))
-        signs.append(np.ones(144 * len(turns)))
-        pulls = (3 * self.pulled[:, None] + axes).ravel()
-        rows.append(pulls)
-        columns.append(pulls)
-        sources.append(9 * len(ends) + 144 * len(turns) + np.arange(len(pulls)))
-        signs.append(np.ones(len(pulls)))
-        row, column = np.concatenate(rows), np.concatenate(columns)
-        place = np.full(3 * len(self.rest), -1)
-        place[self.free] = np.arange(len(self.free))
-        kept = (place[row] >= 0) & (place[column] >= 0)
-        row, column = place[row[kept]], place[column[kept]]
-        key = column * len(self.free) + row
-        unique, self._target = np.unique(key, return_inverse=True)
-        self._rows = (unique % len(self.free)).astype(np.int32)
-        counts = np.bincount(unique // len(self.free), minlength=len(self.free))
-        self._starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        self._source = np.concatenate(sources)[kept]
-        self._sign = np.concatenate(signs)[kept]
-
-    def _assembled(self, values: Floats) -> csc_array:
-        data = np.bincount(self._target, values[self._source] * self._sign, len(self._rows))
+        """The tangent's pattern, and where in it the entries of every spring's second derivative go; -1 for none."""
         size = len(self.free)
-        return csc_array((data, self._rows, self._starts), shape=(size, size))
+        place = np.full(3 * len(self.rest), -1)
+        place[self.free] = np.arange(size)
+        axes = np.arange(3)
+
+        def keys(nodes: Longs) -> Longs:
+            """column * size + row of (k, m) nodes' blocks, (k, m, m, 3, 3)."""
+            at = place[3 * nodes[:, :, None] + axes]
+            row, column = at[:, :, None, :, None], at[:, None, :, None, :]
+            found: Longs = np.where((row >= 0) & (column >= 0), column * size + row, -1)
+            return found
+
+        pulls = place[(3 * self.pulled[:, None] + axes).ravel()]
+        found = [keys(self.ends), keys(self.hinges), np.where(pulls >= 0, pulls * (size + 1), -1)]
+        unique = np.unique(np.concatenate([part.ravel() for part in found]))
+        unique = unique[unique >= 0]
+        self._rows = (unique % size).astype(np.int32)
+        self._starts = np.searchsorted(unique, size * np.arange(size + 1)).astype(np.int32)
+        self._targets = [np.where(part >= 0, np.searchsorted(unique, part), -1) for part in found]
 
     # hinges ------------------------------------------------------------------------------------
     def _bending(self, position: Floats) -> _Bending:
@@ -246,63 +213,12 @@ class Springs:
         slope[:, 1] += by_edge
         slope[:, 2] += by_across
         slope[:, 3] -= by_across
-        return _Bending(curvature, slope, normal, turning, inverse, sound, edge, across)
-
-    def _turning(self, position: Floats, bending: _Bending) -> Floats:
-        """Second derivative (h, 12, 12) of the curvature by the nodes' positions.
-
-        The curvature is b.n/|n| with b linear in the positions and n = e x d; its derivatives by b and n,
-        through their Jacobians, and the second derivative of n.
-        """
-        normal, inverse = bending.normal, bending.inverse
-        sound = bending.sound.astype(np.float64)
-        count = len(normal)
-        plane = np.eye(3) - sound[:, None, None] * normal[:, :, None] * normal[:, None, :]
-        mixed = plane * inverse[:, None, None]
-        sideways = bending.turning  # already over |n|
-        outer = normal[:, :, None] * sideways[:, None, :]
-        twice = -(sound * inverse)[:, None, None] * (
-            (bending.curvature * inverse)[:, None, None] * plane + outer + outer.transpose(0, 2, 1)
-        )
-        by_edge, by_across = -_cross_matrix(bending.across), _cross_matrix(bending.edge)
-        jacobian = np.zeros((count, 2, 3, 4, 3))
-        jacobian[:, 0] = np.eye(3)[None, :, None, :] * self.weight[:, None, :, None]
-        jacobian[:, 1, :, 0] = -by_edge
-        jacobian[:, 1, :, 1] = by_edge
-        jacobian[:, 1, :, 2] = by_across
-        jacobian[:, 1, :, 3] = -by_across
-        sums, normals = jacobian[:, 0].reshape(count, 3, 12), jacobian[:, 1].reshape(count, 3, 12)
-        cross = np.matmul(sums.transpose(0, 2, 1), np.matmul(mixed, normals))
-        total = cross + cross.transpose(0, 2, 1)
-        total += np.matmul(normals.transpose(0, 2, 1), np.matmul(twice, normals))
-        # v.(de x dd) = -de.[v]x dd, v = ds/dn.
-        skew = -_cross_matrix(sideways)
-        signs = ((0, -1.0), (1, 1.0)), ((2, 1.0), (3, -1.0))
-        for a, sign_a in signs[0]:
-            for b, sign_b in signs[1]:
-                block = sign_a * sign_b * skew
-                total[:, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += block
-                total[:, 3 * b : 3 * b + 3, 3 * a : 3 * a + 3] += block.transpose(0, 2, 1)
-        return total
+        return _Bending(curvature, slope)
 
 
 class _Bending(NamedTuple):
     curvature: Floats  # (h,) m
     slope: Floats  # (h, 4, 3)
-    normal: Floats  # (h, 3)
-    turning: Floats  # (h, 3) 1/m, derivative of the curvature by the unnormalised normal
-    inverse: Floats  # (h,) 1/m^2, over the length of that
-    sound: NDArray[np.bool_]  # (h,) not collapsed
-    edge: Floats
-    across: Floats
-
-
-def _cross_matrix(v: Floats) -> Floats:
-    """[v]x (h, 3, 3), so that [v]x w = v x w."""
-    matrix = np.zeros((len(v), 3, 3))
-    matrix[:, 0, 1], matrix[:, 0, 2], matrix[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    matrix[:, 1, 0], matrix[:, 2, 0], matrix[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
-    return matrix
 
 
 def settle(
@@ -325,10 +241,11 @@ def settle(
     load[: springs.n_surface] = force
     size = max(float(np.linalg.norm(load)), 1e-300)
     position: Floats = (springs.rest if start is None else start).copy()
-    potential = springs.energy(position, stiffness) - float(np.vdot(load, position))
+    energy, slope = springs.energy_and_gradient(position, stiffness)
+    potential = energy - float(np.vdot(load, position))
     left, worn = np.inf, factor is None
     for iteration in range(iterations):
-        residual = (springs.gradient(position, stiffness) - load).ravel()[springs.free]
+        residual = (slope - load).ravel()[springs.free]
         before, left = left, float(np.linalg.norm(residual))
         if left <= tolerance * size:
             factor = springs.factor(springs.tangent(position, stiffness))
@@ -346,10 +263,11 @@ def settle(
         share = min(1.0, _LONGEST_STEP / float(np.linalg.norm(way, axis=1).max()))
         while share > _LEAST_SHARE:
             moved = position + share * way
-            reached = springs.energy(moved, stiffness) - float(np.vdot(load, moved))
+            energy, ahead = springs.energy_and_gradient(moved, stiffness)
+            reached = energy - float(np.vdot(load, moved))
             # Near the minimum rounding hides how far the potential falls.
             if reached <= potential + _ARMIJO * share * fall + 1e-13 * abs(potential):
-                position, potential, worn = moved, reached, False
+                position, potential, slope, worn = moved, reached, ahead, False
                 break
             share *= 0.5
         else:
