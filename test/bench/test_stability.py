@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tissue_sim.bench import stability
+from tissue_sim.bench.organs import press_node
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
-from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, broad_node, far_node, patch_around, ten_points
+from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, far_node, patch_around, ten_points
 from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
 from tissue_sim.bench.sweeps.witness import Witness
 from tissue_sim.cli import main
@@ -64,7 +65,7 @@ def test_what_is_expected_to_fail_is_not_judged():
 def test_loads_act_where_they_say():
     organ = kidney()
     surface = organ.surface_positions
-    patch = patch_around(organ, broad_node(organ))
+    patch = patch_around(organ, press_node(organ))
     assert len(set(patch)) == PATCH_NODES
     assert np.linalg.norm(surface[patch] - surface[patch[0]], axis=1).max() < 0.02
     ten = ten_points(organ)

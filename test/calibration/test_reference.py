@@ -72,9 +72,9 @@ def test_loads_of_another_shape_are_refused(shape):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1800)
 def test_on_the_kidney_it_is_within_a_percent():
-    found = reference_error(kidney())
+    found = reference_error(kidney(), neo_hookean=1)
     assert found.worst <= 1.0, str(found)
 
 

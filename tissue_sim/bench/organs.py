@@ -10,6 +10,7 @@ from tissue_sim.organ.organ import Floats, Ints, Organ
 from tissue_sim.organ.topology import assemble_organ
 
 PATCH_NODES = 19  # a node and the two rings around it
+ALONG = 0.7  # cosine of the angle between two lines that are taken for one
 ATOMS = 48
 HALF_AXES = np.array([0.016, 0.027, 0.055])  # m, of the shipped kidney, about
 BEND = 0.15  # how far the ends are bent sideways, as a share of the long half axis
@@ -57,9 +58,15 @@ def node_normals(positions: Floats, triangles: Ints) -> Floats:
 
 
 def press_node(organ: Organ) -> int:
-    """The surface node in the middle of the broad side: where the axis of least extent leaves the organ."""
-    from_centre = organ.surface_positions - organ.surface_positions.mean(axis=0)
-    thin = np.linalg.svd(from_centre, full_matrices=False)[2][2]
+    """The surface node in the middle of a broad side: where the axis of least extent leaves the organ.
+
+    The axis of the next larger extent where that goes through the held nodes.
+    """
+    middle = organ.surface_positions.mean(axis=0)
+    from_centre = organ.surface_positions - middle
+    axes = np.linalg.svd(from_centre, full_matrices=False)[2]
+    clamp = from_centre[organ.fixed].mean(axis=0) if len(organ.fixed) else np.zeros(3)
+    thin = axes[1] if abs(axes[2] @ clamp) > ALONG * np.linalg.norm(clamp) else axes[2]
     thin = thin * np.sign(thin[np.argmax(np.abs(thin))])  # the same side whatever the factorisation's sign
     ahead = from_centre @ thin
     beside = np.linalg.norm(from_centre - ahead[:, None] * thin, axis=1)

@@ -33,7 +33,7 @@ RETURN_START = 0.01  # of the organ's return springs, where the fit begins: the 
 INTERIOR_SHARE = 0.15  # interior atoms for each surface node, where the organ has none
 GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
 COARSE = Grading(clamp=0)  # of the mesh on which the fit's nonlinear cases are settled
-NONLINEAR_SHARE = 0.7  # of the misfit, of the large loads; the rest is that of the linear ones
+NONLINEAR_SHARE = 0.5  # of the misfit, of the large loads; the rest is that of the linear ones
 POKE = 0.005  # m, of the release
 TICK = 1e-3  # s
 

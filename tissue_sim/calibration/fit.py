@@ -22,7 +22,7 @@ SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases d
 SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
 PROCESSES = 2  # among which the nonlinear cases are shared out
 MEMORY = 20  # steps that L-BFGS remembers
-LOOSE = 1e-5  # residual force over load, in a fit
+LOOSE = 1e-6  # residual force over load, in a fit
 OUTLIER = 0.25  # error from which on a nonlinear case counts less and less (Cauchy), so that none outweighs the rest
 _LOST = 1.0  # loss of a case that finds no rest
 

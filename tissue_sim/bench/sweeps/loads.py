@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import trimesh
 
+from tissue_sim.bench.organs import press_node
 from tissue_sim.contact.finder import ContactFinder, hand_over
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.inputs import take_pose
@@ -94,16 +95,6 @@ def far_node(organ: Organ) -> int:
     return int(np.argmax((surface - below) @ (surface.mean(axis=0) - below)))
 
 
-def broad_node(organ: Organ) -> int:
-    """The surface node in the middle of a broad side: over the organ's middle along its least extent."""
-    offset = organ.surface_positions - organ.surface_positions.mean(axis=0)
-    axis = np.linalg.svd(offset, full_matrices=False)[2][2]
-    axis *= np.sign(axis[np.abs(axis).argmax()])
-    along = offset @ axis
-    aside = np.linalg.norm(offset - along[:, None] * axis, axis=1)
-    return int(np.argmin(np.where(along > 0.0, aside, np.inf)))
-
-
 def _held(organ: Organ) -> Floats:
     """Positions of the held nodes (k, 3) m, or of the lowest node where none is held."""
     surface = organ.surface_positions
@@ -167,7 +158,7 @@ def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: f
     """The load of a cell: `newtons` in all, or a poke to `depth` thicknesses; `where` is one of LOADS."""
     ramp_ticks, hold_ticks = max(1, round(pace.ramp / tick_time)), max(1, round(pace.hold / tick_time))
     far = where in ("point", "far", "tool_far")
-    node = far_node(organ) if far else broad_node(organ)
+    node = far_node(organ) if far else press_node(organ)
     inward = inward_at(organ, np.array([node]))
     if where in ("tool", "tool_far"):
         start = organ.surface_positions[node]
