@@ -80,8 +80,9 @@ def test_markers_template_shows_the_positions_and_the_forces():
     shown = np.array([(p.x, p.y, p.z) for p in surface.points])
     assert np.array_equal(shown, position[organ.surface_triangles.ravel()])
     bones = np.array([(p.x, p.y, p.z) for p in skeleton.points]).reshape(-1, 2, 3)
-    assert np.array_equal(bones[:, 0], position[organ.n_surface + 1 :])
-    assert np.array_equal(bones[:, 1], position[organ.n_surface : -1])
+    atoms = position[organ.n_surface : organ.n_surface + organ.n_atoms]
+    assert np.array_equal(bones[:, 0], atoms[1:])
+    assert np.array_equal(bones[:, 1], atoms[:-1])
     assert (left.action, right.action) == (Marker.ADD, Marker.DELETE)
     tip = left.points[1]
     assert (tip.x, tip.y, tip.z) == pytest.approx((0.1, 0.2, 0.3 + 2.0 * MarkersTemplate.ARROW_LENGTH))
