@@ -154,8 +154,9 @@ class _Planner:
         surface = self.surface
         low, high = float(surface.vertices[:, 2].min()), float(surface.vertices[:, 2].max())
         points, outward = surface.samples(above=high - 0.4 * (high - low), at_most=MOST_SAMPLES)
-        # Jaws come from the sides: pressed on from above or below, the tissue would slip out of them.
-        sides = np.abs(outward @ UP) < 0.5
+        # Jaws come from the sides: pressed on from above or below, the tissue would slip out of them, and organs
+        # lie with their back on something.
+        sides = (np.abs(outward @ UP) < 0.5) & (np.abs(outward @ FRONT) < 0.5)
         points, inward = points[sides], -outward[sides]
         thickness, opposite = surface.cast(points + 1e-6 * inward, inward)
         facing = np.einsum("ij,ij->i", surface.triangle_normals(opposite), inward)  # 1: the far side faces away

@@ -37,6 +37,7 @@ QUICK_WATCHED = 1.5  # s, the most with --quick
 BRIEFLY_WATCHED = 0.03  # s
 # Substeps in a millisecond of the explicit integrator, at most; what would need more goes wrong, and is shown so.
 MOST_SUBSTEPS, QUICK_SUBSTEPS = 400, 100
+ROUNDING = 1e-9  # m: an organ that is nearer to its rest shape holds the energy of rounded coordinates
 LATER_EVERY = 20  # ticks between two looks after the least time watched
 ENERGY_EVERY = 2  # ticks between two looks at the energy before that
 LOOK_EVERY = 20  # ticks between two looks at what is turned over
@@ -246,7 +247,7 @@ class _Watch:
             return
         if not modal:
             self._least_energy = min(self._least_energy, energy)
-        if self._energy_at_release > 0.0:
+        if self._energy_at_release > 0.0 and self.reach() > ROUNDING:
             gain = (energy - self._least_energy) / self._energy_at_release
             self.energy_gain = max(self.energy_gain, float(gain))
             self.gained = self.gained or gain > (MOST_MODAL_GAIN if modal else MOST_GAIN)
