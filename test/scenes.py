@@ -12,7 +12,7 @@ import trimesh
 from tissue_sim.model.assembly import assemble
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
-from tissue_sim.organ.topology import assemble_organ
+from tissue_sim.organ.topology import assemble_like, assemble_organ
 
 RADIUS = 0.03  # m, of the ball
 
@@ -20,14 +20,14 @@ assembled = cache(assemble)
 
 
 @cache
-def ball(subdivisions: int = 1, held: bool = True, **tissue: float) -> Organ:
+def ball(subdivisions: int = 1, held: bool = True, turned: bool = True, **tissue: float) -> Organ:
     """A ball of tissue around the origin with five medial atoms on its z axis; its lower cap is held.
 
     subdivisions 1: 42 surface nodes, edges of 17 mm; 2: 162, 9 mm; 3: 642, 4 mm.
     """
     mesh = trimesh.creation.icosphere(subdivisions, RADIUS)
-    # Turned a little, so that nothing lies along an axis by accident.
-    mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.2, 0.1))
+    if turned:  # a little, so that nothing lies along an axis by accident
+        mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.2, 0.1))
     surface = np.asarray(mesh.vertices)
     atoms = np.zeros((5, 3))
     atoms[:, 2] = np.linspace(-0.4, 0.4, 5) * RADIUS
@@ -63,21 +63,6 @@ def kidney() -> Organ:
 
 
 @cache
-def calibrated_kidney() -> Organ:
-    """The organ that ships."""
-    return Organ.load(shipped_organ())
-
-
-@cache
 def filled(organ: Organ, count: int) -> Organ:
     """The organ assembled anew with `count` interior atoms."""
-    return assemble_organ(
-        name="filled",
-        surface_positions=organ.surface_positions,
-        surface_triangles=organ.surface_triangles,
-        atom_positions=organ.atom_positions,
-        atom_radius=organ.atom_radius,
-        atom_parent=organ.atom_parent,
-        fixed=organ.fixed,
-        interior_atoms=count,
-    )
+    return assemble_like(organ, name="filled", interior_atoms=count, provenance=None)

@@ -103,10 +103,11 @@ def test_every_row_is_measured_with_a_positive_time():
     assert {f"hybrid, {name}" for name in INTEGRATORS} < set(makers)
     bursts, remarks = rows.make_bursts(makers)
     for name, burst in bursts.items():
-        times = burst(2)
-        assert times.shape == (2,), name
-        # Two ticks of a sleeping organ may take less than the processor's clock can tell.
-        assert np.median(times) >= 0.0 if name == rows.ASLEEP else np.median(times) > 0.0, name
+        # What the clock itself costs is taken off: two ticks of a sleeping organ may be nothing beside it.
+        count, typical = (2000, np.mean) if name == rows.ASLEEP else (2, np.median)
+        times = burst(count)
+        assert times.shape == (count,), name
+        assert typical(times) > 0.0, name
     for name in set(makers) - set(bursts):
         assert remarks[name] == "skipped: no C compiler"
     assert "contact points touch" in remarks[rows.MODAL_TOOL]

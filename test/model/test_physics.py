@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.sparse.linalg import splu
 
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.topology import assemble_organ
 
-from ..scenes import RADIUS, assembled, ball, filled, kidney
+from ..scenes import assembled, ball, filled, kidney
 
 
 def patch(organ, direction, count):
@@ -58,25 +56,8 @@ def test_twice_as_stiff_tissue_under_twice_the_load_settles_the_same(model):
     assert np.linalg.norm(one - two) <= 1e-3 * np.linalg.norm(one)
 
 
-def mirrored_ball():
-    """A ball that the plane y = 0 cuts into mirror images, its nodes, springs and held cap too."""
-    mesh = trimesh.creation.icosphere(2, RADIUS)
-    surface = np.asarray(mesh.vertices)
-    atoms = np.zeros((5, 3))
-    atoms[:, 2] = np.linspace(-0.4, 0.4, 5) * RADIUS
-    return assemble_organ(
-        name="mirrored ball",
-        surface_positions=surface,
-        surface_triangles=mesh.faces,
-        atom_positions=atoms,
-        atom_radius=RADIUS - np.abs(atoms[:, 2]),
-        atom_parent=np.arange(-1, 4),
-        fixed=np.flatnonzero(surface[:, 2] < -0.7 * RADIUS),
-    )
-
-
 def test_mirrored_load_gives_the_mirrored_answer():
-    organ = mirrored_ball()
+    organ = ball(2, turned=False)  # the plane y = 0 cuts it into mirror images, its nodes, springs and held cap too
     surface, mirror = organ.surface_positions, np.array([1.0, -1.0, 1.0])
     image = np.argmin(np.linalg.norm(surface[:, None] * mirror - surface[None], axis=2), axis=1)
     np.testing.assert_allclose(surface[image], surface * mirror, atol=1e-12)

@@ -15,7 +15,7 @@ from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.spatial import cKDTree
 
 from tissue_sim.organ.organ import Floats, Organ
-from tissue_sim.organ.topology import assemble_organ, triangle_area
+from tissue_sim.organ.topology import assemble_like, node_area
 from tissue_sim.store import remembered
 
 _CANDIDATES = 16  # triangles with the nearest middles, among which the nearest one is looked for
@@ -44,7 +44,8 @@ class Sized:
         """
         if self.organ.n_surface <= self.reference.n_surface:
             return np.asarray(self.follow.T @ force)
-        found = node_area(self.organ)[:, None] * (self.lead @ (force / node_area(self.reference)[:, None]))
+        mine, theirs = (node_area(one.surface_positions, one.surface_triangles) for one in (self.organ, self.reference))
+        found = mine[:, None] * (self.lead @ (force / theirs[:, None]))
         found[self.organ.fixed] = 0.0
         size, wanted = np.abs(found).sum(axis=0), np.abs(force).sum(axis=0)
         return np.asarray(found * np.divide(wanted, size, out=np.zeros(3), where=size > 0.0))
@@ -87,12 +88,6 @@ def interpolation(source: Organ, target: Organ) -> csr_array:
     ).tocsr()
 
 
-def node_area(organ: Organ) -> Floats:
-    """Surface area (n,) m^2 of each node: a third of the triangles around it."""
-    area = np.repeat(triangle_area(organ.surface_positions, organ.surface_triangles) / 3.0, 3)
-    return np.bincount(organ.surface_triangles.ravel(), weights=area, minlength=organ.n_surface)
-
-
 def at_size(organ: Organ, points: int) -> Organ:
     """The same body with this many surface points, assembled as the pipeline does, uncalibrated.
 
@@ -115,18 +110,13 @@ def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]
     held[organ.fixed] = True
     if interior is None:
         interior = round(organ.n_interior * len(positions) / organ.n_surface)
-    return assemble_organ(
+    return assemble_like(
+        organ,
         name=f"{organ.name} of {len(positions)} points",
         surface_positions=positions,
         surface_triangles=triangles,
-        atom_positions=organ.atom_positions,
-        atom_radius=organ.atom_radius,
-        atom_parent=organ.atom_parent,
         fixed=np.flatnonzero(held[cKDTree(organ.surface_positions).query(positions)[1]]),
         interior_atoms=interior,
-        youngs_modulus=organ.youngs_modulus,
-        poisson_ratio=organ.poisson_ratio,
-        density=organ.density,
         provenance={"source": f"organ '{organ.name}'", "points": len(positions)},
     )
 

@@ -34,7 +34,6 @@ POINTS = (250, 500, 2000, 4000)  # surface points, beside the organ's own
 FEWEST, MOST = 100, 20_000
 LOADS, QUICK_LOADS = (12, 4), (3, 1)  # smooth and sharp ones
 TUNING = 2  # loads that an engine with parameters of its own is tuned on; drawn apart from the others
-NEO_HOOKEAN = 0  # of the loads, on which the reference is compared nonlinearly, too: minutes for each
 SEED, TUNING_SEED = 20061, 20062
 NOISE = "noise"
 
@@ -192,7 +191,7 @@ def accuracy_of(organ: Organ, cases: Sequence[Case], quick: bool) -> str:
     if quick and isinstance(known, dict):
         return str(known["reference"]["error"])
     forces = np.stack([case.force for case in cases])
-    return str(reference_error(organ, forces, neo_hookean=NEO_HOOKEAN))
+    return str(reference_error(organ, forces))
 
 
 def load_of(case: Case, size: Sized) -> Load:

@@ -6,12 +6,11 @@ import dataclasses
 import hashlib
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from tissue_sim.bench.sizes import assembled_anew, at_size
-from tissue_sim.calibration.calibrate import INTERIOR_SHARE, RETURN_START
+from tissue_sim.calibration.calibrate import INTERIOR_SHARE, first_stiffness, with_stiffness
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.fem import Body
@@ -103,8 +102,7 @@ def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
     cases = fit_cases(organ, effort.cases, SEED)
     model = assemble(organ)
     springs = Springs(model)
-    axial, angular, pulls = springs.split(springs.stiffness_of(model))
-    start = np.concatenate([axial, angular, RETURN_START * pulls])
+    start = first_stiffness(model, springs)
     misfit = LinearMisfit(springs, cases.force, body.settle_linear(cases.force))
     with tqdm(total=effort.steps, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
         if method == "groups":
@@ -114,13 +112,11 @@ def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
             stiffness = fit(start, springs.trace(), [(1.0, misfit)], effort.steps, watch=lambda *_: bar.update())
     frequencies = lowest_frequencies(body, MODES)
     mass = fit_mass(organ, springs, stiffness, frequencies)
-    axial, angular, pulls = springs.split(stiffness)
-    spring, hinge, pull = organ.spring_stiffness.copy(), organ.angular_stiffness.copy(), np.zeros(organ.n_nodes)
-    spring[spring > 0.0], hinge[hinge > 0.0], pull[springs.pulled] = axial, angular, pulls
+    made = with_stiffness(organ, springs, stiffness)
     return {
-        "spring_stiffness": spring,
-        "angular_stiffness": hinge,
-        "return_stiffness": pull,
+        "spring_stiffness": made.spring_stiffness,
+        "angular_stiffness": made.angular_stiffness,
+        "return_stiffness": made.return_stiffness,
         "mass": mass,
         "damping": damping_rate(frequencies) * mass,
     }

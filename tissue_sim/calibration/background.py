@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from threading import Event, Thread
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,10 @@ from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body, Settled
 from tissue_sim.calibration.judge import Answer
 from tissue_sim.calibration.remote import Remote
-from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ
 
 
-class Task:
+class Task(NamedTuple):
     """A set of cases, and the mesh on which they are settled.
 
     linear (c, n_surface, 3) m: what the reference's mesh gives by linear elasticity, where a coarser one settles
@@ -26,8 +26,9 @@ class Task:
     takes away most of its error.
     """
 
-    def __init__(self, cases: Cases, grading: Grading | None = None, linear: Floats | None = None) -> None:
-        self.cases, self.grading, self.linear = cases, grading, linear
+    cases: Cases
+    grading: Grading | None = None
+    linear: Floats | None = None
 
 
 class Reference:
@@ -42,6 +43,7 @@ class Reference:
         self._settled = dict.fromkeys(tasks, 0)
         self._ready = {name: Event() for name in tasks}
         self._remote: Remote | None = None
+        self._stopped = False
         self._failure: BaseException | None = None
         self._thread = Thread(target=self._work, daemon=True, name="finite elements")
 
@@ -50,7 +52,8 @@ class Reference:
         self._thread.start()
 
     def stop(self) -> None:
-        """End what is under way."""
+        """End what is under way, and begin nothing more."""
+        self._stopped = True
         if self._remote is not None:
             self._remote.close()
 
@@ -70,6 +73,8 @@ class Reference:
     def _work(self) -> None:
         try:
             for name, task in self._tasks.items():
+                if self._stopped:
+                    return
                 self._answers[name] = self._checkpoint.remember(name, partial(self._settle, name, task))
                 self._ready[name].set()
         except BaseException as failure:  # handed to whoever waits
@@ -115,10 +120,7 @@ class Settler:
 
     def following(self) -> Settled:
         """The next case's rest."""
-        found = next(self._settled, None)
-        if found is None:
-            raise UserError("no case is left")
-        return found
+        return next(self._settled)
 
     def linear(self, force: Floats) -> Floats:
         """Linear displacements (c, n_surface, 3) m."""

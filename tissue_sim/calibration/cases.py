@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.surfaces.remesh import vertex_normals
-from tissue_sim.organ.topology import triangle_area
+from tissue_sim.organ.topology import node_area
 
 Longs = NDArray[np.int64]
 
@@ -69,16 +69,14 @@ def surface_of(organ: Organ) -> Surface:
     """Normals, areas and neighbours of the organ's surface nodes."""
     positions, triangles = organ.surface_positions, organ.surface_triangles
     n = len(positions)
-    area = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     pairs = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n)[:, None], 2, axis=1)])
     pairs = np.unique(pairs, axis=0)
     ring = np.split(pairs[:, 1], np.flatnonzero(np.diff(pairs[:, 0])) + 1)
     free = np.ones(n, dtype=bool)
     free[organ.fixed] = False
-    area = np.bincount(triangles.ravel(), weights=area, minlength=n)
     size = min(1.0, (organ.volume / KIDNEY) ** (1.0 / 3.0))
-    return Surface(positions, vertex_normals(positions, triangles), area, ring, free, size)
+    return Surface(positions, vertex_normals(positions, triangles), node_area(positions, triangles), ring, free, size)
 
 
 def split_centres(organ: Organ) -> tuple[Longs, Longs]:

@@ -6,13 +6,10 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
-from tissue_sim.calibration.cholesky import Cholesky, NotPositive, Pieces, dissect
+from tissue_sim.calibration.cholesky import Cholesky, Longs, NotPositive, Pieces, dissect
 from tissue_sim.organ.organ import Floats, Ints
-
-Longs = NDArray[np.int64]
 
 LEAF = 250  # pairs of nodes that are not divided further: some 25 nodes
 
@@ -68,7 +65,7 @@ class Factor:
     """L L' of a symmetric matrix over the free axes, (a, a); solves many right-hand sides at a time."""
 
     def __init__(self, order: Elimination, matrix: csc_array) -> None:
-        self._free, self._size = order.free, order.size
+        self._order = order
         values = matrix.data
         self._cholesky: Cholesky | None = None
         with suppress(NotPositive):
@@ -85,6 +82,6 @@ class Factor:
         """Solutions (a, c) or (a,) of right-hand sides of that shape."""
         assert self._cholesky is not None
         columns = right.reshape(len(right), -1)
-        whole = np.zeros((3 * self._size, columns.shape[1]))
-        whole[self._free] = columns
-        return self._cholesky.solve(whole)[self._free].reshape(right.shape)
+        whole = np.zeros((3 * self._order.size, columns.shape[1]))
+        whole[self._order.free] = columns
+        return self._cholesky.solve(whole)[self._order.free].reshape(right.shape)

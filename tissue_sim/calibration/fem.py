@@ -13,6 +13,7 @@ from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, l
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ, signed_volume
+from tissue_sim.organ.topology import node_area
 
 FACET_QUADRATURE = 6  # order: a linear traction, quadratic shape functions, and quarter points
 
@@ -116,9 +117,7 @@ def load_matrix(organ: Organ, filling: FeMesh) -> csr_array:
     """
     skfem, _ = libraries()
     triangles = organ.surface_triangles
-    a, b, c = (organ.surface_positions[triangles[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    total = np.bincount(triangles.ravel(), np.repeat(area, 3), organ.n_surface)
+    total = node_area(organ.surface_positions, triangles)
     points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTri, FACET_QUADRATURE)
     found = [skfem.ElementTriP2().lbasis(points, node) for node in range(6)]
     values = np.stack([value for value, _ in found], axis=1)  # (q, 6)

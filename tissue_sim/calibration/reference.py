@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.calibration.cases import strongest
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.judge import errors
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.store import remembered
 
 BOUND = 1.0  # %, what the reference may be off
@@ -50,7 +52,7 @@ class ReferenceError(NamedTuple):
 def reference_error(
     organ: Organ,
     forces: ArrayLike | None = None,
-    neo_hookean: int = 2,
+    neo_hookean: int = 0,
     near: NDArray[np.int64] | None = None,
     grading: Grading | None = None,
 ) -> ReferenceError:
@@ -58,7 +60,8 @@ def reference_error(
 
     The finer mesh has elements of half the size at the clamp's edge and under the loads, and they grow more slowly
     from there. forces (c, n_surface, 3) N, by default standard_loads; the first `neo_hookean` of them are
-    settled with the nonlinear body too. Remembered for the same organ, level, loads and version of these sources.
+    settled with the nonlinear body too, which takes minutes for each. Remembered for the same organ, level, loads
+    and version of these sources.
 
     Raises UserError as Body does.
     """
@@ -81,8 +84,8 @@ def reference_error(
         (nodes, linear, coarse_bent), (finer_nodes, finer, finer_bent) = answers
         return {
             "nodes": np.array([nodes, finer_nodes]),
-            "linear": _off(linear, finer),
-            "neo_hookean": _off(coarse_bent, finer_bent),
+            "linear": 100.0 * errors(linear, finer),
+            "neo_hookean": 100.0 * errors(coarse_bent, finer_bent),
         }
 
     found = remembered("reference", _key(organ, loads, count, near, grading), make)
@@ -97,10 +100,7 @@ def standard_loads(organ: Organ) -> Floats:
     11 mm, and sharp ones, on a node and its neighbours, in turn, at nodes drawn by a seed away from the clamp.
     """
     x, triangles = organ.surface_positions, organ.surface_triangles
-    a, b, c = (x[triangles[:, k]] for k in range(3))
-    normal = np.zeros_like(x)
-    np.add.at(normal, triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = vertex_normals(x, triangles)
     clear = np.linalg.norm(x[:, None] - x[organ.fixed][None], axis=2).min(axis=1) > APART * np.ptp(x, axis=0).max()
     middles = np.random.default_rng(SEED).choice(np.flatnonzero(clear), PATCHES, replace=False)
     loads = np.zeros((PATCHES, organ.n_surface, 3))
@@ -114,13 +114,6 @@ def standard_loads(organ: Organ) -> Floats:
         loads[number] = -(share / share.sum())[:, None] * normal[middle]
     depth = np.linalg.norm(Body(organ, grading=Grading(clamp=0)).settle_linear(loads), axis=2).max(axis=1)
     return loads * np.minimum(DEEP / depth, strongest(loads, np.ones(PATCHES), organ))[:, None, None]
-
-
-def _off(found: Floats, wanted: Floats) -> Floats:
-    """Relative L2 difference of each case, %."""
-    size = np.sqrt(np.sum(wanted**2, axis=(1, 2)))
-    difference: Floats = 100.0 * np.sqrt(np.sum((found - wanted) ** 2, axis=(1, 2))) / size
-    return difference
 
 
 def _key(organ: Organ, loads: Floats, count: int, near: NDArray[np.int64] | None, grading: Grading) -> str:

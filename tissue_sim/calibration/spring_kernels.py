@@ -98,10 +98,9 @@ def hinge_tangent(
     those by b and n through their Jacobians, and from that of e x d.
     """
     for h in range(len(nodes)):
-        bending, sound = _bend(position, nodes[h], weight[h], least[h], work)
-        bending -= bent[h]
+        curvature, sound = _bend(position, nodes[h], weight[h], least[h], work)
         if not convex:
-            _second(work, bending + bent[h], sound)
+            _second(work, curvature, sound)
         for a in range(4):
             for b in range(4):
                 for row in range(3):
@@ -111,12 +110,12 @@ def hinge_tangent(
                             continue
                         value = _slope(work, weight[h], a, row) * _slope(work, weight[h], b, column)
                         if not convex:
-                            value += bending * _turned(work, weight[h], a, b, row, column)
+                            value += (curvature - bent[h]) * _turned(work, weight[h], a, b, row, column)
                         data[where] += stiffness[h] * value
 
 
-# work: 0 has the rows normal, slope by the normal (already over its length), 1 / length in its first entry;
-# 1 and 2 the changes of the edge and across: rows edge, across, slope by the edge and across; then M D, M E, ...
+# Rows of work[0]: normal n, slope of the curvature by e x d, and in one entry 1 / |e x d|; of work[1]: edge e, across
+# d; of work[2]: slopes by e and by d. Then the matrices of _second: M J by d's and e's Jacobian, and the three J' W J.
 _BY_D, _BY_E, _DD, _DE, _EE = 3, 4, 5, 6, 7
 
 

@@ -76,16 +76,8 @@ class Springs:
         return np.concatenate([np.full(self.counts[0], 2.0), bending, np.full(self.counts[2], 3.0)])
 
     # energy and forces -------------------------------------------------------------------------
-    def energy(self, position: Floats, stiffness: Floats) -> float:
-        """Elastic energy, J."""
-        return self.energy_and_gradient(position, stiffness)[0]
-
-    def gradient(self, position: Floats, stiffness: Floats) -> Floats:
-        """Gradient (n, 3) N of the energy: the force that must be applied to hold the shape."""
-        return self.energy_and_gradient(position, stiffness)[1]
-
     def energy_and_gradient(self, position: Floats, stiffness: Floats) -> tuple[float, Floats]:
-        """Elastic energy, J, and its gradient (n, 3) N."""
+        """Elastic energy, J, and its gradient (n, 3) N: the force that must be applied to hold the shape."""
         axial, angular, pulls = self.split(stiffness)
         gradient = np.zeros_like(position)
         total = kernels.axial_energy(position, self.ends, self.length, axial, gradient)
@@ -131,10 +123,9 @@ class Springs:
         data = np.zeros(len(self._rows))
         targets = self._targets
         kernels.axial_tangent(position, self.ends, self.length, axial, convex, targets[0], data)
-        hinges = self._hinge_arguments()
-        kernels.hinge_tangent(position, *hinges, angular, convex, targets[1], data, self._work())
-        held = targets[2] < 0
-        np.add.at(data, targets[2][~held], np.repeat(pulls, 3)[~held])
+        kernels.hinge_tangent(position, *self._hinge_arguments(), angular, convex, targets[1], data, self._work())
+        free = targets[2] >= 0
+        data[targets[2][free]] += np.repeat(pulls, 3)[free]
         size = len(self.free)
         return csc_array((data, self._rows, self._starts), shape=(size, size))
 

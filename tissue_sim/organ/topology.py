@@ -74,13 +74,13 @@ def assemble_organ(
     if np.any(edge_length <= 0.0) or np.any(area <= 0.0):
         raise UserError(f"organ '{name}': the surface has triangles without area; remove them")
     thickness = SHELL_THICKNESS * float(edge_length.mean())
-    node_area = np.bincount(triangles.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(surface))
+    share = node_area(surface, triangles)
 
     interior = place_interior_atoms(surface, triangles, atoms, interior_atoms)
     inner = np.concatenate([atoms, interior.positions])
     # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
     confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-    columns = _columns(surface, inner, node_area, youngs_modulus * np.sqrt(confined))
+    columns = _columns(surface, inner, share, youngs_modulus * np.sqrt(confined))
     bones = np.flatnonzero(parent >= 0)
     bone_length = np.linalg.norm(atoms[bones] - atoms[parent[bones]], axis=1)
     if np.any(bone_length <= 0.0):
@@ -109,7 +109,7 @@ def assemble_organ(
     stiffness_sum = np.bincount(spring_nodes.ravel(), weights=np.repeat(spring_stiffness, 2), minlength=n)
     total_mass = density * total_volume
     mass = np.empty(n)
-    mass[:n_surface] = SURFACE_MASS_SHARE * total_mass * node_area / node_area.sum()
+    mass[:n_surface] = SURFACE_MASS_SHARE * total_mass * share / share.sum()
     mass[n_surface:] = (1.0 - SURFACE_MASS_SHARE) * total_mass * _share(stiffness_sum[n_surface:])
 
     rigidity = youngs_modulus * thickness**3 / (12.0 * (1.0 - poisson_ratio**2))
@@ -137,6 +137,25 @@ def assemble_organ(
         density=density,
         provenance=dict(provenance or {}),
     )
+
+
+def assemble_like(organ: Organ, **changes: Any) -> Organ:
+    """The organ assembled anew, its springs as they are built, but for some arguments of assemble_organ."""
+    same = {
+        "name": organ.name,
+        "surface_positions": organ.surface_positions,
+        "surface_triangles": organ.surface_triangles,
+        "atom_positions": organ.atom_positions,
+        "atom_radius": organ.atom_radius,
+        "atom_parent": organ.atom_parent,
+        "fixed": organ.fixed,
+        "interior_atoms": organ.n_interior,
+        "youngs_modulus": organ.youngs_modulus,
+        "poisson_ratio": organ.poisson_ratio,
+        "density": organ.density,
+        "provenance": organ.provenance,
+    }
+    return assemble_organ(**{**same, **changes})
 
 
 class _Springs(NamedTuple):
@@ -234,6 +253,12 @@ def triangle_area(positions: Floats, triangles: Ints) -> Floats:
     """Area of each triangle, (n_triangles,) m^2."""
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def node_area(positions: Floats, triangles: Ints) -> Floats:
+    """Surface area of each node, (n,) m^2: a third of the triangles around it."""
+    share = np.repeat(triangle_area(positions, triangles) / 3.0, 3)
+    return np.bincount(triangles.ravel(), weights=share, minlength=len(positions))
 
 
 def surface_edges(triangles: Ints, area: Floats) -> tuple[Ints, Ints, Floats]:

@@ -90,8 +90,7 @@ class ChainMail:
 
 def moved_by(load: Load) -> tuple[Longs, Floats]:
     """The loaded nodes (k,), and where the reference has them, (k, 3) m."""
-    nodes = np.flatnonzero(np.any(load.force != 0.0, axis=1)).astype(np.int64)
-    return nodes, load.reached[nodes]
+    return load.nodes, load.reached[load.nodes]
 
 
 def linked(count: int, edges: Ints) -> tuple[Longs, Longs]:

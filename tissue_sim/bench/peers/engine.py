@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_sim.bench.timing import Burst
 from tissue_sim.organ.organ import Floats, Organ
@@ -21,6 +22,11 @@ class Load(NamedTuple):
 
     force: Floats  # (n, 3) N
     reached: Floats  # (n, 3) m, for an engine that is moved instead of pushed
+
+    @property
+    def nodes(self) -> NDArray[np.int64]:
+        """The loaded nodes (k,)."""
+        return np.flatnonzero(np.any(self.force != 0.0, axis=1)).astype(np.int64)
 
 
 class Answer(NamedTuple):

@@ -102,7 +102,7 @@ class Compliance:
     def _product(self, load: Load) -> Product:
         if not self._one_patch:
             return Product(self._table, load.force)
-        nodes = np.flatnonzero(np.any(load.force != 0.0, axis=1))
+        nodes = load.nodes
         columns = (3 * nodes[:, None] + np.arange(3)).ravel()
         return Product(np.ascontiguousarray(self._table[:, columns]), load.force[nodes])
 

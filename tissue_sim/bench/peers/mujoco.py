@@ -35,8 +35,7 @@ class Mujoco:
         return self._flex
 
     def _load(self, load: Load) -> None:
-        nodes = np.flatnonzero(np.any(load.force != 0.0, axis=1)).astype(np.int64)
-        self._flex.load(nodes, load.force[nodes])
+        self._flex.load(load.nodes, load.force[load.nodes])
 
     def _surface(self) -> Floats:
         """Displacements (n_surface, 3) m now."""

@@ -83,7 +83,7 @@ class Xpbd:
     def _stepper(self, load: Load) -> Callable[[], float]:
         """A function that does a step under the load and returns the seconds of the step itself."""
         particles, free = self._particles, self._free.tolist()
-        loaded = np.flatnonzero(np.any(load.force != 0.0, axis=1))
+        loaded = load.nodes
         kicks = load.force[loaded] * self.update / (self.mass[loaded, None] * UNIT)
         stride = max(1, round(DAMPED_EVERY / self.update))
         keep = math.exp(-DAMPING_RATE * stride * self.update)
