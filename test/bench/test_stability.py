@@ -18,6 +18,7 @@ from tissue_sim.model import state as st
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
 from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.shipped import shipped_organ
 
 from ..scenes import ball, kidney
 
@@ -139,6 +140,19 @@ def test_probe_through_a_part_of_the_organ_comes_back():
     assert record.outcome == "stable"
     assert record.peak > 0.05 * 0.05
     assert record.newtons == 0.0
+
+
+def test_stiff_organ_gains_no_energy_of_an_implicit_step():
+    record = run_cell(cell("stiffness", 1e3, "implicit"))
+    assert record.problems == ()
+    assert record.energy_gain < 1e-3
+
+
+def test_soft_organ_gains_no_energy_of_its_modal_region():
+    """It creeps, and so must the region's surroundings."""
+    record = run_cell(replace(cell("stiffness", 0.01, region="modal"), organ=str(shipped_organ())))
+    assert record.problems == ()
+    assert record.energy_gain < 1e-3
 
 
 def test_step_axis_sets_the_substep_to_a_share_of_the_critical_one():

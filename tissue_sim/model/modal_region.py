@@ -353,9 +353,17 @@ def _absorb(load: Any, drive: Any, impulse: Any, nodes: Any, rate: float, share:
 
 
 @kernel
-def load_share(settings: Any) -> float:
-    """Share of the way that the static load goes in a tick."""
-    return 1.0 - math.exp(-settings[TICK_TIME] / LOAD_TIME)
+def load_share(model: Any, settings: Any) -> float:
+    """Share of the way that the static load goes in a tick.
+
+    What the modes don't carry follows no faster than the fastest mode creeps, if damping makes that slow: a soft
+    organ's surroundings would spring ahead of the region otherwise, and pull energy into it.
+    """
+    frequency, seconds = model.reduction.frequency, LOAD_TIME
+    if len(frequency) > 0:
+        square = settings[STIFFNESS_SCALE] * frequency[len(frequency) - 1] ** 2
+        seconds = max(seconds, settings[DAMPING_SCALE] * model.damping_rate / square)
+    return 1.0 - math.exp(-settings[TICK_TIME] / seconds)
 
 
 @kernel

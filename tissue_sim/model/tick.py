@@ -100,7 +100,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps)
     if count[REGION] == MODAL:
-        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(settings))
+        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
     guard(model, state, settings, scratch)
     check_cells(model, state)
     report_wrenches(state, settings, scratch)
