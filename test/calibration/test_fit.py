@@ -58,6 +58,20 @@ def test_linear_slope_is_that_by_finite_differences():
     np.testing.assert_allclose(slope[chosen], list(slope_by_differences(misfit, START, chosen, 1e-4)), rtol=1e-4)
 
 
+def test_overlapping_linear_cases_are_combined_and_tell_what_they_told_apart():
+    force = fit_cases(ORGAN, 600, 0).force
+    wanted = linear_answers(TRUTH, force)
+    misfit, found = LinearMisfit(SPRINGS, force, wanted), linear_answers(START, force)
+    assert misfit.combined < 0.5 * len(force)
+    evaluation = misfit.evaluate(START)
+    apart = errors(found, wanted)
+    assert evaluation.loss == pytest.approx(np.mean(apart**2), rel=0.01)
+    np.testing.assert_allclose(evaluation.error, apart, atol=0.02)
+    chosen = springs_that_count(evaluation.slope, START)
+    slopes = slope_by_differences(misfit, START, chosen, 1e-4)
+    np.testing.assert_allclose(evaluation.slope[chosen], list(slopes), rtol=1e-4)
+
+
 def test_nonlinear_slope_is_that_by_finite_differences():
     force = 0.6 * fit_cases(ORGAN, 3, 0).force
     wanted = settled_answers(TRUTH, force)

@@ -49,9 +49,9 @@ class Settings:
 
     seed: int = 0
     method: str = "springs"
-    cases: int = 400
+    cases: int = 1600
     nonlinear: int = 96
-    steps: int = 60
+    steps: int = 120
     nonlinear_steps: int = 24
     interior: int | None = None
     smooth: int = 30

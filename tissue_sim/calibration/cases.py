@@ -100,12 +100,13 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
 def fit_cases(organ: Organ, count: int, seed: int, stream: int = 1, near: int = 3) -> Cases:
     """`count` cases for the fit: uniform tractions of 1 N on patches of five sizes; another stream draws others.
 
-    Of ten cases four press along the normal, two obliquely, one along the surface, one pulls, two have several
-    patches at once. One of `near` lies near the clamp, where small errors turn the whole organ.
+    Of ten cases three press obliquely, two along the normal, two along the surface, one pulls, two have several
+    patches at once: a tool drawn over an organ shears it as much as it presses. One of `near` lies near the clamp,
+    where small errors turn the whole organ.
     """
     surface, centres = surface_of(organ), split_centres(organ)[0]
     random = np.random.default_rng([seed, stream])
-    kinds = ("normal", "oblique", "many", "normal", "pulling", "normal", "tangential", "many", "normal", "oblique")
+    kinds = ("oblique", "normal", "many", "tangential", "oblique", "pulling", "tangential", "many", "oblique", "normal")
     spread = _spread(surface.positions, centres, count, random)
     spread[::near] = _spread(surface.positions, _nearest_to_clamp(organ, centres), len(spread[::near]), random)
     force, centre, kind = np.zeros((count, organ.n_surface, 3)), [], []
