@@ -40,7 +40,7 @@ def test_c_loop_takes_time_for_each_substep():
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [
-        ("(1.0 - c[s] / length)", "(1.0 - 1.001 * c[s] / length)"),
+        ("(1.0 - 1.0 / stretch)", "(1.0 - 1.001 / stretch)"),
         ("bent - c[3 * BLOCK + e]", "bent"),
         ("f[i] += m->load[i]", "f[i] += 0.5 * m->load[i]"),
     ],

@@ -1,5 +1,7 @@
 """Force kernels against naive twins, and against the gradient of the energy that they state."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +11,7 @@ from tissue_sim.model.assembly import assemble, packed
 from tissue_sim.model.blocks import BLOCK, pack
 from tissue_sim.model.energy import energy_of
 from tissue_sim.model.forces import (
+    HARDENING_STRAIN,
     SHORTEST,
     edge_forces,
     elastic_forces,
@@ -19,10 +22,11 @@ from tissue_sim.model.forces import (
 )
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.reduction import reduce_model
+from tissue_sim.organ.organ import MOST_HARDENING
 
 from ..scenes import ball, kidney
 
-MODEL = assemble(ball())
+MODEL = assemble(replace(ball(), hardening=1.6))
 EDGE = 0.017  # m
 
 
@@ -38,10 +42,21 @@ def length_of(vectors):
 
 
 def spring_energy(x, model):
+    """Over k l0^2 it is e (1 + h s (s - 1)) integrated, e the strain and s = e / w: polynomials between knots."""
     length, rest = length_of(x[model.spring_second] - x[model.spring_first]), model.spring_rest_length
-    short = length.real < SHORTEST * rest
-    faded = (SHORTEST * rest - rest) ** 2 + (1.0 - 1.0 / SHORTEST) * (length**2 - (SHORTEST * rest) ** 2)
-    return np.sum(0.5 * model.spring_stiffness * np.where(short, faded, (length - rest) ** 2))
+    stretch, h, w = length / rest, model.hardening, HARDENING_STRAIN
+
+    def inner(e):
+        return e**2 / 2.0 + h * (e**4 / (4.0 * w**2) - e**3 / (3.0 * w))
+
+    def pressed(e):
+        return inner(-w) + (1.0 + 2.0 * h) * (e**2 - w**2) / 2.0
+
+    strain = stretch - 1.0
+    faded = pressed(SHORTEST - 1.0) + (1.0 + 2.0 * h) * (1.0 - 1.0 / SHORTEST) * (stretch**2 - SHORTEST**2) / 2.0
+    stored = np.where(strain.real > w, inner(w) + (strain**2 - w**2) / 2.0, inner(strain))
+    stored = np.where(strain.real < -w, pressed(strain), stored)
+    return np.sum(model.spring_stiffness * rest**2 * np.where(stretch.real < SHORTEST, faded, stored))
 
 
 def angular_energy(x, model):
@@ -73,13 +88,13 @@ def without_springs(model):
 
 def springs(x, model=MODEL):
     force, links = np.zeros_like(x), without_angular(model).links
-    spring_forces(x, links.nodes, links.constants, np.zeros(9 * BLOCK), force)
+    spring_forces(x, links.nodes, links.constants, model.hardening, np.zeros(9 * BLOCK), force)
     return force
 
 
 def angular(x, model=MODEL):
     force, edges = np.zeros_like(x), without_springs(model).edges
-    edge_forces(x, edges.nodes, edges.constants, np.zeros(9 * BLOCK), force)
+    edge_forces(x, edges.nodes, edges.constants, model.hardening, np.zeros(9 * BLOCK), force)
     return force
 
 
@@ -102,7 +117,10 @@ def naive_springs(x, model):
         i, j = model.spring_first[s], model.spring_second[s]
         arm = x[j] - x[i]
         length = max(np.linalg.norm(arm), SHORTEST * model.spring_rest_length[s])
+        strain = length / model.spring_rest_length[s] - 1.0
+        share = np.clip(strain / HARDENING_STRAIN, -1.0, 1.0)
         pull = model.spring_stiffness[s] * (length - model.spring_rest_length[s]) * arm / length
+        pull *= 1.0 + model.hardening * (share**2 - share)
         force[i] += pull
         force[j] -= pull
     return force
@@ -179,7 +197,7 @@ def test_force_is_the_difference_of_the_energy(case):
     kernel, _, energy = CASES[case]
     x = deformed()
     direction = np.random.default_rng(1).standard_normal(x.shape)
-    direction[[*range(len(x))]] *= 1e-6
+    direction *= 1e-7
     slope = (energy(x + direction, MODEL) - energy(x - direction, MODEL)) / 2.0
     assert -np.vdot(kernel(x), direction) == pytest.approx(slope, rel=1e-6)
 
@@ -251,11 +269,11 @@ def test_triangles_without_area_give_finite_forces():
     assert np.all(np.isfinite(angular(x)))
 
 
-def two_nodes(length, rest=0.01, stiffness=50.0):
+def two_nodes(length, rest=0.01, stiffness=50.0, hardening=0.0):
     """Force on the second of two nodes that a spring joins, along it."""
     x, force = np.array([[0.0, 0.0, 0.0], [0.0, length, 0.0]]), np.zeros((2, 3))
-    blocks = pack(np.array([[0, 1]]), np.array([[rest, stiffness]]), np.array([1.0, 0.0]))
-    spring_forces(x, blocks.nodes, blocks.constants, np.zeros(9 * BLOCK), force)
+    blocks = pack(np.array([[0, 1]]), np.array([[1.0 / rest, stiffness]]), np.array([1.0, 0.0]))
+    spring_forces(x, blocks.nodes, blocks.constants, hardening, np.zeros(9 * BLOCK), force)
     assert np.array_equal(force[0], -force[1])
     return force[1, 1]
 
@@ -268,6 +286,19 @@ def test_spring_follows_equation_1_and_fades_where_its_ends_meet():
     # Passing through itself it never jumps.
     path = [two_nodes(length) for length in np.linspace(-0.004, 0.004, 801)]
     assert np.abs(np.diff(path)).max() <= 50.0 * 1e-5 * (1.0 / SHORTEST - 1.0) * 1.001
+
+
+@pytest.mark.parametrize(("length", "factor"), [(0.01, 1.0), (0.006, 4.2), (0.004, 4.2), (0.012, 0.6), (0.014, 1.0)])
+def test_hardening_spring_is_stiffer_pressed_and_as_at_rest_far_pulled(length, factor):
+    assert two_nodes(length, hardening=1.6) == pytest.approx(-50.0 * factor * (length - 0.01), abs=1e-15)
+
+
+@pytest.mark.parametrize("hardening", [0.0, 1.6, MOST_HARDENING])
+def test_force_of_a_spring_never_falls_while_it_is_pulled_and_hardens_no_more_than_it_may(hardening):
+    path = np.array([-two_nodes(length, hardening=hardening) for length in np.linspace(0.0021, 0.03, 2000)])
+    slope = np.diff(path) / (0.0279 / 1999)
+    assert slope.min() >= -1e-9
+    assert slope.max() <= 50.0 * (1.0 + 5.0 * hardening) + 1e-6
 
 
 def test_energy_of_a_state_is_that_of_the_twins():
@@ -300,10 +331,10 @@ def test_linear_forces_are_the_stiffness_matrix_times_the_displacement():
 @pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, BLOCK + 1])
 def test_blocks_hold_every_spring_once_and_fill_up_with_none(count):
     nodes = np.stack([np.zeros(count, dtype=int), np.ones(count, dtype=int)], axis=1)
-    blocks = pack(nodes, np.tile([0.5, 2.0], (count, 1)), np.array([1.0, 0.0]))
+    blocks = pack(nodes, np.tile([2.0, 2.0], (count, 1)), np.array([1.0, 0.0]))
     assert len(blocks.nodes) == -(-count // BLOCK)
     x, force = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros((2, 3))
-    spring_forces(x, blocks.nodes, blocks.constants, np.zeros(9 * BLOCK), force)
+    spring_forces(x, blocks.nodes, blocks.constants, 0.0, np.zeros(9 * BLOCK), force)
     assert force[0, 2] == pytest.approx(count * 2.0 * 0.5)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.bench.timing import clock_cost
 from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import TICK_TIME, WANTED_SUBSTEPS, Floats
@@ -53,11 +53,20 @@ typedef struct {
     const int *moving;
     const double *inverse_mass, *damping;
     const double *load;
+    double hardening;
 } Model;
 
 static double largest(double a, double b)
 {
     return a > b ? a : b;
+}
+
+static double secant(double strain, double hardening)
+{
+    double s = strain * (1.0 / %r);
+    s = s < 1.0 ? s : 1.0;
+    s = s > -1.0 ? s : -1.0;
+    return 1.0 + hardening * s * (s - 1.0);
 }
 
 static void spring_forces(const Model *m, const double *restrict x, double *restrict w, double *restrict f)
@@ -73,8 +82,8 @@ static void spring_forces(const Model *m, const double *restrict x, double *rest
         }
         for (int s = 0; s < BLOCK; s++) {
             const double dx = w[s], dy = w[BLOCK + s], dz = w[2 * BLOCK + s];
-            const double length = largest(sqrt(dx * dx + dy * dy + dz * dz), 1e-12);
-            const double pull = c[BLOCK + s] * (1.0 - c[s] / length);
+            const double stretch = largest(sqrt(dx * dx + dy * dy + dz * dz) * c[s], %r);
+            const double pull = c[BLOCK + s] * (1.0 - 1.0 / stretch) * secant(stretch - 1.0, m->hardening);
             w[s] = pull * dx;
             w[BLOCK + s] = pull * dy;
             w[2 * BLOCK + s] = pull * dz;
@@ -121,8 +130,8 @@ static void edge_forces(const Model *m, const double *restrict x, double *restri
             const double gx = (bx - along * nx) * turn, gy = (by - along * ny) * turn, gz = (bz - along * nz) * turn;
             const double px = push * nx, py = push * ny, pz = push * nz;
             const double cx = gy * ez - gz * ey, cy = gz * ex - gx * ez, cz = gx * ey - gy * ex;
-            const double length = largest(sqrt(ex * ex + ey * ey + ez * ez), 1e-12);
-            const double pull = c[7 * BLOCK + e] * (c[6 * BLOCK + e] / length - 1.0);
+            const double stretch = largest(sqrt(ex * ex + ey * ey + ez * ez) * c[6 * BLOCK + e], %r);
+            const double pull = c[7 * BLOCK + e] * (1.0 / stretch - 1.0) * secant(stretch - 1.0, m->hardening);
             w[e] = wj * px + dy * gz - dz * gy + pull * ex;
             w[BLOCK + e] = wj * py + dz * gx - dx * gz + pull * ey;
             w[2 * BLOCK + e] = wj * pz + dx * gy - dy * gx + pull * ez;
@@ -202,7 +211,11 @@ _ARRAYS = (
 class _Model(ctypes.Structure):
     """The struct Model of the source: numbers, then addresses of arrays."""
 
-    _fields_ = [*((name, ctypes.c_long) for name in _NUMBERS), *((name, ctypes.c_void_p) for name in _ARRAYS)]
+    _fields_ = [
+        *((name, ctypes.c_long) for name in _NUMBERS),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
+        ("hardening", ctypes.c_double),
+    ]
 
 
 class CLoop:
@@ -228,7 +241,7 @@ class CLoop:
             *(model.return_nodes, model.return_target, model.return_stiffness),
             *(model.moving, model.inverse_mass, model.damping, self._load),
         )
-        self._model = _Model(*numbers, *(array.ctypes.data for array in self._arrays))
+        self._model = _Model(*numbers, *(array.ctypes.data for array in self._arrays), model.hardening)
         self._run = _library(flags).run
         self._run.restype = ctypes.c_longlong
         self._run.argtypes = [ctypes.POINTER(_Model), *[ctypes.c_void_p] * 3, ctypes.c_double, ctypes.c_long]
@@ -280,7 +293,7 @@ def _library(flags: tuple[str, ...]) -> Any:
         raise CLoopError("no C compiler")
     with tempfile.TemporaryDirectory(prefix="tissue_sim-") as folder:
         source, library = Path(folder) / "loop.c", Path(folder) / "loop.so"
-        source.write_text(SOURCE % BLOCK, encoding="utf-8")
+        source.write_text(SOURCE % (BLOCK, HARDENING_STRAIN, SHORTEST, SHORTEST), encoding="utf-8")
         words = [compiler, *flags, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"]
         done = subprocess.run(words, capture_output=True, text=True)
         if done.returncode:

@@ -15,11 +15,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from tissue_sim.calibration.calibrate import METHODS, Calibrated, Settings, calibrate
+from tissue_sim.calibration.calibrate import HARDENING, METHODS, Calibrated, Settings, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.report import lines, write_pictures
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.organ import MOST_HARDENING, Organ
 
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check on held-out loads: smooth, smooth, the sharp ones' mean
 RELEASE = 15.0  # %
@@ -53,6 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="interior atoms of the result, which is then built"
         " anew (default: those of the organ, or else 15 for 100 surface points; none for groups)",
+    )
+    parser.add_argument(
+        "--hardening",
+        type=float,
+        metavar="H",
+        help=f"of the springs: how much stiffer they are when pressed, from 0 to {MOST_HARDENING:g}"
+        f" (default: {HARDENING:g}; the organ's own for groups)",
     )
     parser.add_argument("--smooth", type=int, default=_DEFAULT.smooth, metavar="N", help="held-out smooth loads")
     parser.add_argument("--sharp", type=int, default=_DEFAULT.sharp, metavar="N", help="held-out sharp loads")
@@ -118,7 +125,10 @@ def _settings(args: argparse.Namespace) -> Settings:
             raise UserError(f"--{option.replace('_', '-')} {value} is outside {least}..{most}")
     if args.interior is not None and args.interior < 0:
         raise UserError(f"--interior {args.interior} is negative; use 0 or more")
-    names = ("seed", "method", "cases", "nonlinear", "steps", "nonlinear_steps", "interior", "smooth", "sharp")
+    if args.hardening is not None and not 0.0 <= args.hardening <= MOST_HARDENING:
+        raise UserError(f"--hardening {args.hardening:g} is outside 0..{MOST_HARDENING:g}")
+    counts = ("seed", "method", "cases", "nonlinear", "steps", "nonlinear_steps")
+    names = (*counts, "interior", "hardening", "smooth", "sharp")
     return Settings(**{name: getattr(args, name) for name in names})
 
 

@@ -16,6 +16,7 @@ from tissue_sim.organ.organ import Floats, Organ
 
 TOLERANCE = 1e-4  # residual force over load that counts as settled
 LONGEST = 20.0  # simulated seconds after which a load is given up
+RAMP = 0.3  # s in which a load is raised: as the finite elements, which know no inertia there, and a hand would
 RELEASE_STEP = 0.01  # s of the implicit dynamics
 RELEASE_TIME = 1.0  # s
 
@@ -36,7 +37,7 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
     converged = np.zeros(len(cases))
     for case, force in enumerate(cases.force):
         before = count[st.FAULTS], count[st.SNAPS]
-        displacement[case], settled = simulation.settle(force, TOLERANCE, LONGEST)
+        displacement[case], settled = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
         converged[case] = float(settled and before == (count[st.FAULTS], count[st.SNAPS]))
         volume[case] = volume_change(organ, displacement[case])
         if watch is not None:

@@ -6,13 +6,13 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.forces import SHORTEST
+from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, secant
 
 WORK = 8  # 3 x 3 matrices that a hinge's second derivative is put together from
 
 
 @kernel
-def axial_energy(position: Any, ends: Any, rest: Any, stiffness: Any, gradient: Any) -> float:
+def axial_energy(position: Any, ends: Any, rest: Any, hardening: float, stiffness: Any, gradient: Any) -> float:
     """Energy, J, of springs (s, 2); adds its gradient (n, 3) N."""
     total = 0.0
     for s in range(len(ends)):
@@ -20,11 +20,15 @@ def axial_energy(position: Any, ends: Any, rest: Any, stiffness: Any, gradient: 
         x, y, z = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
         length, shortest = math.sqrt(x * x + y * y + z * z), SHORTEST * rest[s]
         bounded = max(length, shortest)
-        stretch = (bounded - rest[s]) ** 2
+        strain = bounded / rest[s] - 1.0
+        factor = secant(strain, hardening)
+        pull = stiffness[s] * (1.0 - rest[s] / bounded) * factor
+        near = min(max(strain, -HARDENING_STRAIN), HARDENING_STRAIN)
+        stored = 0.5 * near * near + 0.5 * factor * (strain - near) * (strain + near)
+        stored += hardening * near**3 * (0.25 * near / HARDENING_STRAIN - 1.0 / 3.0) / HARDENING_STRAIN
+        total += stiffness[s] * rest[s] * rest[s] * stored
         if length < shortest:
-            stretch -= (1.0 / SHORTEST - 1.0) * (length * length - shortest * shortest)
-        total += 0.5 * stiffness[s] * stretch
-        pull = stiffness[s] * (1.0 - rest[s] / bounded)
+            total += 0.5 * pull * (length * length - shortest * shortest)
         gradient[i, 0] -= pull * x
         gradient[i, 1] -= pull * y
         gradient[i, 2] -= pull * z
@@ -32,6 +36,12 @@ def axial_energy(position: Any, ends: Any, rest: Any, stiffness: Any, gradient: 
         gradient[j, 1] += pull * y
         gradient[j, 2] += pull * z
     return total
+
+
+@kernel
+def _secant_slope(strain: float, hardening: float) -> float:
+    s = strain / HARDENING_STRAIN
+    return hardening * (2.0 * s - 1.0) / HARDENING_STRAIN if -1.0 < s < 1.0 else 0.0
 
 
 @kernel
@@ -51,7 +61,9 @@ def hinge_energy(
 
 
 @kernel
-def axial_tangent(position: Any, ends: Any, rest: Any, stiffness: Any, convex: bool, target: Any, data: Any) -> None:
+def axial_tangent(
+    position: Any, ends: Any, rest: Any, hardening: float, stiffness: Any, convex: bool, target: Any, data: Any
+) -> None:
     """Add the second derivative of springs to the entries of a matrix; target (s, 2, 2, 3, 3), -1 for none.
 
     convex: without what a pushed spring's turning takes from it.
@@ -62,12 +74,16 @@ def axial_tangent(position: Any, ends: Any, rest: Any, stiffness: Any, convex: b
         for axis in range(3):
             length += (position[j, axis] - position[i, axis]) ** 2
         length = math.sqrt(length)
-        shortest = SHORTEST * rest[s]
-        pull = 1.0 - rest[s] / max(length, shortest)
-        bounded = max(length, 1e-12)
-        steep = rest[s] / bounded**3 if length > shortest else 0.0
+        bounded = max(length, SHORTEST * rest[s])
+        strain = bounded / rest[s] - 1.0
+        factor = secant(strain, hardening)
+        pull = (1.0 - rest[s] / bounded) * factor
+        steep = 0.0
+        if length == bounded:
+            steep = (rest[s] / bounded * factor + strain * _secant_slope(strain, hardening)) / bounded**2
         if convex and pull < 0.0:
-            steep, pull = 1.0 / bounded**2, 0.0
+            square = max(length, 1e-12) ** 2
+            steep, pull = max(pull + steep * square, 0.0) / square, 0.0
         for row in range(3):
             for column in range(3):
                 along = (position[j, row] - position[i, row]) * (position[j, column] - position[i, column])

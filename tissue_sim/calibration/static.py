@@ -16,6 +16,7 @@ from scipy.sparse import coo_array, csc_array
 from tissue_sim.calibration import spring_kernels as kernels
 from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
+from tissue_sim.model.energy import secant
 from tissue_sim.model.forces import SHORTEST
 from tissue_sim.model.modes import free_axes
 from tissue_sim.organ.organ import Floats
@@ -52,6 +53,7 @@ class Springs:
         self.free = free_axes(model)
         self.ends = np.stack([model.spring_first, model.spring_second], axis=1).astype(np.int64)
         self.length = model.spring_rest_length
+        self.hardening = model.hardening
         self.hinges = model.angular_nodes.astype(np.int64)
         self.weight = model.angular_weight
         self.bent = model.angular_rest
@@ -80,7 +82,7 @@ class Springs:
         """Elastic energy, J, and its gradient (n, 3) N: the force that must be applied to hold the shape."""
         axial, angular, pulls = self.split(stiffness)
         gradient = np.zeros_like(position)
-        total = kernels.axial_energy(position, self.ends, self.length, axial, gradient)
+        total = kernels.axial_energy(position, self.ends, self.length, self.hardening, axial, gradient)
         total += kernels.hinge_energy(position, *self._hinge_arguments(), angular, gradient, self._work())
         away = position[self.pulled] - self.rest[self.pulled]
         gradient[self.pulled] += pulls[:, None] * away
@@ -96,7 +98,7 @@ class Springs:
         """Energy gradients over stiffness: axial (s, 3) at the second end, angular (h, 4, 3), return (r, 3)."""
         along = position[self.ends[:, 1]] - position[self.ends[:, 0]]
         length = np.maximum(np.linalg.norm(along, axis=1), SHORTEST * self.length)
-        axial = (1.0 - self.length / length)[:, None] * along
+        axial = ((1.0 - self.length / length) * secant(length / self.length - 1.0, self.hardening))[:, None] * along
         bending = self._bending(position)
         angular = (bending.curvature - self.bent)[:, None, None] * bending.slope
         return axial, angular, position[self.pulled] - self.rest[self.pulled]
@@ -122,7 +124,7 @@ class Springs:
         axial, angular, pulls = self.split(stiffness)
         data = np.zeros(len(self._rows))
         targets = self._targets
-        kernels.axial_tangent(position, self.ends, self.length, axial, convex, targets[0], data)
+        kernels.axial_tangent(position, self.ends, self.length, self.hardening, axial, convex, targets[0], data)
         kernels.hinge_tangent(position, *self._hinge_arguments(), angular, convex, targets[1], data, self._work())
         free = targets[2] >= 0
         data[targets[2][free]] += np.repeat(pulls, 3)[free]

@@ -68,6 +68,7 @@ class Model(NamedTuple):
     spring_second: Ints  # (s,)
     spring_rest_length: Floats  # (s,) m
     spring_stiffness: Floats  # (s,) N/m
+    hardening: float  # of axial springs, as in forces.secant
     angular_nodes: Ints  # (h, 4)
     angular_weight: Floats  # (h, 4) of the mean curvature normal
     angular_rest: Floats  # (h,) m
@@ -175,6 +176,7 @@ def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -
             spring_second=_ints(nodes[:, 1]),
             spring_rest_length=_floats(length),
             spring_stiffness=_floats(stiffness),
+            hardening=float(organ.hardening),
             angular_nodes=_ints(hinges),
             angular_weight=weight,
             angular_rest=bent,
@@ -212,15 +214,15 @@ def packed(model: Model) -> Model:
     axial = np.full(len(wanted), -1)
     axial[found] = order[place[found]]
     values = np.zeros((len(wanted), 8))
-    values[:, 6] = 1.0  # m, of edges without an axial spring
+    values[:, 6] = 1.0  # 1/m, of edges without an axial spring
     values[:, 0:3] = model.angular_weight[:, 1:]
     values[:, 3], values[:, 4] = model.angular_rest, model.angular_stiffness
     values[:, 5] = model.angular_least_area
-    values[found, 6] = model.spring_rest_length[axial[found]]
+    values[found, 6] = 1.0 / model.spring_rest_length[axial[found]]
     values[found, 7] = model.spring_stiffness[axial[found]]
     others = np.setdiff1d(np.arange(len(springs)), axial)
     pair = np.stack([model.spring_first, model.spring_second], axis=1)
-    law = np.stack([model.spring_rest_length, model.spring_stiffness], axis=1)
+    law = np.stack([1.0 / model.spring_rest_length, model.spring_stiffness], axis=1)
     filling = np.zeros(8)
     filling[[5, 6]] = 1.0  # lengths and areas that keep divisions finite
     return model._replace(

@@ -15,23 +15,40 @@ from tissue_sim.model.blocks import BLOCK
 # Of its rest length, below which a spring's push fades to nothing where its ends meet. Equation (1) alone turns around
 # there by twice its largest force: no step is short enough for that, and energy comes from nothing.
 SHORTEST = 0.2
+# Strain up to which a spring hardens or softens; beyond it goes on as stiff as it is there, so that no load, however
+# large, makes the critical step ever shorter.
+HARDENING_STRAIN = 0.4
 
 
 @kernel
-def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
+def secant(strain: float, hardening: float) -> float:
+    """Stiffness of a spring from its rest length to a strain, over that at rest: 1 + h s (s - 1), s = strain / 0.4.
+
+    With h = 0 springs are those of equation (1). Soft tissue hardens when it is pressed and softens a little when it is
+    pulled (neo-Hookean: stress over strain falls as 1 - strain at first): with h = 1.6 a spring is 4.2 times as stiff
+    at 0.6 of its length, 0.6 times at 1.2, and as at rest at 1.4. Force grows with strain for h up to 3.
+    """
+    s = strain * (1.0 / HARDENING_STRAIN)
+    s = s if s < 1.0 else 1.0
+    s = s if s > -1.0 else -1.0
+    return 1.0 + hardening * s * (s - 1.0)
+
+
+@kernel
+def spring_forces(position: Any, nodes: Any, constants: Any, hardening: float, work: Any, force: Any) -> None:
     """Axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear; l not under SHORTEST l0.
 
-    nodes (b, BLOCK, 2); constants (b, 2 BLOCK): rest lengths, m, then stiffnesses, N/m; work (9 BLOCK,).
+    nodes (b, BLOCK, 2); constants (b, 2 BLOCK): inverse rest lengths, 1/m, then stiffnesses, N/m; hardening as in
+    secant; work (9 BLOCK,).
     """
     for block in range(len(nodes)):
         ends, constant = nodes[block], constants[block]
         _gather_ends(position, ends, work)
         for s in range(BLOCK):
             x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
-            length = math.sqrt(x * x + y * y + z * z)
-            rest = constant[s]
-            shortest = SHORTEST * rest
-            pull = constant[BLOCK + s] * (1.0 - rest / (length if length > shortest else shortest))
+            stretch = math.sqrt(x * x + y * y + z * z) * constant[s]
+            stretch = stretch if stretch > SHORTEST else SHORTEST
+            pull = constant[BLOCK + s] * (1.0 - 1.0 / stretch) * secant(stretch - 1.0, hardening)
             work[s], work[BLOCK + s], work[2 * BLOCK + s] = pull * x, pull * y, pull * z
         _scatter_ends(work, ends, force)
 
@@ -61,7 +78,7 @@ def _scatter_ends(work: Any, ends: Any, force: Any) -> None:
 
 
 @kernel
-def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
+def edge_forces(position: Any, nodes: Any, constants: Any, hardening: float, work: Any, force: Any) -> None:
     """Edges between two triangles: the axial spring along the edge, and the angular spring across it.
 
     Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
@@ -71,12 +88,12 @@ def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any
     on the cosine between two arms (Nedel & Thalmann 1998) has hardly a slope where the surface is flat.
     nodes (b, BLOCK, 4): edge i, j and the opposite corners k, l; constants (b, 8 BLOCK): weights of j, k, l (that of i
     makes their sum zero), s0, m, stiffness, N/m, the least squared length of the unnormalised normal, m^4, and
-    rest length, m, and stiffness, N/m, of the axial spring; work (9 BLOCK,).
+    inverse rest length, 1/m, and stiffness, N/m, of the axial spring; hardening as in secant; work (9 BLOCK,).
     """
     for block in range(len(nodes)):
         ends = nodes[block]
         _gather_arms(position, ends, work)
-        _bend_and_stretch(work, constants[block])
+        _bend_and_stretch(work, constants[block], hardening)
         _scatter_arms(work, ends, force)
 
 
@@ -98,7 +115,7 @@ def _gather_arms(position: Any, ends: Any, work: Any) -> None:
 
 
 @kernel
-def _bend_and_stretch(work: Any, constant: Any) -> None:
+def _bend_and_stretch(work: Any, constant: Any, hardening: float) -> None:
     """Turn the arms of a block into the forces on j, k and l."""
     for e in range(BLOCK):
         ex, ey, ez = work[e], work[BLOCK + e], work[2 * BLOCK + e]
@@ -122,10 +139,9 @@ def _bend_and_stretch(work: Any, constant: Any) -> None:
         gx, gy, gz = (bx - along * nx) * turn, (by - along * ny) * turn, (bz - along * nz) * turn
         px, py, pz = push * nx, push * ny, push * nz
         cx, cy, cz = gy * ez - gz * ey, gz * ex - gx * ez, gx * ey - gy * ex
-        length = math.sqrt(ex * ex + ey * ey + ez * ez)
-        rest = constant[6 * BLOCK + e]
-        shortest = SHORTEST * rest
-        pull = constant[7 * BLOCK + e] * (rest / (length if length > shortest else shortest) - 1.0)
+        stretch = math.sqrt(ex * ex + ey * ey + ez * ez) * constant[6 * BLOCK + e]
+        stretch = stretch if stretch > SHORTEST else SHORTEST
+        pull = constant[7 * BLOCK + e] * (1.0 / stretch - 1.0) * secant(stretch - 1.0, hardening)
         work[e] = wj * px + dy * gz - dz * gy + pull * ex
         work[BLOCK + e] = wj * py + dz * gx - dx * gz + pull * ey
         work[2 * BLOCK + e] = wj * pz + dx * gy - dy * gx + pull * ez
@@ -232,6 +248,6 @@ def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: A
 @kernel
 def elastic_forces(model: Any, position: Any, force: Any) -> None:
     """Add the forces of every spring of the model to force (n, 3) N."""
-    edge_forces(position, model.edges.nodes, model.edges.constants, model.work, force)
-    spring_forces(position, model.links.nodes, model.links.constants, model.work, force)
+    edge_forces(position, model.edges.nodes, model.edges.constants, model.hardening, model.work, force)
+    spring_forces(position, model.links.nodes, model.links.constants, model.hardening, model.work, force)
     return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)

@@ -250,12 +250,12 @@ def scale_nodes(values: Any, nodes: Any, scale: float) -> None:
 
 
 @kernel
-def region_forces(state: Any, scratch: Any) -> None:
+def region_forces(model: Any, state: Any, scratch: Any) -> None:
     """Add the forces of the region's springs, without return springs, to scratch.force (n, 3) N."""
     hinges, springs = -(-state.count[REGION_HINGES] // BLOCK), -(-state.count[REGION_SPRINGS] // BLOCK)
-    edges, links = scratch.edges, scratch.links
-    edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], scratch.work, scratch.force)
-    spring_forces(state.position, links.nodes[:springs], links.constants[:springs], scratch.work, scratch.force)
+    edges, links, work, force = scratch.edges, scratch.links, scratch.work, scratch.force
+    edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], model.hardening, work, force)
+    spring_forces(state.position, links.nodes[:springs], links.constants[:springs], model.hardening, work, force)
 
 
 @kernel

@@ -143,7 +143,7 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
         return
     add_contact_impulses(state, shapes, scratch, state.count[SUBSTEPS], state.contact_impulse)
     local_region.clear_force(state, scratch)
-    local_region.region_forces(state, scratch)
+    local_region.region_forces(model, state, scratch)
     modal_region.measure_drive(state, settings, scratch)
     modal_region.absorb_load(state, settings, scratch, 1.0)
     modal_region.keep_offset(model, state, settings, scratch)

@@ -243,12 +243,15 @@ class Simulation:
             raise UserError(str(error)) from None
         self.scratch.stale[0] = 1
 
-    def settle(self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0) -> tuple[Floats, bool]:
+    def settle(
+        self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0
+    ) -> tuple[Floats, bool]:
         """Displacements at rest under constant surface forces.
 
         forces (n_surface, 3) N. Steps from the rest shape until the residual force is under
         tolerance times the load (and the organ is all but still), or for `longest` simulated
-        seconds. Returns displacements (n_surface, 3) m and whether it settled.
+        seconds. The forces act at once, or are raised within `ramp` seconds, as a hand does, so that the organ
+        doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
         """
         n_surface = self.model.n_surface
         self.reset()
@@ -260,10 +263,13 @@ class Simulation:
         pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
         settled = False
         faults = state.count[st.FAULTS]
-        for _ in range(math.ceil(longest * self.rate / 20)):
-            for _ in range(20):
-                load_world(self.world, loaded, pushes)
+        raised = max(1, math.ceil(ramp * self.rate))
+        for first in range(1, math.ceil(longest * self.rate) + 1, 20):
+            for tick in range(first, first + 20):
+                load_world(self.world, loaded, min(1.0, tick / raised) * pushes)
                 self.step()
+            if first + 19 < raised:
+                continue
             if state.count[st.FAULTS] > faults and not np.any(state.velocity):
                 continue
             residual = self._residual(forces)

@@ -153,7 +153,7 @@ def advance_substep(
         scale_force(settings, scratch.force)
     else:
         local_region.clear_force(state, scratch)
-        local_region.region_forces(state, scratch)
+        local_region.region_forces(model, state, scratch)
         if state.count[REGION] == MODAL and substep == substeps - 1:
             modal_region.measure_drive(state, settings, scratch)
         local_region.region_return_forces(model, state, scratch)

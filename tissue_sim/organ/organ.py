@@ -18,7 +18,8 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.errors import UserError
 
-SCHEMA_VERSION = 2  # 2: interior_spoke
+SCHEMA_VERSION = 3  # 2: interior_spoke; 3: hardening
+MOST_HARDENING = 3.0  # beyond it a spring's force would fall while it is pulled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -73,6 +74,7 @@ class Organ:
     youngs_modulus: float = 0.0  # Pa
     poisson_ratio: float = 0.0
     density: float = 0.0  # kg/m^3
+    hardening: float = 0.0  # of axial springs: secant stiffness 1 + h s (s - 1), s = strain / 0.4; 0: equation (1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -143,6 +145,10 @@ class Organ:
         for key in ("damping", "return_stiffness", "spring_stiffness", "angular_stiffness"):
             if np.any(getattr(self, key) < 0.0):
                 raise UserError(f"organ '{self.name}': {key} must not be negative")
+        if not 0.0 <= self.hardening <= MOST_HARDENING:
+            raise UserError(
+                f"organ '{self.name}': hardening must be from 0 to {MOST_HARDENING:g}, is {self.hardening:g}"
+            )
         check_surface(self.surface_positions, self.surface_triangles, f"organ '{self.name}'")
 
     # files -------------------------------------------------------------------------------------
@@ -160,6 +166,7 @@ class Organ:
             "youngs_modulus": float(self.youngs_modulus),
             "poisson_ratio": float(self.poisson_ratio),
             "density": float(self.density),
+            "hardening": float(self.hardening),
             "provenance": dict(self.provenance),
         }
         text = json.dumps(header, sort_keys=True)
@@ -214,12 +221,12 @@ class Organ:
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
         scalars = {key: header[key] for key in ("name", "youngs_modulus", "poisson_ratio", "density", "provenance")}
-        return cls(**scalars, **content)
+        return cls(**scalars, hardening=header.get("hardening", 0.0), **content)
 
     def digest(self) -> str:
-        """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
+        """SHA-256 (hex) of the arrays and the springs' law: two organs with the same digest simulate alike."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
-        return _digest("", arrays)
+        return _digest(f"hardening {self.hardening!r}" if self.hardening else "", arrays)
 
 
 def signed_volume(positions: Floats, triangles: Ints) -> float:

@@ -36,6 +36,7 @@ def assemble_organ(
     youngs_modulus: float = 10_000.0,
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
+    hardening: float = 0.0,
     provenance: Mapping[str, Any] | None = None,
 ) -> Organ:
     """Make a node-ready organ from a closed surface and its medial atoms.
@@ -43,7 +44,7 @@ def assemble_organ(
     surface_positions (n_surface, 3) m, surface_triangles (n_triangles, 3) outward,
     atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
     root, fixed (n_fixed,) surface nodes, interior_atoms: how many further atoms to spread along the
-    spokes, youngs_modulus Pa, density kg/m^3.
+    spokes, youngs_modulus Pa, density kg/m^3, hardening of the axial springs, 0 for those of equation (1).
 
     Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
     0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
@@ -135,6 +136,7 @@ def assemble_organ(
         youngs_modulus=youngs_modulus,
         poisson_ratio=poisson_ratio,
         density=density,
+        hardening=hardening,
         provenance=dict(provenance or {}),
     )
 
@@ -153,6 +155,7 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
         "youngs_modulus": organ.youngs_modulus,
         "poisson_ratio": organ.poisson_ratio,
         "density": organ.density,
+        "hardening": organ.hardening,
         "provenance": organ.provenance,
     }
     return assemble_organ(**{**same, **changes})
