@@ -39,12 +39,19 @@ def calibrated(folder):
     return folder / "out.npz"
 
 
+def test_hardening_is_the_default_for_springs_and_the_organs_own_for_groups():
+    for method, wanted in (("springs", pipeline.HARDENING), ("groups", 0.0)):
+        assert pipeline._prepared(ball(2), pipeline.Settings(method=method)).hardening == wanted
+    assert pipeline._prepared(ball(2), pipeline.Settings(hardening=0.5)).hardening == 0.5
+
+
 @pytest.mark.slow
 @needs_finite_elements
 def test_the_organ_is_better_and_says_so(calibrated, folder, capsys):
     made = Organ.load(calibrated)
     figures = made.provenance["calibration"]
     assert made.n_interior == 12
+    assert made.hardening == pipeline.HARDENING
     assert figures["held_out"]["smooth"]["cases"] == 4
     assert figures["held_out"]["smooth"]["mean_percent"] < 8.0
     assert figures["held_out"]["sharp"]["settled"] == 2

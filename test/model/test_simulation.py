@@ -561,6 +561,27 @@ def test_settle_starts_from_rest_each_time():
     np.testing.assert_array_equal(simulation.settle(loads_of(kidney(), 0.3))[0], first)
 
 
+def test_forces_raised_slowly_lead_to_the_same_rest_without_a_swing():
+    reached = []
+    for ramp in (0.0, 0.3):
+        simulation, peak = Simulation(ball()), 0.0
+        step = simulation.step
+
+        def watched(simulation=simulation, step=step):
+            nonlocal peak
+            step()
+            peak = max(peak, float(np.abs(simulation.positions - simulation.model.rest).max()))
+
+        simulation.step = watched
+        displacement, settled = simulation.settle(loads_of(ball(), 0.05), tolerance=1e-5, ramp=ramp)
+        assert settled
+        assert simulation.state.count[st.TICK] >= 1000 * ramp
+        reached.append((displacement, peak / np.abs(displacement).max()))
+    (at_once, swing), (raised, little) = reached
+    np.testing.assert_allclose(raised, at_once, atol=1e-4 * np.abs(at_once).max())
+    assert little < 1.0 + 0.5 * (swing - 1.0) + 1e-3
+
+
 def test_settle_says_when_it_ran_out_of_time():
     simulation = Simulation(kidney())
     _, settled = simulation.settle(loads_of(kidney(), 0.5), longest=0.02)
