@@ -42,14 +42,14 @@ def test_every_spring_of_a_model_is_packed_once(organ, variant):
     assert bent.sum() == len(model.angular_nodes)
     np.testing.assert_array_equal(edge_ends[bent], model.angular_nodes)
     found = [
-        (*sorted(ends), rest, stiffness)
-        for ends, rest, stiffness in (
+        (*sorted(ends), inverse, stiffness)
+        for ends, inverse, stiffness in (
             *zip(edge_ends[pulled, :2].tolist(), edge_laws[pulled, 6], edge_laws[pulled, 7], strict=True),
             *zip(link_ends[tied].tolist(), link_laws[tied, 0], link_laws[tied, 1], strict=True),
         )
     ]
     expected = [
-        (*sorted((int(i), int(j))), rest, stiffness)
+        (*sorted((int(i), int(j))), 1.0 / rest, stiffness)
         for i, j, rest, stiffness in zip(
             model.spring_first, model.spring_second, model.spring_rest_length, model.spring_stiffness, strict=True
         )
