@@ -1,5 +1,7 @@
 """The guard alone and in whole ticks: what it finds, what it calls it, what it gives back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from tissue_sim.model.guard import (
     lead_back,
 )
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.tick import caution
 
 from ..scenes import ball, kidney
 
@@ -262,3 +265,13 @@ def test_way_back_goes_by_the_same_share_each_tick_and_without_speed():
     np.testing.assert_allclose(state.position - model.rest, np.exp(-0.02) * away, atol=1e-16)
     assert left == pytest.approx(np.exp(-0.02) * np.abs(away).max())
     assert np.abs(state.velocity[model.moving]).max() == 0.0
+
+
+@pytest.mark.parametrize(("hardening", "few", "many"), [(0.0, 2, 4), (1.6, 4, 8)])
+def test_substeps_multiply_while_cells_are_turned_and_more_where_springs_harden(hardening, few, many):
+    simulation = Simulation(replace(ball(), hardening=hardening))
+    model, state = simulation.model, simulation.state
+    cells = len(model.cells)
+    for turned, factor in ((0, 1), (1, few), (cells, many)):
+        state.count[st.TURNED] = turned
+        assert caution(model, state) == factor

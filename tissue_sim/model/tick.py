@@ -124,10 +124,14 @@ def steps_implicitly(state: Any, settings: Any) -> bool:
 
 @kernel
 def caution(model: Any, state: Any) -> int:
-    """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than sound ones."""
+    """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than sound ones.
+
+    Springs that harden are so by up to 1 + 2 h there.
+    """
     if state.count[TURNED] == 0:
         return 1
-    return 4 if state.count[TURNED] > CRUMPLED * len(model.cells) else 2
+    harder = round(math.sqrt(1.0 + 2.0 * model.hardening))
+    return harder * (4 if state.count[TURNED] > CRUMPLED * len(model.cells) else 2)
 
 
 @kernel

@@ -208,6 +208,7 @@ class _Watch:
         self.energy_gain = self.energy_caught = 0.0
         self._energy_at_release, self._least_energy = 0.0, math.nan
         self._faults = self._released = 0
+        self._implicit, self._plain_energy = False, 0.0
 
     def look(self) -> None:
         """Look at the state after a tick: is it finite, how far did nodes go, what is turned over."""
@@ -238,6 +239,11 @@ class _Watch:
             self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
             return
         energy, modal = self._energy(), count[st.REGION] == st.MODAL
+        plain, implicit = self.simulation.energy.total, steps_implicitly(state, self.simulation.settings)
+        if implicit != self._implicit:
+            # What the two kinds of steps keep can't be compared: E alone tells what the first step of a kind gains.
+            self._least_energy += energy - self._plain_energy
+        self._implicit, self._plain_energy = implicit, plain
         if math.isnan(self._least_energy):
             self._least_energy, self._released = energy, int(count[st.TICK])
             self._energy_at_release = max(self._energy_at_release, energy)
