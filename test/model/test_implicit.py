@@ -232,3 +232,34 @@ def test_contact_knows_the_stiffness_that_was_set_last():
     poke(simulation, 2, [0.0, 0.0, -0.05])
     slot = int(simulation.settings[st.FACTOR_SLOT])
     np.testing.assert_array_equal(simulation.scratch.mobility, simulation.model.factor.mobility[slot])
+
+
+@pytest.mark.parametrize("eased", [True, False])
+def test_first_step_after_shorter_ones_takes_the_momentum_of_what_moves(eased):
+    """S adds mass to an implicit step: speed that it finds must not become energy."""
+    organ = ball(2)
+    simulation = Simulation(organ, integrator="implicit")
+    model, state, step = simulation.model, simulation.state, 1.0 / simulation.rate
+    moving = model.moving
+    state.count[st.ASLEEP] = 0
+    state.count[st.SUBSTEPS] = 4 if eased else 1
+    velocity = np.zeros_like(model.rest)
+    velocity[moving] = 0.05 * np.random.default_rng(0).standard_normal((len(moving), 3))
+    state.velocity[:] = velocity
+    before = simulation.energy.total
+    at, force = model.rest if eased else model.rest + step * velocity, np.zeros_like(model.rest)
+    elastic_forces(model, at, force)
+    simulation.step()
+    matrix, mass = matrix_of(model, step), 1.0 / model.inverse_mass[moving, None]
+    if eased:
+        expected = spsolve(matrix, mass * velocity[moving] + step * force[moving])
+    else:
+        drag = model.damping[moving, None] * velocity[moving]
+        expected = velocity[moving] + spsolve(matrix, step * (force[moving] - drag))
+    np.testing.assert_allclose(state.velocity[moving], expected, atol=1e-10)
+    stiffness = bounding_stiffness(model)
+    added = 0.5 * step**2 * np.sum(state.velocity * (stiffness @ state.velocity))
+    if eased:
+        assert simulation.energy.kinetic + added <= before
+    else:
+        assert simulation.energy.kinetic + added > before

@@ -95,10 +95,11 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     whole = count[REGION] == WHOLE and (settings[INTEGRATOR] != IMPLICIT or steps_implicitly(state, settings))
     wanted = settings[WANTED_SUBSTEPS if whole else REGION_SUBSTEPS]
     substeps = int(wanted) * count[BACKOFF] * caution(model, state)
+    eased = substeps < count[SUBSTEPS]
     count[SUBSTEPS] = substeps
     set_mobility(model, state, settings, settings[TICK_TIME] / substeps, scratch)
     for substep in range(substeps):
-        advance_substep(model, state, shapes, settings, scratch, substep, substeps)
+        advance_substep(model, state, shapes, settings, scratch, substep, substeps, eased and substep == 0)
     if count[REGION] == MODAL:
         modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
     guard(model, state, settings, scratch)
@@ -136,9 +137,9 @@ def caution(model: Any, state: Any) -> int:
 
 @kernel
 def advance_substep(
-    model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int
+    model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int, eased: bool
 ) -> None:
-    """Forces, integration and contact of one substep."""
+    """Forces, integration and contact of one substep; eased: the first of a longer step than the last."""
     step = settings[TICK_TIME] / substeps
     for tool in range(len(state.tool_pose)):
         # The tool moves evenly through the tick, so that its speed holds no jumps.
@@ -149,7 +150,9 @@ def advance_substep(
     implicit = steps_implicitly(state, settings)
     if state.count[REGION] == WHOLE:
         scratch.force[:] = 0.0
-        if implicit:
+        if implicit and eased:
+            elastic_forces(model, state.position, scratch.force)
+        elif implicit:
             predict(state.position, state.velocity, model.moving, step, scratch.predicted)
             elastic_forces(model, scratch.predicted, scratch.force)
         else:
@@ -163,10 +166,25 @@ def advance_substep(
         local_region.region_return_forces(model, state, scratch)
         local_region.scale_force(state, scratch, settings[STIFFNESS_SCALE])
     add_loads(state, settings, scratch.force)
+    if implicit and eased:
+        carry_momentum(model, state, scratch.force, step)
     integrate(model, state, shapes, settings, scratch, step, implicit)
     state.count[TOUCHING] = resolve_contacts(
         state, shapes, scratch.mobility, scratch, settings[FRICTION], step, implicit
     )
+
+
+@kernel
+def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
+    """Turn velocities into the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
+
+    For an implicit step S adds mass. What moved without that must not have its speed with it: that is energy.
+    """
+    for index in range(len(model.moving)):
+        node = model.moving[index]
+        for c in range(3):
+            force[node, c] += state.velocity[node, c] / (model.inverse_mass[node] * step)
+            state.velocity[node, c] = 0.0
 
 
 @kernel
