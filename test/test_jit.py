@@ -64,6 +64,19 @@ def test_each_layer_has_a_folder_of_its_own():
     assert folder_of("organ") != folder_of("model") or os.environ.get("NUMBA_CACHE_DIR")
 
 
+def test_kernels_that_call_the_models_are_compiled_again_when_those_change(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("tissue_sim.jit.__file__", str(tmp_path / "jit.py"))
+    (tmp_path / "jit.py").write_text("")
+    layers = ("organ", "model", "contact", "calibration", "bench")
+    for layer in layers:
+        (tmp_path / layer).mkdir()
+    before = {layer: cache_folder(layer) for layer in layers}
+    (tmp_path / "model" / "forces.py").write_text("@kernel")
+    changed = {layer for layer in layers if cache_folder(layer) != before[layer]}
+    assert changed == set(layers) - {"organ"}
+
+
 class Inner(NamedTuple):
     table: Any
 

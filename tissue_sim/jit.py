@@ -27,11 +27,13 @@ def cache_folder(layer: str) -> Path:
     """Folder of a layer's compiled kernels, one for each version of their source.
 
     Numba notices a change in the file of a kernel but not in the files of the kernels that it
-    calls, so the folder's name carries a digest of all that the layer has. It lies in the user's cache, because
+    calls, so the folder's name carries a digest of all that the layer has, and of the model's, whose kernels those of
+    contact and calibration call. It lies in the user's cache, because
     the install folder may be read-only, or in the temporary folder when the user has no home.
     """
     digest = hashlib.sha256(Path(__file__).read_bytes())
-    for source in sorted((Path(__file__).parent / layer).rglob("*.py")):
+    called = [layer] if layer in ("organ", "model") else [layer, "model"]
+    for source in (path for one in called for path in sorted((Path(__file__).parent / one).rglob("*.py"))):
         content = source.read_bytes()
         if any(word in content for word in (b"@kernel", b"@part", b"NamedTuple")):  # kernels and what they are given
             digest.update(content)

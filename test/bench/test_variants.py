@@ -16,7 +16,7 @@ from tissue_sim.bench import variants
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.sizes import assembled_anew
 from tissue_sim.bench.variants import Effort, effort_at, fitted, is_calibrated, variants_of
-from tissue_sim.calibration.calibrate import HARDENING
+from tissue_sim.calibration.calibrate import HARDENING, Settings, prepared
 from tissue_sim.calibration.fem import Body
 
 ORGAN = filled(ball(1), 8)
@@ -75,10 +75,10 @@ def test_organ_without_interior_atoms_gets_those_that_calibrate_would_add():
     hollow = ball(2)
     wanted = round(0.15 * hollow.n_surface)
     assert assembled_anew(hollow, hollow.surface_positions, hollow.surface_triangles, wanted).n_interior == wanted
-    assert variants._prepared(hollow).n_interior == wanted
-    prepared = variants._prepared(ORGAN)
-    np.testing.assert_array_equal(prepared.spring_nodes, ORGAN.spring_nodes)
-    assert prepared.hardening == HARDENING
+    assert prepared(hollow, Settings()).n_interior == wanted
+    filled_one = prepared(ORGAN, Settings())
+    np.testing.assert_array_equal(filled_one.spring_nodes, ORGAN.spring_nodes)
+    assert filled_one.hardening == HARDENING
 
 
 def test_larger_organs_get_fewer_cases():

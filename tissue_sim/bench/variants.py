@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from tissue_sim.bench.sizes import assembled_anew, at_size
-from tissue_sim.calibration.calibrate import HARDENING, INTERIOR_SHARE, first_stiffness, with_stiffness
+from tissue_sim.bench.sizes import at_size
+from tissue_sim.calibration.calibrate import Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.fem import Body
@@ -63,21 +63,13 @@ def variants_of(organ: Organ, points: int, *, fits: bool) -> Variants:
     if not fits:
         missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
         return Variants(plain, "takes minutes to fit, left out of --quick", organ if own else missing)
-    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(_prepared(plain), "springs"))
+    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(prepared(plain, Settings()), "springs"))
 
 
 def is_calibrated(organ: Organ) -> bool:
     """Whether every spring of an organ was fitted."""
     figures = organ.provenance.get("calibration")
     return isinstance(figures, dict) and figures.get("method") == "springs"
-
-
-def _prepared(organ: Organ) -> Organ:
-    """The organ with the hardening, and where there are none the interior atoms, of `tissue_sim calibrate`."""
-    if not organ.n_interior:
-        wanted = round(INTERIOR_SHARE * organ.n_surface)
-        organ = assembled_anew(organ, organ.surface_positions, organ.surface_triangles, wanted)
-    return dataclasses.replace(organ, hardening=HARDENING)
 
 
 def _kept(organ: Organ, method: str) -> Organ | str:

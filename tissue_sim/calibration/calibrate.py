@@ -89,7 +89,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     The finite-element body settles the nonlinear cases in a process of its own meanwhile.
     Raises UserError when the organ has no clamp or can't be filled, or a library is missing.
     """
-    start = _prepared(organ, settings)
+    start = prepared(organ, settings)
     body = Body(start)
     held_out = held_out_cases(start, settings.smooth, settings.sharp)
     linear_cases = fit_cases(start, settings.cases, settings.seed)
@@ -225,7 +225,7 @@ def _signed_range(volume: Floats) -> list[float]:
 # the organ ----------------------------------------------------------------------------------------
 
 
-def _prepared(organ: Organ, settings: Settings) -> Organ:
+def prepared(organ: Organ, settings: Settings) -> Organ:
     """The organ with the interior atoms and hardening wanted, its springs as they are built when the atoms change."""
     if settings.method not in METHODS:
         raise UserError(f"unknown method '{settings.method}'; choose one of {', '.join(METHODS)}")

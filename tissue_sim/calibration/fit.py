@@ -62,18 +62,17 @@ class LinearMisfit:
         answers = wanted.reshape(len(wanted), -1)[:, free[inside]]
         size = np.linalg.norm(answers, axis=1, keepdims=True)
         answers = answers / size
-        self._combined = _combinations(answers)
-        self._wanted = answers.T @ self._combined
-        self.combined = self._combined.shape[1]
-        self._load = np.zeros((len(free), self.combined))
-        self._load[inside] = (force.reshape(len(force), -1)[:, free[inside]] / size).T @ self._combined
+        self.combinations = _combinations(answers)
+        self._wanted = answers.T @ self.combinations
+        self._load = np.zeros((len(free), self.combinations.shape[1]))
+        self._load[inside] = (force.reshape(len(force), -1)[:, free[inside]] / size).T @ self.combinations
 
     def evaluate(self, stiffness: Floats) -> Evaluation:
         """Loss, slope and errors; one factorisation, two solves."""
         factor = self._springs.factor(self._springs.rest_tangent(stiffness))
         answer = factor.solve(self._load)
         off = answer[self._inside] - self._wanted
-        square = np.einsum("cr,rq,cq->c", self._combined, off.T @ off, self._combined, optimize=True)
+        square = np.einsum("cr,rq,cq->c", self.combinations, off.T @ off, self.combinations, optimize=True)
         pull = np.zeros_like(answer)
         pull[self._inside] = 2.0 / len(square) * off
         adjoint = factor.solve(pull)

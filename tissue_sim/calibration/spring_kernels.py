@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, secant
+from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, secant, stored
 
 WORK = 8  # 3 x 3 matrices that a hinge's second derivative is put together from
 
@@ -18,17 +18,9 @@ def axial_energy(position: Any, ends: Any, rest: Any, hardening: float, stiffnes
     for s in range(len(ends)):
         i, j = ends[s, 0], ends[s, 1]
         x, y, z = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
-        length, shortest = math.sqrt(x * x + y * y + z * z), SHORTEST * rest[s]
-        bounded = max(length, shortest)
-        strain = bounded / rest[s] - 1.0
-        factor = secant(strain, hardening)
-        pull = stiffness[s] * (1.0 - rest[s] / bounded) * factor
-        near = min(max(strain, -HARDENING_STRAIN), HARDENING_STRAIN)
-        stored = 0.5 * near * near + 0.5 * factor * (strain - near) * (strain + near)
-        stored += hardening * near**3 * (0.25 * near / HARDENING_STRAIN - 1.0 / 3.0) / HARDENING_STRAIN
-        total += stiffness[s] * rest[s] * rest[s] * stored
-        if length < shortest:
-            total += 0.5 * pull * (length * length - shortest * shortest)
+        stretch = math.sqrt(x * x + y * y + z * z) / rest[s]
+        total += stiffness[s] * rest[s] * rest[s] * stored(stretch, hardening)
+        pull = stiffness[s] * _pull(stretch, hardening)
         gradient[i, 0] -= pull * x
         gradient[i, 1] -= pull * y
         gradient[i, 2] -= pull * z
@@ -36,6 +28,23 @@ def axial_energy(position: Any, ends: Any, rest: Any, hardening: float, stiffnes
         gradient[j, 1] += pull * y
         gradient[j, 2] += pull * z
     return total
+
+
+@kernel
+def axial_slopes(position: Any, ends: Any, rest: Any, hardening: float, slope: Any) -> None:
+    """Slopes of the energy over stiffness by the second end of springs (s, 2), into slope (s, 3) m."""
+    for s in range(len(ends)):
+        i, j = ends[s, 0], ends[s, 1]
+        x, y, z = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+        pull = _pull(math.sqrt(x * x + y * y + z * z) / rest[s], hardening)
+        slope[s, 0], slope[s, 1], slope[s, 2] = pull * x, pull * y, pull * z
+
+
+@kernel
+def _pull(stretch: float, hardening: float) -> float:
+    """Force of a spring over its stiffness and length."""
+    bounded = max(stretch, SHORTEST)
+    return (1.0 - 1.0 / bounded) * secant(bounded - 1.0, hardening)
 
 
 @kernel

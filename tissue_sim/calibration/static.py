@@ -16,8 +16,6 @@ from scipy.sparse import coo_array, csc_array
 from tissue_sim.calibration import spring_kernels as kernels
 from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
-from tissue_sim.model.energy import secant
-from tissue_sim.model.forces import SHORTEST
 from tissue_sim.model.modes import free_axes
 from tissue_sim.organ.organ import Floats
 
@@ -96,9 +94,8 @@ class Springs:
 
     def _slopes(self, position: Floats) -> tuple[Floats, Floats, Floats]:
         """Energy gradients over stiffness: axial (s, 3) at the second end, angular (h, 4, 3), return (r, 3)."""
-        along = position[self.ends[:, 1]] - position[self.ends[:, 0]]
-        length = np.maximum(np.linalg.norm(along, axis=1), SHORTEST * self.length)
-        axial = ((1.0 - self.length / length) * secant(length / self.length - 1.0, self.hardening))[:, None] * along
+        axial = np.empty((len(self.ends), 3))
+        kernels.axial_slopes(position, self.ends, self.length, self.hardening, axial)
         bending = self._bending(position)
         angular = (bending.curvature - self.bent)[:, None, None] * bending.slope
         return axial, angular, position[self.pulled] - self.rest[self.pulled]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Model
-from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST
+from tissue_sim.model.forces import stored
 from tissue_sim.organ.organ import Floats
 
 
@@ -27,32 +29,22 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
     """Energy of nodes at position (n, 3) m moving at velocity (n, 3) m/s, with the stiffness as assembled."""
     moving = model.moving
     kinetic = 0.5 * float(np.sum(velocity[moving] ** 2 / model.inverse_mass[moving, None]))
-    rest = model.spring_rest_length
-    stretch = np.linalg.norm(position[model.spring_second] - position[model.spring_first], axis=1) / rest
-    stored = stored_energy(stretch, model.hardening)
-    axial = float(np.sum(model.spring_stiffness * rest**2 * stored))
+    ends, law = (model.spring_first, model.spring_second), (model.spring_rest_length, model.spring_stiffness)
+    axial = float(_axial_energy(position, *ends, *law, model.hardening))
     pulled = model.return_nodes
     away = np.sum((position[pulled] - model.return_target[pulled]) ** 2, axis=1)
     returning = 0.5 * float(np.sum(model.return_stiffness[pulled] * away))
     return Energy(kinetic, axial + angular_energy(model, position) + returning)
 
 
-def secant(strain: Floats, hardening: float) -> Floats:
-    """As forces.secant, of an array."""
-    s = np.clip(strain / HARDENING_STRAIN, -1.0, 1.0)
-    factor: Floats = 1.0 + hardening * s * (s - 1.0)
-    return factor
-
-
-def stored_energy(stretch: Floats, hardening: float) -> Floats:
-    """Energy of axial springs of some stretch l / l0 over k l0^2: the integral of what forces.spring_forces pulls."""
-    strain = np.maximum(stretch, SHORTEST) - 1.0
-    near = np.clip(strain, -HARDENING_STRAIN, HARDENING_STRAIN)
-    stored = 0.5 * near**2 + hardening * near**3 * (0.25 * near / HARDENING_STRAIN - 1.0 / 3.0) / HARDENING_STRAIN
-    stored += 0.5 * secant(strain, hardening) * (strain**2 - near**2)
-    # Under the shortest length the push is proportional to it.
-    push = (1.0 / SHORTEST - 1.0) * secant(np.full_like(stretch, SHORTEST - 1.0), hardening)
-    total: Floats = stored - 0.5 * push * np.minimum(stretch**2 - SHORTEST**2, 0.0)
+@kernel
+def _axial_energy(position: Any, first: Any, second: Any, rest: Any, stiffness: Any, hardening: float) -> float:
+    total = 0.0
+    for s in range(len(first)):
+        square = 0.0
+        for axis in range(3):
+            square += (position[second[s], axis] - position[first[s], axis]) ** 2
+        total += stiffness[s] * rest[s] * rest[s] * stored(math.sqrt(square) / rest[s], hardening)
     return total
 
 

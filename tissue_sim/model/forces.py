@@ -35,6 +35,19 @@ def secant(strain: float, hardening: float) -> float:
 
 
 @kernel
+def stored(stretch: float, hardening: float) -> float:
+    """Energy of a spring of some stretch l / l0, over k l0^2: the integral of what spring_forces pulls."""
+    strain = max(stretch, SHORTEST) - 1.0
+    near = min(max(strain, -HARDENING_STRAIN), HARDENING_STRAIN)
+    factor = secant(strain, hardening)
+    total = 0.5 * near * near + 0.5 * factor * (strain - near) * (strain + near)
+    total += hardening * near**3 * (0.25 * near / HARDENING_STRAIN - 1.0 / 3.0) / HARDENING_STRAIN
+    if stretch < SHORTEST:  # there the push is proportional to the length
+        total -= 0.5 * (1.0 / SHORTEST - 1.0) * factor * (stretch * stretch - SHORTEST * SHORTEST)
+    return total
+
+
+@kernel
 def spring_forces(position: Any, nodes: Any, constants: Any, hardening: float, work: Any, force: Any) -> None:
     """Axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear; l not under SHORTEST l0.
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 import trimesh
+from scipy.sparse import csc_array
 
 from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
 from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
@@ -201,7 +202,6 @@ class _Watch:
 
     def __init__(self, simulation: Simulation, witness: Witness) -> None:
         self.simulation, self.witness = simulation, witness
-        self._bound = bounding_stiffness(simulation.model)
         self.finite, self.gained = True, False
         self.peak = 0.0
         self.turned_most = self.substeps = 0
@@ -238,8 +238,8 @@ class _Watch:
         if np.any(state.wrench) or count[st.SNAPPED] or count[st.COLLAPSING]:
             self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
             return
-        energy, modal = self._energy(), count[st.REGION] == st.MODAL
         plain, implicit = self.simulation.energy.total, steps_implicitly(state, self.simulation.settings)
+        energy, modal = plain + self._held_besides(implicit), count[st.REGION] == st.MODAL
         if implicit != self._implicit:
             # What the two kinds of steps keep can't be compared: E alone tells what the first step of a kind gains.
             self._least_energy += energy - self._plain_energy
@@ -260,28 +260,29 @@ class _Watch:
             self.energy_gain = max(self.energy_gain, float(gain))
             self.gained = self.gained or gain > (MOST_MODAL_GAIN if modal else MOST_GAIN)
 
-    def _energy(self) -> float:
-        """Kinetic and elastic energy, J, as the integrator keeps it where nothing is damped.
+    def _held_besides(self, implicit: bool) -> float:
+        """What the integrator keeps besides kinetic and elastic energy where nothing is damped, J.
 
         Symplectic Euler keeps E + h/2 v.f (of a linear model exactly); E alone ripples by as much as the fastest
         modes hold, which near the critical step is no growth. The implicit step with S in place of the stiffness K is
         backward Euler of a body that has the mass M + h^2 (S - K), whose swing holds energy too.
         """
         simulation, state = self.simulation, self.simulation.state
-        energy, velocity = simulation.energy.total, state.velocity
-        scale = float(simulation.settings[st.STIFFNESS_SCALE])
-        step = 1.0 / (simulation.rate * max(1, state.count[st.SUBSTEPS]))
-        nodes = simulation.model.moving
+        nodes, velocity = simulation.model.moving, state.velocity
         if state.count[st.REGION] != st.WHOLE:
             nodes = simulation.scratch.region_node[: state.count[st.REGION_NODES]]
-        elif steps_implicitly(state, simulation.settings):
-            push = self._push(state.position + step * velocity) - self._push(state.position)
-            push += step * (self._bound @ velocity)
-            return energy + 0.5 * step * scale * float(np.vdot(velocity[nodes], push[nodes]))
         elif simulation.integrator == "explicit":
-            return energy
+            return 0.0
+        step = 1.0 / (simulation.rate * max(1, state.count[st.SUBSTEPS]))
         push = self._push(state.position)
-        return energy + 0.5 * step * scale * float(np.vdot(velocity[nodes], push[nodes]))
+        if implicit:
+            push = self._push(state.position + step * velocity) - push + step * (self._bound @ velocity)
+        scale = float(simulation.settings[st.STIFFNESS_SCALE])
+        return 0.5 * step * scale * float(np.vdot(velocity[nodes], push[nodes]))
+
+    @cached_property
+    def _bound(self) -> csc_array:
+        return bounding_stiffness(self.simulation.model)
 
     def _push(self, position: Floats) -> Floats:
         """Elastic forces (n, 3) N at a position, the tissue's stiffness scaled by 1."""
