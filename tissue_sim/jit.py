@@ -86,7 +86,7 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
     # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
     counts = not function.__module__.startswith("tissue_sim.model.")
-    return numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=counts, inline=inline)(function)
+    return numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=counts, inline=inline)(function)
 
 
 class Handle(types.StructRef):  # type: ignore[name-defined]

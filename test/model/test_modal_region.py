@@ -129,6 +129,17 @@ def test_settled_load_can_leave_and_the_organ_sleeps_at_rest():
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
 
 
+@pytest.mark.parametrize(("rate", "region"), [(200.0, st.MODAL), (100.0, st.WHOLE)])
+@pytest.mark.parametrize("kind", ["modal", "auto"])
+def test_ticks_longer_than_the_far_field_takes_move_the_whole_organ(kind, rate, region):
+    simulation = Simulation(ball(3), rate=rate, local_region=kind)
+    nodes, forces = patch(ball(3), UP)
+    for _ in range(10):
+        simulation.apply_force(nodes, 0.05 * forces[nodes])
+        simulation.step()
+        assert simulation.state.count[st.REGION] == region
+
+
 # what is moved and looked at -------------------------------------------------------------------
 def test_only_the_region_moves_until_somebody_looks():
     simulation = Simulation(ball(3), local_region="modal")

@@ -29,6 +29,7 @@ from tissue_sim.model.tool_motion import freshness
 
 RETURN_SHARE = 0.5  # of the region force: under it, an organ that moved as a whole takes a region again
 CALM_TIME = 0.2  # s for which it has to be
+SLOWEST = 1.01  # of the time in which the far field takes up a load: the longest tick that a modal region bears
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 # Values of settings[LOCAL_REGION]; 0 is off.
@@ -37,13 +38,19 @@ FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
 
 @kernel
 def choose_region(state: Any, settings: Any) -> None:
-    """On waking: a local region if asked for, else the whole model."""
-    if settings[LOCAL_REGION] == 0.0:
+    """On waking: a local region if asked for and ticks are short enough for it, else the whole model."""
+    if settings[LOCAL_REGION] == 0.0 or is_slow(settings):
         state.count[REGION] = WHOLE
         return
     modal_region.forget_region(state)
     state.count[CALM] = 0
     state.count[REGION] = FROZEN if settings[LOCAL_REGION] == FROZEN_SMALL else MODAL
+
+
+@kernel
+def is_slow(settings: Any) -> bool:
+    """True where a modal region is asked for, but its surroundings would take up a load within a tick: a jump."""
+    return settings[LOCAL_REGION] >= MODAL_ALWAYS and settings[TICK_TIME] > SLOWEST * modal_region.LOAD_TIME
 
 
 @kernel
@@ -94,6 +101,10 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
     count = state.count
+    if is_slow(settings):
+        if count[REGION] != WHOLE:
+            leave_region(model, state, settings, scratch)
+        return
     if settings[LOCAL_REGION] == MODAL_ALWAYS:
         return
     load = total_load(state, settings)
