@@ -86,7 +86,9 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
     numba.config.CACHE_DIR = folder_of(function.__module__.split(".")[1])
     # The model's kernels allocate nothing, so they need no reference counts around every array that they touch.
     counts = not function.__module__.startswith("tissue_sim.model.")
-    return numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=counts, inline=inline)(function)
+    # Nobody calls a kernel from C: a wrapper for it would only take time to compile.
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
+    return numba.njit(cache=True, **options)(function)
 
 
 class Handle(types.StructRef):  # type: ignore[name-defined]

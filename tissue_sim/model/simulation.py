@@ -48,8 +48,8 @@ class Simulation:
 
     organ: the organ; model: surface, volume or hybrid; rate: ticks a second, Hz;
     local_region: off; frozen (the paper's: two layers around a small load move alone); modal (one layer moves by its
-    springs, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal while the load is small, else the
-    whole model);
+    springs, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal while the load is small,
+    else the whole model);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
     or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
     skeleton, so for soft return springs; not with a modal region, whose modes are those about rest);
