@@ -10,6 +10,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.shapes import signed_distance
+from tissue_sim.organ.winding import inside
 
 from ..scenes import RADIUS, ball, free_ball, kidney
 
@@ -197,6 +198,35 @@ def test_needle_finer_than_the_contact_points_is_held_too(radius):
     force, above = push_through_the_middle(ball(2), radius, 40, travel=0.002)
     assert force > 0.005
     assert above > 0.0
+
+
+# speed -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "tool",
+    [
+        Tool("left", radius=0.005),
+        Tool("left", radius=0.002),
+        Tool("left", "capsule", radius=0.002, length=0.04),
+    ],
+    ids=lambda tool: f"{tool.shape} {tool.radius:g}",
+)
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.2), (0.0, 0.1, 1.0)])
+def test_tool_at_one_metre_a_second_does_not_pass_through(tool, direction):
+    """A pose a millisecond, a contact set every fourth, 8 mm into the kidney: it stays outside of the surface."""
+    organ = kidney()
+    scene = Scene(organ, [tool], ticks_a_set=4)
+    way = np.array(direction) / np.linalg.norm(direction)
+    start = organ.surface_positions[np.argmax(organ.surface_positions @ way)] + (tool.radius + 0.006) * way
+    turn = Rotation.align_vectors([-way], [[0.0, 0.0, 1.0]])[0].as_quat()
+    for tick in range(400):
+        scene.move(0, start - min(1e-3 * tick, 0.014) * way, turn)
+        scene.step()
+    simulation = scene.simulation
+    assert scene.wrenches[0, :3] @ way > 0.02
+    assert deepest(scene) < 2e-4
+    middle = simulation.state.tool_pose[0, :3]
+    assert not inside(middle[None], simulation.positions[: organ.n_surface], organ.surface_triangles)[0]
+    assert is_sound(scene)
 
 
 # release ---------------------------------------------------------------------------------------

@@ -48,7 +48,6 @@ def test_kernel_shapes_are_those_that_were_asked_for(every_shape):
     assert shapes.plane_start[0] == shapes.plane_start[1] == 0
     assert shapes.plane_start[2] - shapes.plane_start[1] == 6  # two triangles on each side of a box, one plane
     assert len(shapes.plane) == shapes.plane_start[-1]
-    assert every_shape.warnings == []
 
 
 def test_mesh_tool_measures_distance_like_its_box(every_shape):
@@ -100,9 +99,7 @@ def test_fcl_shape_holds_everything_within_the_margin(every_shape, tool):
         ).reshape(len(hull.triangles), len(near), 3)
         near = near[np.linalg.norm(foot - near, axis=2).min(axis=0) < 0.95 * MARGIN]
     assert len(near) > 50
-    shift = np.zeros(3)
-    if every_shape.shapes.kind[tool] == CAPSULE:
-        shift[2] = -0.5 * every_shape.shapes.size[tool, 1]  # FCL centres its capsules
+    shift = every_shape.grown_centre[tool]
     body = fcl.CollisionObject(every_shape.grown[tool], fcl.Transform(np.eye(3), shift))
     missed = []
     for point in near:
@@ -124,7 +121,7 @@ def test_no_tools_are_a_set_too():
 @pytest.mark.parametrize(
     ("tool", "message"),
     [
-        (Tool("left", "cube"), "tool 'left': unknown shape 'cube'.*sphere, capsule, mesh"),
+        (Tool("left", "cube"), "tool 'left': unknown shape 'cube'.*sphere, capsule, gripper, mesh"),
         (Tool("left", radius=0.0), "tool 'left': radius 0 m"),
         (Tool("left", radius=-0.01), "radius -0.01 m"),
         (Tool("left", radius=5.0), "radius 5 m"),
@@ -168,10 +165,15 @@ def test_mesh_with_too_many_faces_is_refused_by_name(tmp_path):
         ToolSet([Tool("left", "mesh", mesh=mesh_file(tmp_path, fine))])
 
 
-def test_hollow_mesh_is_used_by_its_hull_with_a_warning(tmp_path):
+def test_open_mesh_that_is_not_convex_is_refused_with_the_remedy(tmp_path):
     notched = trimesh.util.concatenate([blade(), blade().apply_translation([0.02, 0.0, 0.0])])
-    tools = ToolSet([Tool("left", "mesh", mesh=mesh_file(tmp_path, notched))])
-    assert len(tools.warnings) == 1
-    assert "'left'" in tools.warnings[0]
-    assert "not convex" in tools.warnings[0]
-    assert signed_distance(tools.shapes, 0, 0.01, 0.0, -0.01)[0] < 0.0
+    notched.update_faces(np.arange(len(notched.faces)) > 0)
+    with pytest.raises(UserError, match=r"tool 'left'.*neither convex nor closed; close its holes"):
+        ToolSet([Tool("left", "mesh", mesh=mesh_file(tmp_path, notched))])
+
+
+def test_gripper_has_two_bodies_and_other_tools_one():
+    tools = ToolSet([Tool("left"), Tool("right", "gripper", radius=0.002, length=0.03), Tool("third", "capsule")])
+    assert tools.bodies == [[0], [1, 2], [3]]
+    np.testing.assert_array_equal(tools.shapes.hand, [0, 1, 1, 2])
+    np.testing.assert_array_equal(tools.shapes.kind, [SPHERE, CAPSULE, CAPSULE, CAPSULE])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.model.shapes import CAPSULE, CONVEX, SPHERE, Shapes, rotation_matrix, signed_distance
+from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes, rotation_matrix, signed_distance
 
 BOX = np.array([0.02, 0.03, 0.01])  # m, half the extents
 
@@ -14,12 +14,24 @@ def box_planes():
     return np.column_stack([normals, np.tile(BOX, 2)])
 
 
-# A second convex shape before the box, so that its planes don't begin at 0.
-SHAPES = Shapes(
-    kind=np.array([SPHERE, CAPSULE, CONVEX, CONVEX]),
-    size=np.array([[0.012, 0.0], [0.004, 0.05], [0.0, 0.0], [0.0, 0.0]]),
-    plane=np.vstack([[[0.0, 0.0, 1.0, 0.5]], box_planes()]),
-    plane_start=np.array([0, 0, 0, 1, 7]),
+def box_distance(points):
+    beyond = np.abs(points) - BOX
+    return np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
+
+
+def box_grid(spacing=0.0025):
+    axes = [np.arange(-half - 0.01, half + 0.01 + spacing, spacing) for half in BOX]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return Grid(box_distance(points), points[0, 0, 0], spacing)
+
+
+# A second convex shape before the box, so that its planes don't begin at 0; the same for the grids.
+NO_PLANES = np.zeros((0, 4))
+SHAPES = make_shapes(
+    [SPHERE, CAPSULE, CONVEX, CONVEX, GRID, GRID],
+    [[0.012, 0.0], [0.004, 0.05], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]],
+    [NO_PLANES, NO_PLANES, np.array([[0.0, 0.0, 1.0, 0.5]]), box_planes(), NO_PLANES, NO_PLANES],
+    [None, None, None, None, Grid(np.ones((2, 3, 4)), np.zeros(3), 0.01), box_grid()],
 )
 POINTS = np.random.default_rng(0).uniform(-0.06, 0.06, (300, 3))
 
@@ -84,3 +96,25 @@ def test_rotation_matrix_equals_scipys():
         matrix = np.zeros(9)
         rotation_matrix(turn.as_quat(), matrix)
         np.testing.assert_allclose(matrix.reshape(3, 3), turn.as_matrix(), atol=1e-14)
+
+
+def test_grid_is_the_distance_between_its_points_and_a_lower_bound_beyond_them():
+    true = box_distance(POINTS)
+    distance, normal = at(5)
+    within = np.all(np.abs(POINTS) < BOX + 0.01, axis=1)
+    assert 20 < within.sum() < 200
+    np.testing.assert_allclose(distance[within], true[within], atol=0.0008)  # at the box's edges; spacing 2.5 mm
+    faces = within & (np.sort(np.abs(POINTS) - BOX, axis=1)[:, 1] < -0.004)
+    np.testing.assert_allclose(distance[faces], true[faces], atol=1e-12)
+    np.testing.assert_allclose(np.abs(normal[faces]).max(axis=1), 1.0, atol=1e-12)
+    assert np.all(distance[~within] <= true[~within] + 0.0008)
+    assert np.all(distance[~within] > 0.0)
+
+
+def test_grid_far_away_is_far():
+    assert signed_distance(SHAPES, 5, 1.0, 0.0, 0.0)[0] > 0.9
+
+
+def test_bodies_belong_to_a_hand_each_unless_said():
+    np.testing.assert_array_equal(SHAPES.hand, np.arange(6))
+    np.testing.assert_array_equal(make_shapes([SPHERE, SPHERE], np.ones((2, 2)), hand=[0, 0]).hand, [0, 0])

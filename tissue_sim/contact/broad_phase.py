@@ -1,7 +1,8 @@
-"""Which part of the surface lies near a tool: compiled sweeps over boxes."""
+"""Which part of the surface lies near a tool: compiled sweeps over boxes and points."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from tissue_sim.jit import kernel
@@ -33,6 +34,89 @@ def triangles_in_box(position: Any, triangles: Any, low: Any, high: Any, found: 
             found[count] = t
             count += 1
     return count
+
+
+@kernel
+def points_near(
+    position: Any,
+    near: Any,
+    lattice: Any,
+    edge: Any,
+    shapes: Any,
+    body: int,
+    origin: Any,
+    rotation: Any,
+    reach: float,
+    normal: Any,
+    seen: Any,
+    found_node: Any,
+    found_weight: Any,
+    found_normal: Any,
+) -> int:
+    """Points of triangles near (t, 3) that lie within reach, m, of a body at origin (3,), rotation (9,).
+
+    Corners, and the points of a lattice, weights (k, 3); edge (k,): which corner is opposite to the edge that a point
+    is on, -1 for none. Writes nodes (c, 3), weights (c, 3) and unit normals (c, 3) of the tissue as far as there is
+    room; returns how many there are. normal (n, 3) and seen (n,) are room, zero outside this function.
+    """
+    for t in range(len(near)):
+        for c in range(3):
+            normal[near[t, c]] = 0.0
+    add_normals(position, near, normal)
+    count = 0
+    for t in range(len(near)):
+        for c in range(3):
+            node = near[t, c]
+            if seen[node] == 0:
+                seen[node] = 1
+                at = position[node]
+                if _is_within(shapes, body, origin, rotation, reach, at[0], at[1], at[2]):
+                    if count < len(found_node):
+                        for k in range(3):
+                            found_node[count, k] = node
+                            found_weight[count, k] = 1.0 if k == 0 else 0.0
+                        _unit(normal[node, 0], normal[node, 1], normal[node, 2], found_normal[count])
+                    count += 1
+        i, j, k = near[t, 0], near[t, 1], near[t, 2]
+        for point in range(len(lattice)):
+            # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
+            if edge[point] >= 0 and near[t, (edge[point] + 1) % 3] > near[t, (edge[point] + 2) % 3]:
+                continue
+            u, v, w = lattice[point, 0], lattice[point, 1], lattice[point, 2]
+            x = u * position[i, 0] + v * position[j, 0] + w * position[k, 0]
+            y = u * position[i, 1] + v * position[j, 1] + w * position[k, 1]
+            z = u * position[i, 2] + v * position[j, 2] + w * position[k, 2]
+            if not _is_within(shapes, body, origin, rotation, reach, x, y, z):
+                continue
+            if count < len(found_node):
+                for c in range(3):
+                    found_node[count, c] = near[t, c]
+                    found_weight[count, c] = lattice[point, c]
+                _unit(
+                    u * normal[i, 0] + v * normal[j, 0] + w * normal[k, 0],
+                    u * normal[i, 1] + v * normal[j, 1] + w * normal[k, 1],
+                    u * normal[i, 2] + v * normal[j, 2] + w * normal[k, 2],
+                    found_normal[count],
+                )
+            count += 1
+    for t in range(len(near)):
+        for c in range(3):
+            seen[near[t, c]] = 0
+    return count
+
+
+@kernel
+def _is_within(shapes: Any, body: int, origin: Any, rotation: Any, reach: float, x: float, y: float, z: float) -> bool:
+    r = rotation
+    x, y, z = x - origin[0], y - origin[1], z - origin[2]
+    lx, ly, lz = r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
+    return signed_distance(shapes, body, lx, ly, lz)[0] <= reach
+
+
+@kernel
+def _unit(x: float, y: float, z: float, target: Any) -> None:
+    size = max(math.sqrt(x * x + y * y + z * z), 1e-30)
+    target[0], target[1], target[2] = x / size, y / size, z / size
 
 
 @kernel

@@ -11,16 +11,20 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from tissue_sim.contact.broad_phase import add_normals, holds_node, nearest_node, surface_box, triangles_in_box
-from tissue_sim.contact.tools import MARGIN, ToolSet
+from tissue_sim.contact.broad_phase import holds_node, nearest_node, points_near, surface_box, triangles_in_box
+from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.model.inputs import take_contacts
-from tissue_sim.model.shapes import CAPSULE, rotation_matrix
+from tissue_sim.model.shapes import rotation_matrix
 from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs, State
 from tissue_sim.organ.organ import Ints
 from tissue_sim.organ.winding import inside
 
+MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
-MOST_FCL_CONTACTS = 256
+AROUND = 0.003  # m around the triangles near a body, from which FCL gets triangles too
+MOST_FOUND = 4 * MAX_ENTRIES  # points of one body
+_ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
+_ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
 SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
 MOST_DIVISIONS = 8
 
@@ -61,11 +65,43 @@ class FinderCounters:
 
     sets: int = 0
     far_skips: int = 0  # tools whose box missed the organ's: nothing computed
-    narrow_phases: int = 0
+    narrow_phases: int = 0  # times that FCL was asked
+
+
+@dataclass(frozen=True)
+class _Patch:
+    """Triangles as FCL has them: which of all (t,) they are, their nodes, where these were."""
+
+    holds: NDArray[np.bool_]
+    nodes: NDArray[Any]
+    placed: Floats
+    model: Any
+
+    @staticmethod
+    def of(position: Floats, triangles: Ints, chosen: Longs) -> _Patch:
+        """Those of triangles (t, 3) that are chosen (c,), at positions (n, 3) m."""
+        holds = np.zeros(len(triangles), dtype=bool)
+        holds[chosen] = True
+        nodes = np.unique(triangles[chosen])
+        return _Patch(holds, nodes, position[nodes], fcl.CollisionObject(_fcl_model(position, triangles[chosen])))
+
+    def still_holds(self, position: Floats, near: Longs) -> bool:
+        """Whether the triangles near (k,) are here, and none has moved by SLACK."""
+        moved = np.abs(position[self.nodes] - self.placed).max()  # along one axis
+        return bool(self.holds[near].all()) and float(moved) < SLACK / math.sqrt(3.0)
+
+
+def _fcl_model(position: Floats, near: Ints) -> Any:
+    local, inverse = np.unique(near, return_inverse=True)
+    model = fcl.BVHModel()
+    model.beginModel(len(near), len(local))
+    model.addSubModel(np.ascontiguousarray(position[local]), np.ascontiguousarray(inverse.reshape(-1, 3)))
+    model.endModel()
+    return model
 
 
 class ContactFinder:
-    """Finds contact sets. A pure function of poses and surface, but for preallocated arrays.
+    """Finds contact sets. A pure function of poses and surface, but for room and what spares FCL work.
 
     rest (n, 3) m, surface first, at rest; triangles (t, 3) of the surface; tools the scene's tools.
     """
@@ -78,60 +114,91 @@ class ContactFinder:
         self._found = np.zeros(len(triangles), dtype=np.int64)
         self._low, self._high = np.zeros(3), np.zeros(3)
         self._matrix = np.zeros(9)
+        self._normal, self._seen = np.zeros((n_surface, 3)), np.zeros(n_surface, dtype=np.int64)
+        self._node = np.zeros((MOST_FOUND, 3), dtype=np.int64)
+        self._weight, self._outward = np.zeros((MOST_FOUND, 3)), np.zeros((MOST_FOUND, 3))
+        self._patches: list[_Patch | None] = [None] * len(tools.grown)
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
         self._lattices = [edge_and_face_points(longest / (SPACING * size)) for size in tools.smallest]
+        self._edges = [
+            np.where(np.any(points == 0.0, axis=1), np.argmin(points, axis=1), -1) for points in self._lattices
+        ]
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(n_surface + 1))
 
     def find(self, position: Floats, poses: Floats, margins: Floats, engaged: Longs, pushing: Longs) -> ContactSet:
-        """Contact set of the engaged tools on a surface.
+        """Contact set of the engaged bodies on a surface: its points within MARGIN of them.
 
         position (n, 3) m, surface first; poses (T, 7) m and unit quaternions xyzw; margins (T,) m beyond
-        MARGIN that fast tools need; engaged (T,) 1 for tools that may touch; pushing (T,) 1 for tools
+        MARGIN that fast tools need; engaged (T,) 1 for bodies that may touch; pushing (T,) 1 for those
         whose external force needs the surface point under the tip.
         """
-        n_tools = len(self.tools.tools)
-        nodes: list[NDArray[Any]] = []
-        weights: list[NDArray[Any]] = []
-        normals: list[NDArray[Any]] = []
-        owners: list[NDArray[Any]] = []
-        tip_node, tip_weight = np.full((n_tools, 3), -1, dtype=np.int64), np.zeros((n_tools, 3))
+        n_bodies = len(self.tools.grown)
+        found: list[tuple[Longs, Floats, Floats]] = []
+        owners: list[Longs] = []
+        tip_node, tip_weight = np.full((n_bodies, 3), -1, dtype=np.int64), np.zeros((n_bodies, 3))
         self.counters.sets += 1
         surface_box(position, self.n_surface, self._low, self._high)
-        for tool in range(n_tools):
-            if pushing[tool]:
-                tip_node[tool], tip_weight[tool] = self._under_tip(position, poses[tool, :3])
-            if not engaged[tool]:
+        lost = 0
+        for body in range(n_bodies):
+            if pushing[body]:
+                tip_node[body], tip_weight[body] = self._under_tip(position, poses[body, :3])
+            if not engaged[body]:
                 continue
-            rotation, origin = self._rotation(poses[tool]), poses[tool, :3]
-            low, high = self.tools.box(tool, rotation, origin, MARGIN + margins[tool])
+            rotation, origin = self._rotation(poses[body]), poses[body, :3]
+            reach = MARGIN + margins[body]
+            low, high = self.tools.box(body, rotation, origin, reach)
             if np.any(low > self._high) or np.any(high < self._low):
                 self.counters.far_skips += 1
                 continue
             count = triangles_in_box(position, self.triangles, low, high, self._found)
-            if not count:
+            which = self._found[:count]
+            if not count or (margins[body] == 0.0 and not self._may_touch(body, position, which, rotation, origin)):
                 self.counters.far_skips += 1
                 continue
-            near = self.triangles[self._found[:count]]
-            corners = np.unique(near)
-            keep = np.all((position[corners] >= low) & (position[corners] <= high), axis=1)
-            corners = corners[keep]
-            nodes.append(np.repeat(corners[:, None], 3, axis=1))
-            weights.append(np.tile([1.0, 0.0, 0.0], (len(corners), 1)))
-            face_nodes, face_weights = self._narrow(tool, position, near, rotation, origin)
-            nodes.append(face_nodes)
-            weights.append(face_weights)
-            normal = np.zeros((self.n_surface, 3))
-            add_normals(position, near, normal)
-            normals += [normal[corners], np.einsum("kc,kcx->kx", face_weights, normal[face_nodes])]
-            owners.append(np.full(len(corners) + len(face_nodes), tool, dtype=np.int64))
-        node = np.concatenate([*nodes, np.zeros((0, 3), dtype=np.int64)]).astype(np.int64)
-        weight = np.concatenate([*weights, np.zeros((0, 3))])
-        normal = np.concatenate([*normals, np.zeros((0, 3))])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+            near = self.triangles[which]
+            shown = points_near(
+                position,
+                near,
+                self._lattices[body],
+                self._edges[body],
+                self.tools.shapes,
+                body,
+                origin,
+                rotation.ravel(),
+                reach,
+                self._normal,
+                self._seen,
+                self._node,
+                self._weight,
+                self._outward,
+            )
+            kept = min(shown, MOST_FOUND)
+            lost += shown - kept
+            found.append((self._node[:kept].copy(), self._weight[:kept].copy(), self._outward[:kept].copy()))
+            if self._is_fine[body] and count:
+                found.append(self._nearest_points(body, position, near, rotation, origin))
+            owners += [np.full(len(node), body, dtype=np.int64) for node, _, _ in found[len(owners) :]]
+        return self._as_set(position, poses, found, owners, tip_node, tip_weight, engaged, lost)
+
+    def _as_set(
+        self,
+        position: Floats,
+        poses: Floats,
+        found: list[tuple[Longs, Floats, Floats]],
+        owners: list[Longs],
+        tip_node: Longs,
+        tip_weight: Floats,
+        engaged: Longs,
+        lost: int,
+    ) -> ContactSet:
+        """The points of all bodies as one set, the farthest left out where there are too many."""
+        node = np.concatenate([*(one[0] for one in found), np.zeros((0, 3), dtype=np.int64)])
+        weight = np.concatenate([*(one[1] for one in found), np.zeros((0, 3))])
+        normal = np.concatenate([*(one[2] for one in found), np.zeros((0, 3))])
         owner = np.concatenate([*owners, np.zeros(0, dtype=np.int64)])
         dropped = max(0, len(node) - MAX_ENTRIES)
         if dropped:
@@ -139,25 +206,26 @@ class ContactFinder:
             distance = np.linalg.norm(points - poses[owner, :3], axis=1)
             kept = np.sort(np.argsort(distance, kind="stable")[:MAX_ENTRIES])
             node, weight, normal, owner = node[kept], weight[kept], normal[kept], owner[kept]
-        return ContactSet(owner, node, weight, normal, tip_node, tip_weight, np.array(engaged, dtype=np.int64), dropped)
+        taken = np.array(engaged, dtype=np.int64)
+        return ContactSet(owner, node, weight, normal, tip_node, tip_weight, taken, dropped + lost)
 
     def warm_up(self, position: Floats) -> None:
         """Compile what a contact needs, so that the first one doesn't wait for it."""
-        n_tools = len(self.tools.tools)
-        poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_tools, 1))
-        everything = np.ones(n_tools, dtype=np.int64)
-        self.find(position, poses, np.zeros(n_tools), everything, everything)
-        for tool in range(n_tools):
-            self.is_inside(tool, position, poses[tool])
+        n_bodies = len(self.tools.grown)
+        poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_bodies, 1))
+        everything = np.ones(n_bodies, dtype=np.int64)
+        self.find(position, poses, np.zeros(n_bodies), everything, everything)
+        for body in range(n_bodies):
+            self.is_inside(body, position, poses[body])
         self.counters = FinderCounters()
 
-    def is_inside(self, tool: int, position: Floats, pose: Floats) -> bool:
-        """True when the centre of a tool's shape lies inside the organ, or a surface node inside the tool."""
+    def is_inside(self, body: int, position: Floats, pose: Floats) -> bool:
+        """True when the centre of a body lies inside the organ, or a surface node inside the body."""
         rotation = self._rotation(pose)
-        low, high = self.tools.box(tool, rotation, pose[:3], 0.0)
-        if holds_node(position, self.n_surface, self.tools.shapes, tool, pose[:3], rotation.ravel(), low, high):
+        low, high = self.tools.box(body, rotation, pose[:3], 0.0)
+        if holds_node(position, self.n_surface, self.tools.shapes, body, pose[:3], rotation.ravel(), low, high):
             return True
-        centre = rotation @ self.tools.centre[tool] + pose[:3]
+        centre = rotation @ self.tools.centre[body] + pose[:3]
         surface_box(position, self.n_surface, self._low, self._high)
         if np.any(centre < self._low) or np.any(centre > self._high):
             return False
@@ -167,45 +235,43 @@ class ContactFinder:
         rotation_matrix(pose[3:], self._matrix)
         return self._matrix.reshape(3, 3).copy()
 
-    def _narrow(
-        self, tool: int, position: Floats, near: Ints, rotation: Floats, origin: Floats
-    ) -> tuple[Longs, Floats]:
-        """Points spread over each triangle that FCL finds within MARGIN of the tool.
+    def _may_touch(self, body: int, position: Floats, near: Longs, rotation: Floats, origin: Floats) -> bool:
+        """FCL's word on whether a body comes within MARGIN of the triangles near (t,) it; it may say so too often.
 
-        Nodes alone would let a small tool through between them. The points stay where they are on
-        the tissue; the point nearest to the tool wanders, and each step of it would be felt. Only
-        tools too fine for a lattice get that.
+        FCL gets them with those around them, and keeps them until others are near or one has moved by SLACK: to build
+        what it collides takes longer than all else here.
         """
+        patch = self._patches[body]
+        if patch is None or not patch.still_holds(position, near):
+            corners = position[self.triangles[near]]
+            low, high = corners.min(axis=(0, 1)) - AROUND, corners.max(axis=(0, 1)) + AROUND
+            around = np.zeros(len(self.triangles), dtype=np.int64)
+            count = triangles_in_box(position, self.triangles, low, high, around)
+            patch = self._patches[body] = _Patch.of(position, self.triangles, around[:count])
         self.counters.narrow_phases += 1
-        local, inverse = np.unique(near, return_inverse=True)
-        vertices = np.ascontiguousarray(position[local])
-        model = fcl.BVHModel()
-        model.beginModel(len(near), len(vertices))
-        model.addSubModel(vertices, np.ascontiguousarray(inverse.reshape(-1, 3)))
-        model.endModel()
-        shift = np.zeros(3)
-        if self.tools.shapes.kind[tool] == CAPSULE:
-            shift = rotation @ np.array([0.0, 0.0, -0.5 * self.tools.shapes.size[tool, 1]])
-        body = fcl.CollisionObject(self.tools.grown[tool], fcl.Transform(rotation, origin + shift))
-        request = fcl.CollisionRequest(num_max_contacts=MOST_FCL_CONTACTS, enable_contact=True)
+        return bool(fcl.collide(patch.model, self._placed(body, rotation, origin), _ANY, fcl.CollisionResult()))
+
+    def _placed(self, body: int, rotation: Floats, origin: Floats) -> Any:
+        at = fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body])
+        return fcl.CollisionObject(self.tools.grown[body], at)
+
+    def _nearest_points(
+        self, body: int, position: Floats, near: Ints, rotation: Floats, origin: Floats
+    ) -> tuple[Longs, Floats, Floats]:
+        """Where FCL finds each triangle nearest to a body too fine for a lattice.
+
+        The points of a lattice stay where they are on the tissue; the nearest one wanders, and each step of it may be
+        felt. But a needle would slip between those of the lattice.
+        """
         result = fcl.CollisionResult()
-        fcl.collide(fcl.CollisionObject(model), body, request, result)
-        touched = sorted({contact.b1 for contact in result.contacts if 0 <= contact.b1 < len(near)})
-        if self._is_fine[tool]:
-            where = {contact.b1: np.asarray(contact.pos) for contact in result.contacts}
-            corners = near[touched].astype(np.int64).reshape(-1, 3)
-            points = np.array([where[triangle] for triangle in touched]).reshape(-1, 3)
-            return corners, nearest_weights(position[corners], points)[0]
-        lattice = self._lattices[tool]
-        corners = near[touched].astype(np.int64)
-        nodes, weights = np.repeat(corners, len(lattice), axis=0), np.tile(lattice, (len(corners), 1))
-        # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
-        on_edge = np.any(weights == 0.0, axis=1)
-        following = np.argmin(weights, axis=1)
-        rows = np.arange(len(nodes))
-        first, second = nodes[rows, (following + 1) % 3], nodes[rows, (following + 2) % 3]
-        kept = ~on_edge | (first < second)
-        return nodes[kept], weights[kept]
+        fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, rotation, origin), _ALL, result)
+        where = {contact.b1: np.asarray(contact.pos) for contact in result.contacts if 0 <= contact.b1 < len(near)}
+        touched = sorted(where)
+        corners = near[touched].astype(np.int64).reshape(-1, 3)
+        points = np.array([where[triangle] for triangle in touched]).reshape(-1, 3)
+        weights = nearest_weights(position[corners], points)[0]
+        normal = np.einsum("kc,kcx->kx", weights, self._normal[corners])
+        return corners, weights, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
         node, _ = nearest_node(position, self.n_surface, tip[0], tip[1], tip[2])
@@ -215,6 +281,16 @@ class ContactFinder:
         if distance[chosen] > TIP_REACH:
             return np.full(3, -1, dtype=np.int64), np.zeros(3)
         return around[chosen].astype(np.int64), weight[chosen]
+
+
+def reach_margins(position: Floats, last: Floats, share: float) -> Floats:
+    """Margins (T,) m beyond MARGIN for bodies that went from last (T, 3) to position (T, 3) m since the last set.
+
+    What they may cover until the next one, `share` times as much, beyond half of MARGIN; in whole mm, so that a journal
+    can hold them.
+    """
+    covered = share * np.linalg.norm(position - last, axis=1)
+    return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
 
 
 def edge_and_face_points(divisions: float) -> Floats:

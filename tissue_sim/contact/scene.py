@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over
+from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over, reach_margins
+from tissue_sim.contact.gripper import about
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model import state as st
 from tissue_sim.model.inputs import take_force, take_pose
@@ -15,9 +16,9 @@ from tissue_sim.organ.organ import Organ
 
 
 class Scene:
-    """A simulation whose contact sets are found anew before each tick.
+    """A simulation whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
 
-    organ, model, rate, local_region as in Simulation; tools the rigid tools.
+    organ, model, rate, local_region as in Simulation; tools the rigid tools; ticks_a_set: ticks for each contact set.
     """
 
     def __init__(
@@ -27,36 +28,61 @@ class Scene:
         model: str = "hybrid",
         rate: float = 1000.0,
         local_region: str = "off",
+        ticks_a_set: int = 1,
     ) -> None:
         self.tools = ToolSet(tools)
         self.simulation = Simulation(organ, model, rate, local_region, self.tools.shapes)
         self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
         self.contacts: ContactSet | None = None
-        self._sequence = 0
+        self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
+        self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
+        self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
 
     @property
     def wrenches(self) -> Floats:
-        """(T, 6) N and N m about each tool's origin: what the hands should feel; the live array."""
-        return self.simulation.state.wrench
+        """(T, 6) N and N m about each tool's origin: what the hands should feel.
 
-    def move(self, tool: int, position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> None:
-        """A new pose of a tool: position (3,) m and unit quaternion xyzw."""
+        The live array, unless a tool has more than one body.
+        """
+        wrench, poses = self.simulation.state.wrench, self.simulation.state.tool_pose[:, :3]
+        if len(wrench) == len(self.tools.tools):
+            return wrench
+        bodies = self.tools.bodies
+        return np.array([about(self._origin[tool], wrench[own], poses[own]) for tool, own in enumerate(bodies)])
+
+    def move(
+        self, tool: int, position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0), angle: float = 0.0
+    ) -> None:
+        """A new pose of a tool: position (3,) m and unit quaternion xyzw; angle rad between a gripper's jaws."""
         pose = np.concatenate([np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)])
+        self._origin[tool] = pose[:3]
         self._sequence += 1
-        take_pose(self.simulation.state, tool, pose, self._sequence)
+        for body, at in zip(self.tools.bodies[tool], self.tools.poses(tool, pose, angle), strict=True):
+            take_pose(self.simulation.state, body, at, self._sequence)
 
     def push(self, tool: int, force: ArrayLike) -> None:
         """A new external force (3,) N on the tissue at a tool's tip."""
         self._sequence += 1
-        take_force(self.simulation.state, tool, np.asarray(force, dtype=np.float64), self._sequence)
+        body = self.tools.bodies[tool][0]
+        take_force(self.simulation.state, body, np.asarray(force, dtype=np.float64), self._sequence)
 
     def step(self) -> None:
-        """Find the contacts and advance by one tick."""
+        """Find the contacts when it is time, and advance by one tick."""
+        if self._ticks % self._ticks_a_set == 0:
+            self._find()
+        self._ticks += 1
+        self.simulation.step()
+
+    def _find(self) -> None:
         state = self.simulation.state
         fresh = (state.tool_count[:, st.AGE] >= 0).astype(np.int64)
         pushing = (state.tool_count[:, st.FORCE_AGE] >= 0).astype(np.int64)
-        found = self.finder.find(self.simulation.positions, state.tool_goal, np.zeros(len(fresh)), fresh, pushing)
+        goal = state.tool_goal.copy()
+        margins = np.zeros(len(fresh))
+        if self._ticks_a_set > 1 and self._set_goal is not None:
+            margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0)
+        self._set_goal = goal
+        found = self.finder.find(self.simulation.positions, goal, margins, fresh, pushing)
         self._sequence += 1
         hand_over(state, found, self._sequence)
         self.contacts = found
-        self.simulation.step()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +12,25 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import HalfspaceIntersection
 
+from tissue_sim.contact.grid import distance_grid
+from tissue_sim.contact.gripper import jaw_poses
 from tissue_sim.errors import UserError
-from tissue_sim.model.shapes import CAPSULE, CONVEX, SPHERE, Shapes
+from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.organ import Floats
 
-SHAPE_NAMES = ("sphere", "capsule", "mesh")
+SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh")
 MOST_PLANES = 256
 MARGIN = 0.003  # m around a tool: what it may cover before the next contact set
+SLACK = 0.001  # m that the surface may move before FCL gets it anew
 
 
 @dataclass(frozen=True)
 class Tool:
     """A rigid tool. Its frame's origin is the tip; an instrument's shaft lies along -z.
 
-    name; shape: sphere, capsule or mesh; radius m (sphere, capsule); length m (capsule, between the
-    centres of its caps, from the origin along -z); mesh: file in m (its convex hull is used).
+    name; shape: sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper) or mesh; radius m
+    (sphere, capsules); length m (of capsules, between the centres of their caps, from the origin along -z; from a
+    gripper's tips to its hinge); mesh: file in m, a closed surface where it is not convex.
     """
 
     name: str
@@ -37,7 +41,7 @@ class Tool:
 
 
 class ToolSet:
-    """The tools of a scene in every form that is needed.
+    """The tools of a scene in every form that is needed, body by body: a gripper has two, other tools one.
 
     Raises UserError naming the tool when a shape is unknown, out of range, or its mesh file
     can't be used.
@@ -45,55 +49,78 @@ class ToolSet:
 
     def __init__(self, tools: list[Tool]) -> None:
         self.tools = list(tools)
-        self.warnings: list[str] = []
-        kinds, sizes, planes, starts = [], [], [], [0]
-        self.grown: list[Any] = []  # FCL geometry of each tool, grown by MARGIN
-        self.centre: list[Floats] = []  # centre of the shape in the tool's frame, m
-        self.corners: list[Floats] = []  # points whose hull, grown by `padding`, holds the shape
-        self.padding: list[float] = []
-        self.smallest: list[float] = []  # m, radius of the finest thing about the shape
+        self.bodies: list[list[int]] = []  # of each tool
+        bodies: list[_Body] = []
         for tool in self.tools:
-            kind, size, hull = _shape(tool, self.warnings)
-            kinds.append(kind)
-            sizes.append(size)
-            planes.append(_planes(tool, hull) if hull is not None else np.zeros((0, 4)))
-            starts.append(starts[-1] + len(planes[-1]))
-            self.grown.append(_grown(kind, size, hull, planes[-1]))
-            ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -size[1]]])
-            corners = np.array(hull.vertices) if hull is not None else ends
-            self.corners.append(corners)
-            self.centre.append(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
-            self.smallest.append(size[0] if hull is None else 0.5 * float(hull.extents.min()))
-            self.padding.append(0.0 if hull is not None else size[0])
-        self.shapes = Shapes(
-            kind=np.array(kinds, dtype=np.int64),
-            size=np.array(sizes, dtype=np.float64).reshape(len(kinds), 2),
-            plane=np.concatenate([*planes, np.zeros((0, 4))]),
-            plane_start=np.array(starts, dtype=np.int64),
+            made = _bodies(tool)
+            self.bodies.append(list(range(len(bodies), len(bodies) + len(made))))
+            bodies += made
+        self.grown = [_grown(body) for body in bodies]  # FCL geometry of each body, MARGIN and SLACK larger
+        # Centre of FCL's geometry in the body's frame, m: FCL's capsules have theirs in the middle.
+        self.grown_centre = [np.array([0.0, 0.0, -0.5 * body.size[1]]) for body in bodies]
+        self.corners = [body.corners for body in bodies]  # points whose hull, grown by `padding`, holds the body
+        self.padding = [body.size[0] for body in bodies]
+        self.centre = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
+        self.smallest = [body.smallest for body in bodies]  # m, radius of the finest thing about the body
+        self.shapes = make_shapes(
+            [body.kind for body in bodies],
+            [body.size for body in bodies],
+            [body.planes for body in bodies],
+            [body.grid for body in bodies],
+            [tool for tool, members in enumerate(self.bodies) for _ in members],
         )
 
-    def box(self, tool: int, rotation: Floats, origin: Floats, margin: float) -> tuple[Floats, Floats]:
-        """Corners (3,) m of the tool's axis-aligned box, grown by a margin."""
-        points = self.corners[tool] @ rotation.T + origin
-        grow = self.padding[tool] + margin
+    def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
+        """Poses (b, 7) of a tool's bodies at a pose (7,), m and a unit quaternion xyzw; angle rad of a gripper."""
+        chosen = self.tools[tool]
+        if chosen.shape != "gripper":
+            return pose[None]
+        return jaw_poses(pose, angle, 0.0 if chosen.mesh else chosen.radius, chosen.length)
+
+    def box(self, body: int, rotation: Floats, origin: Floats, margin: float) -> tuple[Floats, Floats]:
+        """Corners (3,) m of a body's axis-aligned box, grown by a margin."""
+        points = self.corners[body] @ rotation.T + origin
+        grow = self.padding[body] + margin
         return points.min(axis=0) - grow, points.max(axis=0) + grow
 
 
-def _shape(tool: Tool, warnings: list[str]) -> tuple[int, tuple[float, float], trimesh.Trimesh | None]:
+@dataclass(frozen=True)
+class _Body:
+    """One rigid body: its kind and size as in Shapes, and what a mesh has besides."""
+
+    kind: int
+    size: tuple[float, float]
+    corners: Floats
+    smallest: float
+    planes: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    grid: Grid | None = None
+    mesh: trimesh.Trimesh | None = None
+
+
+def _bodies(tool: Tool) -> list[_Body]:
     if tool.shape not in SHAPE_NAMES:
         raise UserError(f"tool '{tool.name}': unknown shape '{tool.shape}'; choose one of {', '.join(SHAPE_NAMES)}")
     if tool.shape == "mesh":
-        return CONVEX, (0.0, 0.0), _hull(tool, warnings)
+        return [_mesh_body(tool)]
+    if tool.shape == "gripper" and tool.mesh:
+        _check_length(tool)
+        return [_mesh_body(tool)] * 2
     if not 5e-4 <= tool.radius <= 0.5:
         raise UserError(f"tool '{tool.name}': radius {tool.radius:g} m is outside 0.0005..0.5")
     if tool.shape == "sphere":
-        return SPHERE, (tool.radius, 0.0), None
+        return [_Body(SPHERE, (tool.radius, 0.0), np.zeros((2, 3)), tool.radius)]
+    _check_length(tool)
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -tool.length]])
+    capsule = _Body(CAPSULE, (tool.radius, tool.length), ends, tool.radius)
+    return [capsule, capsule] if tool.shape == "gripper" else [capsule]
+
+
+def _check_length(tool: Tool) -> None:
     if not 0.0 <= tool.length <= 2.0:
         raise UserError(f"tool '{tool.name}': length {tool.length:g} m is outside 0..2")
-    return CAPSULE, (tool.radius, tool.length), None
 
 
-def _hull(tool: Tool, warnings: list[str]) -> trimesh.Trimesh:
+def _mesh_body(tool: Tool) -> _Body:
     if not Path(tool.mesh).is_file():
         raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
     try:
@@ -107,9 +134,17 @@ def _hull(tool: Tool, warnings: list[str]) -> trimesh.Trimesh:
         )
     if hull.extents.min() < 1e-5:
         raise UserError(f"tool '{tool.name}': mesh '{tool.mesh}' is flat; give it a thickness")
-    if not mesh.is_convex:
-        warnings.append(f"tool '{tool.name}': mesh '{tool.mesh}' is not convex; its convex hull is used")
-    return hull
+    corners, smallest = np.array(hull.vertices), 0.5 * float(hull.extents.min())
+    if mesh.is_convex:
+        return _Body(CONVEX, (0.0, 0.0), corners, smallest, planes=_planes(tool, hull), mesh=hull)
+    if not mesh.is_watertight:
+        raise UserError(
+            f"tool '{tool.name}': mesh '{tool.mesh}' is neither convex nor closed; close its holes, or save its"
+            " convex hull"
+        )
+    mesh.fix_normals()
+    thin = min(smallest, float(mesh.volume / mesh.area) * 2.0)  # half the thickness of a plate
+    return _Body(GRID, (0.0, 0.0), corners, thin, grid=distance_grid(mesh, MARGIN), mesh=mesh)
 
 
 def _planes(tool: Tool, hull: trimesh.Trimesh) -> Floats:
@@ -124,15 +159,21 @@ def _planes(tool: Tool, hull: trimesh.Trimesh) -> Floats:
     return planes
 
 
-def _grown(kind: int, size: tuple[float, float], hull: trimesh.Trimesh | None, planes: Floats) -> Any:
-    if kind == SPHERE:
-        return fcl.Sphere(size[0] + MARGIN)
-    if kind == CAPSULE:
-        return fcl.Capsule(size[0] + MARGIN, size[1])
-    assert hull is not None
-    # The planes moved out, so that every point within the margin of a face is inside.
-    halfspaces = np.column_stack([planes[:, :3], -(planes[:, 3] + MARGIN)])
-    corners = HalfspaceIntersection(halfspaces, hull.vertices.mean(axis=0)).intersections
-    grown = trimesh.convex.convex_hull(corners)
+def _grown(body: _Body) -> Any:
+    grow = MARGIN + SLACK
+    if body.kind == SPHERE:
+        return fcl.Sphere(body.size[0] + grow)
+    if body.kind == CAPSULE:
+        return fcl.Capsule(body.size[0] + grow, body.size[1])
+    assert body.mesh is not None
+    if body.kind == GRID:
+        # A box around it: what lies within its arms is left to the distances.
+        low, high = body.mesh.bounds[0] - grow, body.mesh.bounds[1] + grow
+        grown = trimesh.creation.box(bounds=[low, high])
+    else:
+        # The planes moved out, so that every point within the margin of a face is inside.
+        halfspaces = np.column_stack([body.planes[:, :3], -(body.planes[:, 3] + grow)])
+        corners = HalfspaceIntersection(halfspaces, body.mesh.vertices.mean(axis=0)).intersections
+        grown = trimesh.convex.convex_hull(corners)
     faces: NDArray[Any] = np.column_stack([np.full(len(grown.faces), 3), grown.faces]).ravel()
     return fcl.Convex(np.asarray(grown.vertices), len(grown.faces), faces)

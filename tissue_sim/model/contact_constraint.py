@@ -170,7 +170,7 @@ def resolve_contacts(
             px, py, pz, nx, ny, nz = aim_impulse(state, shapes, entry, scratch)
             pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
             held[0], held[1], held[2] = px - pressed * nx, py - pressed * ny, pz - pressed * nz
-            give_impulse(state, mobility, scratch, entry, px, py, pz, 0.0 if spread else step)
+            give_impulse(state, shapes, mobility, scratch, entry, px, py, pz, 0.0 if spread else step)
     for _ in range(MOST_PASSES):
         change = total = 0.0
         for near in range(found):
@@ -200,13 +200,14 @@ def resolve_contact(
         weight = state.contact_weight[entry, c]
         compliance += weight * weight * mobility[state.contact_node[entry, c]]
     pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
+    compliance = compliance * step + scratch.give[tool]
     if compliance == 0.0:
         scratch.near_normal[near] = 0.0
         held[0] = held[1] = held[2] = 0.0
         return 0.0
     x, y, z, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
     gap, nx, ny, nz = gap_and_normal(shapes, tool, scratch.rotation[tool], lx, ly, lz)
-    normal = max(0.0, pressed - gap / (compliance * step))
+    normal = max(0.0, pressed - gap / compliance)
     if normal == 0.0 and pressed == 0.0:
         return 0.0
     scratch.near_normal[near] = normal
@@ -221,24 +222,24 @@ def resolve_contact(
         sy += weight * state.velocity[node, 1]
         sz += weight * state.velocity[node, 2]
     along = sx * nx + sy * ny + sz * nz
-    tx = held[0] - (sx - along * nx) / (compliance * step)
-    ty = held[1] - (sy - along * ny) / (compliance * step)
-    tz = held[2] - (sz - along * nz) / (compliance * step)
+    tx = held[0] - (sx - along * nx) / compliance
+    ty = held[1] - (sy - along * ny) / compliance
+    tz = held[2] - (sz - along * nz) / compliance
     size = math.sqrt(tx * tx + ty * ty + tz * tz)
     share = 1.0 if size <= friction * normal else friction * normal / size
     px = (normal - pressed) * nx + share * tx - held[0]
     py = (normal - pressed) * ny + share * ty - held[1]
     pz = (normal - pressed) * nz + share * tz - held[2]
     held[0], held[1], held[2] = share * tx, share * ty, share * tz
-    give_impulse(state, mobility, scratch, entry, px, py, pz, step)
+    give_impulse(state, shapes, mobility, scratch, entry, px, py, pz, step)
     return math.sqrt(px * px + py * py + pz * pz)
 
 
 @kernel
 def give_impulse(
-    state: Any, mobility: Any, scratch: Any, entry: int, px: float, py: float, pz: float, step: float
+    state: Any, shapes: Any, mobility: Any, scratch: Any, entry: int, px: float, py: float, pz: float, step: float
 ) -> None:
-    """Give a contact point an impulse, N s; with a step of 0 only count it."""
+    """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 only count it."""
     tool = state.contact_tool[entry]
     x = y = z = 0.0
     for c in range(3):
@@ -267,3 +268,16 @@ def give_impulse(
     impulse[3] += ay * pz - az * py
     impulse[4] += az * px - ax * pz
     impulse[5] += ax * py - ay * px
+    if scratch.give[tool] > 0.0:
+        push_tool(shapes.hand, tool, scratch, px, py, pz)
+
+
+@kernel
+def push_tool(hands: Any, tool: int, scratch: Any, px: float, py: float, pz: float) -> None:
+    """Let every body of a tool's hand give way to an impulse on the tissue, N s."""
+    give = scratch.give[tool]
+    for body in range(len(hands)):
+        if hands[body] == hands[tool]:
+            scratch.origin[body, 0] -= give * px
+            scratch.origin[body, 1] -= give * py
+            scratch.origin[body, 2] -= give * pz

@@ -24,6 +24,7 @@ from tissue_sim.model.state import (
     N_LOADED,
     POSE_SEQUENCE,
     REMAINING,
+    SLEWED,
     SNAPS,
     TICK,
 )
@@ -41,6 +42,7 @@ def take_pose(state: Any, tool: int, pose: Any, sequence: int) -> None:
     tools = state.tool_count[tool]
     if tools[ENGAGED] == 0:
         copy(pose, state.tool_pose[tool])
+        copy(pose, state.hand_pose[tool])
         tools[REMAINING] = 0
     else:
         tools[REMAINING] = min(max(tools[AGE], 1), LONGEST_PERIOD)
@@ -143,12 +145,12 @@ def carry_impulses(state: Any, entries: int, contact_tool: Any, contact_node: An
 def reset_state(model: Any, state: Any) -> None:
     """Back to the rest shape, asleep, without tools; the counters go on."""
     tick, faults, asleep = state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS]
-    snaps = state.count[SNAPS]
+    snaps, slewed = state.count[SNAPS], state.count[SLEWED]
     frozen, modal, clamped = state.count[FROZEN_TICKS], state.count[MODAL_TICKS], state.count[CLAMPED]
     state.count[:] = 0
     state.count[TICK], state.count[FAULTS], state.count[ASLEEP_TICKS] = tick, faults, asleep
     state.count[FROZEN_TICKS], state.count[MODAL_TICKS], state.count[CLAMPED] = frozen, modal, clamped
-    state.count[SNAPS] = snaps
+    state.count[SNAPS], state.count[SLEWED] = snaps, slewed
     state.count[ASLEEP] = 1
     state.count[BACKOFF] = 1
     copy(model.rest, state.position)
@@ -160,12 +162,14 @@ def reset_state(model: Any, state: Any) -> None:
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
     forget_region(state)
-    state.tool_pose[:] = 0.0
-    state.tool_goal[:] = 0.0
-    state.tool_pose[:, 6] = 1.0
-    state.tool_goal[:, 6] = 1.0
+    for tool in range(len(state.tool_pose)):
+        for c in range(7):
+            state.tool_goal[tool, c] = 1.0 if c == 6 else 0.0
+        copy(state.tool_goal[tool], state.hand_pose[tool])
+        copy(state.tool_goal[tool], state.tool_pose[tool])
     state.tool_force[:] = 0.0
     state.wrench[:] = 0.0
+    state.felt[:] = 0.0
     state.tool_count[:] = 0
     for tool in range(len(state.tool_count)):
         state.tool_count[tool, AGE] = -1

@@ -25,7 +25,8 @@ class Scratch(NamedTuple):
     rotation: Any  # (T, 9)
     last_origin: Any  # (T, 3) at its beginning
     last_rotation: Any  # (T, 9)
-    start_pose: Any  # (T, 7) at the tick's beginning
+    hand: Any  # (T, 7) where the hand holds it at the substep's end
+    give: Any  # (T,) m, by how much a tool gives way to an impulse of 1 N s
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
@@ -95,7 +96,8 @@ def make_scratch(model: Model, n_tools: int) -> Scratch:
         rotation=empty(n_tools, 9),
         last_origin=empty(n_tools, 3),
         last_rotation=empty(n_tools, 9),
-        start_pose=empty(n_tools, 7),
+        hand=empty(n_tools, 7),
+        give=empty(n_tools),
         near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),

@@ -3,23 +3,74 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.jit import kernel
 
-SPHERE, CAPSULE, CONVEX = 0, 1, 2
+Floats = NDArray[np.float64]
+
+SPHERE, CAPSULE, CONVEX, GRID = 0, 1, 2, 3
 
 
 class Shapes(NamedTuple):
-    """Shapes of T tools, each in its own frame, whose origin is the tool's tip.
+    """Shapes of T rigid bodies, each in its own frame, whose origin is the tip.
 
-    A capsule runs from the origin along -z, where an instrument's shaft lies.
+    A capsule runs from the origin along -z, where an instrument's shaft lies. A shape that is not convex is a grid of
+    signed distances. The bodies of one tool, as the two jaws of a gripper, are held by one hand.
     """
 
-    kind: Any  # (T,) SPHERE, CAPSULE or CONVEX
+    kind: Any  # (T,) SPHERE, CAPSULE, CONVEX or GRID
     size: Any  # (T, 2) m: radius, and the capsule's length between the centres of its caps
     plane: Any  # (P, 4) outward normals and offsets of convex shapes: n.y <= d inside
-    plane_start: Any  # (T + 1,) which planes belong to which tool
+    plane_start: Any  # (T + 1,) which planes belong to which body
+    distance: Any  # (G,) m, signed distances at the points of every grid, the last axis running fastest
+    grid_start: Any  # (T,) first distance of each
+    grid_points: Any  # (T, 3) points along each axis
+    grid_frame: Any  # (T, 4) m: where the first point is, and the spacing
+    hand: Any  # (T,) which tool each body belongs to
+
+
+def make_shapes(
+    kind: ArrayLike,
+    size: ArrayLike,
+    planes: Sequence[Floats] | None = None,
+    grids: Sequence[Grid | None] | None = None,
+    hand: ArrayLike | None = None,
+) -> Shapes:
+    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; hand (T,), its own unless given."""
+    kinds = np.asarray(kind, dtype=np.int64).reshape(-1)
+    n = len(kinds)
+    planes = [np.zeros((0, 4))] * n if planes is None else planes
+    grids = [None] * n if grids is None else grids
+    counts = [len(one) for one in planes]
+    sizes = [0 if grid is None else grid.distance.size for grid in grids]
+    return Shapes(
+        kind=kinds,
+        size=np.asarray(size, dtype=np.float64).reshape(n, 2),
+        plane=np.concatenate([*planes, np.zeros((0, 4))]),
+        plane_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        distance=np.concatenate([*(grid.distance.ravel() for grid in grids if grid is not None), np.zeros(0)]),
+        grid_start=(np.cumsum(sizes) - sizes).astype(np.int64),
+        grid_points=np.array(
+            [(0, 0, 0) if grid is None else grid.distance.shape for grid in grids], dtype=np.int64
+        ).reshape(n, 3),
+        grid_frame=np.array(
+            [(0.0, 0.0, 0.0, 1.0) if grid is None else (*grid.origin, grid.spacing) for grid in grids], dtype=np.float64
+        ).reshape(n, 4),
+        hand=np.arange(n, dtype=np.int64) if hand is None else np.asarray(hand, dtype=np.int64),
+    )
+
+
+class Grid(NamedTuple):
+    """Signed distances (i, j, k) m at points `spacing` m apart, the first of which is at origin (3,) m."""
+
+    distance: Floats
+    origin: Floats
+    spacing: float
 
 
 @kernel
@@ -32,11 +83,49 @@ def rotation_matrix(quaternion: Any, matrix: Any) -> None:
 
 
 @kernel
+def grid_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Distance between the points of a body's grid, m, and the way that it grows; beyond the grid a lower bound."""
+    frame, points, table = shapes.grid_frame[tool], shapes.grid_points[tool], shapes.distance
+    spacing = frame[3]
+    u, v, w = (x - frame[0]) / spacing, (y - frame[1]) / spacing, (z - frame[2]) / spacing
+    a = min(max(u, 0.0), points[0] - 1.000001)
+    b = min(max(v, 0.0), points[1] - 1.000001)
+    c = min(max(w, 0.0), points[2] - 1.000001)
+    i, j, k = int(a), int(b), int(c)
+    beyond = spacing * math.sqrt((u - a) ** 2 + (v - b) ** 2 + (w - c) ** 2)
+    a, b, c = a - i, b - j, c - k
+    at = shapes.grid_start[tool] + (i * points[1] + j) * points[2] + k
+    right, row = points[1] * points[2], points[2]
+    d000, d001, d010, d011 = table[at], table[at + 1], table[at + row], table[at + row + 1]
+    at += right
+    d100, d101, d110, d111 = table[at], table[at + 1], table[at + row], table[at + row + 1]
+    e00, e01 = d000 + a * (d100 - d000), d001 + a * (d101 - d001)
+    e10, e11 = d010 + a * (d110 - d010), d011 + a * (d111 - d011)
+    f0, f1 = e00 + b * (e10 - e00), e01 + b * (e11 - e01)
+    gap = f0 + c * (f1 - f0)
+    near = (1.0 - c) * (d100 - d000) + c * (d101 - d001)
+    far = (1.0 - c) * (d110 - d010) + c * (d111 - d011)
+    nx = (1.0 - b) * near + b * far
+    ny = (1.0 - c) * (e10 - e00) + c * (e11 - e01)
+    nz = f1 - f0
+    if (
+        beyond > 0.0
+    ):  # the body lies in the grid's box: seen from its nearest place, no nearer than square to the way there
+        gap = math.sqrt(gap * gap + beyond * beyond)
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length < 1e-12:
+        return gap, 0.0, 0.0, 1.0
+    return gap, nx / length, ny / length, nz / length
+
+
+@kernel
 def signed_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Distance of a point in the tool's frame to the tool's surface, m, and the outward normal.
 
-    Negative inside. Outside a convex shape's edges the distance is a lower bound.
+    Negative inside. Outside a convex shape's edges the distance is a lower bound, and so it is beyond a grid.
     """
+    if shapes.kind[tool] == GRID:
+        return grid_distance(shapes, tool, x, y, z)
     if shapes.kind[tool] == CONVEX:
         start = shapes.plane_start[tool]
         best, chosen = -math.inf, start

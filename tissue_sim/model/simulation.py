@@ -20,7 +20,7 @@ from tissue_sim.model.implicit import make_factor, write_factor
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.scratch import make_scratch
-from tissue_sim.model.shapes import SPHERE, Shapes
+from tissue_sim.model.shapes import SPHERE, Shapes, make_shapes
 from tissue_sim.model.stability import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.state import Floats, State, StateBuffer
 from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_implied_world, tick_world
@@ -35,12 +35,7 @@ LONGEST_STEP = 5e-4  # s, however soft the organ: in a longer one a needle slips
 # how fast they shiver is nothing that a hand feels. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
 
-NO_TOOLS = Shapes(
-    kind=np.zeros(0, dtype=np.int64),
-    size=np.zeros((0, 2)),
-    plane=np.zeros((0, 4)),
-    plane_start=np.zeros(1, dtype=np.int64),
-)
+NO_TOOLS = make_shapes([], [])
 
 
 class Simulation:
@@ -93,6 +88,7 @@ class Simulation:
         self.settings[st.TICK_TIME] = 1.0 / rate
         self.settings[st.FRICTION] = 0.6
         self.settings[st.FORCE_CLAMP] = 10.0
+        self.settings[st.FORCE_SLEW] = 1e3
         self.settings[st.STALE_TIME] = 0.05
         self.settings[st.RAMP_TIME] = 0.02
         self.settings[st.STIFFNESS_SCALE] = 1.0
@@ -304,9 +300,4 @@ class Simulation:
 def sphere_tools(radius: ArrayLike) -> Shapes:
     """Shapes of spherical tools, one for each radius, m."""
     radii = np.atleast_1d(np.asarray(radius, dtype=np.float64))
-    return Shapes(
-        kind=np.full(len(radii), SPHERE, dtype=np.int64),
-        size=np.stack([radii, np.zeros(len(radii))], axis=1),
-        plane=np.zeros((0, 4)),
-        plane_start=np.zeros(len(radii) + 1, dtype=np.int64),
-    )
+    return make_shapes(np.full(len(radii), SPHERE), np.stack([radii, np.zeros(len(radii))], axis=1))

@@ -41,7 +41,8 @@ CALM = 26  # ticks in a row with a load small enough for a local region
 SHOWN = 27  # tick in which the nodes outside a modal region were last put where they belong
 COLLAPSING = 28  # 1 while more of the inside is turned inside out than can find back by itself
 GOOD_AGE = 29  # ticks since the last good shape was kept
-N_COUNT = 30
+SLEWED = 30  # ticks in which a wrench changed no faster than it may
+N_COUNT = 31
 
 NO_FAULT, NOT_FINITE, RUNAWAY, COLLAPSED = 0, 1, 2, 3
 FAULT_NAMES = ("none", "not finite", "runaway", "collapsed")
@@ -73,7 +74,10 @@ INTEGRATOR = 11  # index in INTEGRATORS
 REGION_SUBSTEPS = 12  # substeps in a tick of a local region, whose nodes are never stepped implicitly
 FACTOR_SLOT = 13  # which of the implicit matrix' two factors is in use
 REGION_INERTIA = 14  # factor on mass and damping of the nodes in a modal region, so that it needs no more substeps
-N_SETTINGS = 15
+FORCE_SLEW = 15  # N/s, fastest change of what a hand feels
+COUPLING_STIFFNESS = 16  # N/m between hand and tool; 0: the tool is where the hand is
+COUPLING_DAMPING = 17  # N s/m on the tool
+N_SETTINGS = 18
 
 MAX_ENTRIES = 2048
 
@@ -92,10 +96,12 @@ class State(NamedTuple):
     mode_position: Floats  # (m,) sqrt(kg) m
     mode_velocity: Floats  # (m,) sqrt(kg) m/s
     tool_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
-    tool_goal: Floats  # (T, 7) the newest pose: where it is going
+    hand_pose: Floats  # (T, 7) where the hand holds it, on its way to the newest pose
+    tool_goal: Floats  # (T, 7) the newest pose
     tool_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
     tip_weight: Floats  # (T, 3) barycentric weights of the surface point under the tip
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
+    felt: Floats  # (T, 6) the same before it fades with a stale pose
     contact_weight: Floats  # (C, 3) barycentric weights of the contact points
     contact_normal: Floats  # (C, 3) outward unit normals of the tissue there
     contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is room
@@ -127,10 +133,12 @@ class StateBuffer:
             "mode_position": (n_modes,),
             "mode_velocity": (n_modes,),
             "tool_pose": (n_tools, 7),
+            "hand_pose": (n_tools, 7),
             "tool_goal": (n_tools, 7),
             "tool_force": (n_tools, 3),
             "tip_weight": (n_tools, 3),
             "wrench": (n_tools, 6),
+            "felt": (n_tools, 6),
             "contact_weight": (MAX_ENTRIES, 3),
             "contact_normal": (MAX_ENTRIES, 3),
             "contact_pressed": (2, MAX_ENTRIES),

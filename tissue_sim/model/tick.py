@@ -12,6 +12,7 @@ from typing import Any
 from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
+from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import unload_nodes
@@ -20,15 +21,12 @@ from tissue_sim.model.regions import change_region, choose_region, prepare_regio
 from tissue_sim.model.rest import find_back, rest_if_quiet
 from tissue_sim.model.state import (
     ACTIVE,
-    AGE,
     ALONE,
     ASLEEP,
     ASLEEP_TICKS,
     BACKOFF,
-    CLAMPED,
     DAMPING_SCALE,
     FACTOR_SLOT,
-    FORCE_CLAMP,
     FRICTION,
     INTEGRATOR,
     LOCAL_REGION,
@@ -50,11 +48,11 @@ from tissue_sim.model.state import (
 )
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
-    advance_tools,
-    freshness,
+    advance_hands,
+    follow_hands,
     has_tip_force,
-    set_frame,
-    step_pose,
+    hold_tools,
+    keep_tools,
 )
 
 CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
@@ -67,12 +65,12 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     """Advance the organ by one tick of settings[TICK_TIME] seconds."""
     count = state.count
     count[TICK] += 1
-    advance_tools(state, settings, scratch)
+    advance_hands(state, settings, scratch)
     forced = count[N_LOADED] > 0 or has_tip_force(state, settings)
     count[TOUCHING] = 0
     if count[ASLEEP] == 1:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
-            state.wrench[:] = 0.0
+            follow_hands(state)
             count[ASLEEP_TICKS] += 1
             count[ACTIVE] = 0
             return
@@ -83,7 +81,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
             check_cells(model, state)
-            state.wrench[:] = 0.0
+            follow_hands(state)
             return
         count[SNAPPED] = 0
     if count[REGION] != WHOLE:
@@ -104,7 +102,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
     guard(model, state, settings, scratch)
     check_cells(model, state)
-    report_wrenches(state, settings, scratch)
+    report_wrenches(state, shapes, settings, scratch)
     if settings[LOCAL_REGION] > 0.0:
         change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
@@ -141,12 +139,7 @@ def advance_substep(
 ) -> None:
     """Forces, integration and contact of one substep; eased: the first of a longer step than the last."""
     step = settings[TICK_TIME] / substeps
-    for tool in range(len(state.tool_pose)):
-        # The tool moves evenly through the tick, so that its speed holds no jumps.
-        pose = scratch.start_pose[tool]
-        set_frame(pose, scratch.last_origin[tool], scratch.last_rotation[tool])
-        step_pose(pose, state.tool_pose[tool], 1.0 / (substeps - substep))
-        set_frame(pose, scratch.origin[tool], scratch.rotation[tool])
+    hold_tools(state, settings, scratch, step, 1.0 / (substeps - substep))
     implicit = steps_implicitly(state, settings)
     if state.count[REGION] == WHOLE:
         scratch.force[:] = 0.0
@@ -172,6 +165,7 @@ def advance_substep(
     state.count[TOUCHING] = resolve_contacts(
         state, shapes, scratch.mobility, scratch, settings[FRICTION], step, implicit
     )
+    keep_tools(state, scratch)
 
 
 @kernel
@@ -292,22 +286,3 @@ def add_loads(state: Any, settings: Any, force: Any) -> None:
         for c in range(3):
             force[node, c] += state.nodal_force[node, c]
     add_tip_forces(state, settings, force)
-
-
-@kernel
-def report_wrenches(state: Any, settings: Any, scratch: Any) -> None:
-    """What each hand should feel: minus the mean force on the tissue, faded when stale, clamped."""
-    cut = False
-    for tool in range(len(state.wrench)):
-        scale = -freshness(state.tool_count[tool, AGE], settings) / settings[TICK_TIME]
-        size = 0.0
-        for c in range(3):
-            size += (scale * scratch.impulse[tool, c]) ** 2
-        size = math.sqrt(size)
-        if size > settings[FORCE_CLAMP]:
-            scale *= settings[FORCE_CLAMP] / size
-            cut = True
-        for c in range(6):
-            state.wrench[tool, c] = scale * scratch.impulse[tool, c]
-    if cut:
-        state.count[CLAMPED] += 1

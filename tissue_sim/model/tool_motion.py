@@ -1,4 +1,4 @@
-"""How tools move through a tick, and how fresh their poses and forces are."""
+"""How hands and their tools move through a tick, and how fresh their poses and forces are."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import rotation_matrix
-from tissue_sim.model.state import AGE, ENGAGED, FORCE_AGE, RAMP_TIME, REMAINING, STALE_TIME, TICK_TIME
+from tissue_sim.model.state import (
+    AGE,
+    COUPLING_DAMPING,
+    COUPLING_STIFFNESS,
+    ENGAGED,
+    FORCE_AGE,
+    RAMP_TIME,
+    REMAINING,
+    STALE_TIME,
+    TICK_TIME,
+)
 
 
 @kernel
@@ -23,11 +33,11 @@ def freshness(age: int, settings: Any) -> float:
 
 
 @kernel
-def advance_tools(state: Any, settings: Any, scratch: Any) -> None:
-    """Move each tool towards its newest pose, and let go of it when poses stop."""
-    for tool in range(len(state.tool_pose)):
+def advance_hands(state: Any, settings: Any, scratch: Any) -> None:
+    """Move each hand towards its newest pose, and let go of its tool when poses stop."""
+    for tool in range(len(state.hand_pose)):
         tools = state.tool_count[tool]
-        copy(state.tool_pose[tool], scratch.start_pose[tool])
+        copy(state.hand_pose[tool], scratch.hand[tool])
         if tools[AGE] >= 0:
             tools[AGE] += 1
             if tools[AGE] * settings[TICK_TIME] > settings[STALE_TIME] + settings[RAMP_TIME]:
@@ -36,9 +46,49 @@ def advance_tools(state: Any, settings: Any, scratch: Any) -> None:
             tools[FORCE_AGE] += 1
         if tools[REMAINING] > 0:
             share = 1.0 / tools[REMAINING]
-            step_pose(state.tool_pose[tool], state.tool_goal[tool], share)
+            step_pose(state.hand_pose[tool], state.tool_goal[tool], share)
             tools[REMAINING] -= 1
-        set_frame(state.tool_pose[tool], scratch.origin[tool], scratch.rotation[tool])
+        set_frame(state.hand_pose[tool], scratch.origin[tool], scratch.rotation[tool])
+
+
+@kernel
+def follow_hands(state: Any) -> None:
+    """Put every tool where its hand is: nothing is touched, and nobody feels anything."""
+    copy(state.hand_pose, state.tool_pose)
+    state.wrench[:] = 0.0
+    state.felt[:] = 0.0
+
+
+@kernel
+def hold_tools(state: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
+    """Lead the hands a share of their way, and each tool after its hand through the virtual coupling.
+
+    The tool has no mass: B p' = K (h - p) + F, of which a step without contact is done here; what an impulse of the
+    contact adds to it is scratch.give, m / (N s). The hand moves evenly through the tick, so that its speed holds no
+    jumps.
+    """
+    stiffness, damping = settings[COUPLING_STIFFNESS], settings[COUPLING_DAMPING]
+    for tool in range(len(state.tool_pose)):
+        hand, pose = scratch.hand[tool], state.tool_pose[tool]
+        set_frame(pose, scratch.last_origin[tool], scratch.last_rotation[tool])
+        step_pose(hand, state.hand_pose[tool], share)
+        if stiffness > 0.0:
+            scratch.give[tool] = 1.0 / (damping + stiffness * step)
+            for c in range(3):
+                pose[c] += scratch.give[tool] * stiffness * step * (hand[c] - pose[c])
+            copy(hand[3:], pose[3:])
+        else:
+            scratch.give[tool] = 0.0
+            copy(hand, pose)
+        set_frame(pose, scratch.origin[tool], scratch.rotation[tool])
+
+
+@kernel
+def keep_tools(state: Any, scratch: Any) -> None:
+    """Keep where contact has pushed the tools."""
+    for tool in range(len(state.tool_pose)):
+        if scratch.give[tool] > 0.0:
+            copy(scratch.origin[tool], state.tool_pose[tool, :3])
 
 
 @kernel

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.finder import ContactFinder, reach_margins
 from tissue_sim.model import state as st
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.tool_port import ToolPort
-
-MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 
 
 class ContactWorker:
@@ -98,7 +95,8 @@ class ContactWorker:
         self._last_key = key
         tick = self._physics.positions(self._positions)
         elapsed = max(now - self._last_time, 1e-4)
-        margins = np.zeros(len(poses), dtype=np.int64)  # mm, whole ones so that a journal can hold them
+        reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (self.rate * elapsed))
+        margins = np.zeros(len(poses))
         for tool, is_fresh in enumerate(fresh):
             if not is_fresh:
                 self._engaged[tool] = 0
@@ -113,16 +111,14 @@ class ContactWorker:
                 self._engaged[tool] = 1
                 self._held_off[tool] = False
             else:
-                covered = float(np.linalg.norm(poses[tool, :3] - self._last_pose[tool, :3]))
-                reach = covered / elapsed * 2.0 / self.rate
-                margins[tool] = math.ceil(1e3 * min(reach, MOST_MARGIN))
+                margins[tool] = reach[tool]
         self._last_pose, self._last_time = poses, now
-        found = self._finder.find(self._positions, poses, np.multiply(margins, 1e-3), self._engaged, pushing)
+        found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
         empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
         sequence = self._physics.post_contacts(found)
         self._last_empty = empty
         self.dropped += found.dropped
-        pairs = [int(value) for pair in zip(sequences, margins, strict=True) for value in pair]
+        pairs = [int(value) for pair in zip(sequences, np.rint(1e3 * margins), strict=True) for value in pair]
         bits = sum(int(flag) << tool for tool, flag in enumerate(pushing))
         self._recorder().contacts(sequence, tick, found, bits, pairs)
         self.durations.append(time.monotonic() - now)

@@ -59,8 +59,6 @@ class TissueNode(Node):
         self.organ = Organ.load(self.organ_path)
         self._organ_bytes = self.organ_path.read_bytes()
         tools = ToolSet([values.tool(name) for name in values.tools])
-        for warning in tools.warnings:
-            self.get_logger().warning(warning)
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once for this machine: up to 30 s")
         self.simulation = Simulation(

@@ -1,0 +1,143 @@
+"""The virtual coupling between hand and tool, the slew limit, and the passivity bound with a device in the loop."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.model import state as st
+from tissue_sim.model.coupling import passive_stiffness
+
+from ..scenes import ball, kidney
+from .test_scene import PROBE, deepest, is_sound, lead, line, press, top_of
+
+STIFFNESS, DAMPING = 500.0, 1.0  # N/m, N s/m
+
+
+def coupled(organ, stiffness=STIFFNESS, damping=DAMPING, tool=PROBE):
+    scene = Scene(organ, [tool])
+    scene.simulation.settings[st.COUPLING_STIFFNESS] = stiffness
+    scene.simulation.settings[st.COUPLING_DAMPING] = damping
+    return scene
+
+
+def apart(scene):
+    """Where the tool is less where the hand is, (3,) m."""
+    state = scene.simulation.state
+    return state.tool_pose[0, :3] - state.hand_pose[0, :3]
+
+
+def test_hand_at_rest_feels_the_coupling_spring():
+    scene = coupled(kidney())
+    forces = press(scene, 0.005, hold=600)
+    assert forces[-1, 2] > 0.1
+    np.testing.assert_allclose(STIFFNESS * apart(scene), forces[-1], rtol=1e-3, atol=1e-4)
+    assert deepest(scene) < 2e-4, "the tool itself stays out of the tissue"
+    assert is_sound(scene)
+
+
+def test_free_tool_follows_its_hand_by_the_first_order_law():
+    scene = coupled(kidney())
+    away = np.array([0.2, 0.0, 0.0])
+    scene.move(0, away)
+    scene.step()
+    for _ in range(20):  # the pose comes a tick after the last: the hand is there at once
+        scene.simulation.state.tool_count[0, st.ENGAGED] = 1
+        scene.move(0, away + [0.0, 0.01, 0.0])
+        scene.step()
+    # Not touching, the organ sleeps: a tool that nothing holds is where its hand is.
+    np.testing.assert_array_equal(apart(scene), 0.0)
+
+
+def test_coupling_takes_the_kick_out_of_a_blow():
+    """A hand that comes at 0.5 m/s: the same force in the end, and less on the way."""
+    rigid, soft = Scene(kidney(), [PROBE]), coupled(kidney())
+    hard, softened = (press(scene, 0.004, ticks=12, hold=500) for scene in (rigid, soft))
+    assert np.abs(softened).max() < 0.8 * np.abs(hard).max()
+    ratio = softened[-1, 2] / hard[-1, 2]
+    assert 0.3 < ratio < 1.0, "softer by what the spring gives way"
+
+
+def test_wrench_is_minus_what_the_tissue_gets_also_through_a_coupling():
+    scene = coupled(ball(2))
+    state, mass = scene.simulation.state, scene.simulation.organ.mass[:, None]
+    press(scene, 0.002, hold=3)
+    got = np.zeros(3)
+    from tissue_sim.model import contact_constraint
+
+    assert contact_constraint is not None
+    # Velocities before and after a tick differ by the contact's impulse and the elastic one: on a free ball by the
+    # contact's alone.
+    from ..scenes import free_ball
+
+    free = coupled(free_ball(2))
+    for position in line(top_of(free_ball(2)) + [0.0, 0.0, 0.010], top_of(free_ball(2)) + [0.0, 0.0, 0.006], 20):
+        before = (mass * free.simulation.state.velocity).sum(axis=0)
+        free.move(0, position)
+        free.step()
+        got = (mass * free.simulation.state.velocity).sum(axis=0) - before
+        np.testing.assert_allclose(free.wrenches[0, :3], -got / 1e-3, atol=1e-9)
+    assert np.abs(got).max() > 0.0
+    assert np.isfinite(state.position).all()
+
+
+def test_force_changes_no_faster_than_the_slew_limit():
+    free, slow = Scene(kidney(), [PROBE]), Scene(kidney(), [PROBE])
+    free.simulation.settings[st.FORCE_SLEW], slow.simulation.settings[st.FORCE_SLEW] = 1e6, 20.0
+    whole, limited = (press(scene, 0.005, ticks=20, hold=400) for scene in (free, slow))
+    assert np.linalg.norm(np.diff(whole, axis=0), axis=1).max() > 0.03
+    assert np.linalg.norm(np.diff(limited, axis=0), axis=1).max() <= 20.0 * 1e-3 + 1e-12
+    np.testing.assert_allclose(limited[-1], whole[-1], atol=1e-3)
+    assert slow.simulation.state.count[st.SLEWED] > 0
+    assert free.simulation.state.count[st.SLEWED] == 0
+    # The slew limit holds nothing up when poses stop.
+    for _ in range(75):
+        slow.step()
+    np.testing.assert_array_equal(slow.wrenches, 0.0)
+
+
+# a device in the loop --------------------------------------------------------------------------
+DEVICE_MASS, DEVICE_DAMPING = 0.1, 1.0  # kg, N s/m
+
+
+def bounce(stiffness, damping=0.2, seconds=1.5):
+    """A device of some mass and damping, pushed with 0.5 N onto stiff tissue: its largest speeds, m/s, early and late.
+
+    The force that moves it in a tick is the one published with its last pose, as over topics.
+    """
+    organ = ball(2)
+    scene = coupled(organ, stiffness, damping, Tool("left", radius=0.01))
+    scene.simulation.settings[st.STIFFNESS_SCALE] = 100.0
+    scene.simulation.settings[st.FORCE_SLEW] = 1e6
+    scene.simulation.set_substeps()
+    place, speed, felt = top_of(organ) + [0.0, 0.0, 0.0105], np.zeros(3), np.zeros(3)
+    speeds = []
+    for _ in range(round(1e3 * seconds)):
+        for _ in range(10):  # the device itself, between two samples
+            speed = speed + 1e-4 * ([0.0, 0.0, -0.5] + felt - DEVICE_DAMPING * speed) / DEVICE_MASS
+            place = place + 1e-4 * speed
+        felt = scene.wrenches[0, :3].copy()
+        scene.move(0, place)
+        scene.step()
+        speeds.append(np.linalg.norm(speed))
+    assert is_sound(scene)
+    return max(speeds[400:800]), max(speeds[-400:])
+
+
+def test_device_within_the_passive_stiffness_comes_to_rest_and_far_beyond_it_does_not():
+    bound = passive_stiffness(DEVICE_DAMPING, 1e-3, 2e-3)
+    assert bound == pytest.approx(DEVICE_DAMPING / (0.5e-3 + 2e-3))
+    early, late = bounce(0.5 * bound)
+    assert late < 0.5 * early
+    early, late = bounce(4.0 * bound)
+    assert late > 0.9 * early > 1e-3, "the bound would not bind"
+
+
+def test_unknown_damping_has_no_bound():
+    assert passive_stiffness(0.0, 1e-3, 1e-3) == np.inf
+
+
+def test_tools_with_a_coupling_are_led_like_those_without_when_nothing_is_touched():
+    scene = coupled(kidney())
+    lead(scene, 0, line([0.2, 0.0, 0.0], [0.25, 0.0, 0.0], 50))
+    np.testing.assert_allclose(scene.simulation.state.tool_pose[0, :3], [0.25, 0.0, 0.0], atol=1e-9)

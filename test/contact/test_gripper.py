@@ -1,0 +1,157 @@
+"""A gripper: where its jaws are, what its hand feels, and that it holds what it nips."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.contact.gripper import WIDEST, about, jaw_poses
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.model import state as st
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+RADIUS, LENGTH = 0.003, 0.03
+POSE = np.array([0.01, -0.02, 0.03, *Rotation.from_rotvec([0.3, -0.8, 0.5]).as_quat()])
+
+
+def hinges_and_tips(poses):
+    turns = Rotation.from_quat(poses[:, 3:])
+    return poses[:, :3] + turns.apply([0.0, 0.0, -LENGTH]), poses[:, :3]
+
+
+# where the jaws are ----------------------------------------------------------------------------
+def test_closed_jaws_touch_each_other_along_their_length():
+    hinges, tips = hinges_and_tips(jaw_poses(POSE, 0.0, RADIUS, LENGTH))
+    np.testing.assert_allclose(np.linalg.norm(tips[0] - tips[1]), 2.0 * RADIUS, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(hinges[0] - hinges[1]), 2.0 * RADIUS, atol=1e-12)
+    np.testing.assert_allclose(tips.mean(axis=0), POSE[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.2, 1.0])
+def test_jaws_open_by_their_angle_about_the_hinge(angle):
+    poses = jaw_poses(POSE, angle, RADIUS, LENGTH)
+    hinges, tips = hinges_and_tips(poses)
+    along = (tips - hinges) / LENGTH
+    assert np.arccos(along[0] @ along[1]) == pytest.approx(angle)
+    hinge = POSE[:3] + Rotation.from_quat(POSE[3:]).apply([0.0, 0.0, -LENGTH])
+    np.testing.assert_allclose(hinges.mean(axis=0), hinge, atol=RADIUS * angle)
+    np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1.0, atol=1e-12)
+
+
+def test_an_angle_has_bounds():
+    np.testing.assert_array_equal(*(jaw_poses(POSE, angle, RADIUS, LENGTH) for angle in (-0.5, 0.0)))
+    np.testing.assert_array_equal(*(jaw_poses(POSE, angle, RADIUS, LENGTH) for angle in (WIDEST, 90.0)))
+
+
+def test_wrenches_add_up_about_the_tools_origin():
+    origins, forces = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    wrenches = np.hstack([forces, np.zeros((2, 3))])
+    expected = np.cross(origins, forces).sum(axis=0)
+    np.testing.assert_allclose(about(np.zeros(3), wrenches, origins), [0.0, 1.0, 2.0, *expected])
+
+
+# what it holds ---------------------------------------------------------------------------------
+PAD = (0.004, 0.016, 0.030)  # m: thickness, width and length of a jaw's flat pad
+HINGE = 0.06  # m from the tips
+
+
+@pytest.fixture(scope="module")
+def pads(tmp_path_factory):
+    """A gripper of two flat jaws."""
+    box = trimesh.creation.box(PAD)
+    box.apply_translation([0.5 * PAD[0], 0.0, -0.5 * PAD[2]])
+    path = tmp_path_factory.mktemp("jaws") / "pad.stl"
+    box.export(path)
+    return Tool("left", "gripper", length=HINGE, mesh=str(path))
+
+
+class Nip:
+    """A gripper at the kidney's lower pole, its jaws on either side, 22 mm from the tip of the pole.
+
+    A contact set for every four ticks, as beside the node's loop at 1 kHz.
+    """
+
+    def __init__(self, gripper, friction):
+        organ = Organ.load(shipped_organ())
+        points = organ.surface_positions
+        long, across, thick = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+        self.up = -np.sign(long[2]) * long
+        tip = points[np.argmax(points @ self.up)]
+        ring = points[np.abs((points - tip) @ self.up + 0.022) < 0.003]
+        middle = ring.mean(axis=0)
+        side = ring[np.abs((ring - middle) @ thick) < 0.004] @ across
+        self.place = middle + (0.5 * (side.max() + side.min()) - middle @ across) * across
+        self.width = float(np.ptp(side))
+        self.turn = Rotation.from_matrix(np.stack([across, np.cross(-self.up, across), -self.up], axis=1)).as_quat()
+        self.scene = Scene(organ, [gripper], ticks_a_set=4)
+        self.scene.simulation.settings[st.FRICTION] = friction
+        self.at, self.apart = self.place + 0.06 * self.up, self.width + 0.01
+        self.lead(self.place, self.width + 0.01, 300)
+        self.lead(self.place, 0.4 * self.width, 500)
+
+    def lead(self, place, apart, ticks):
+        """Move the gripper to a place (3,) m, its tips so many m apart, within so many ticks."""
+        start, began = self.at, self.apart
+        for share in np.linspace(0.0, 1.0, ticks):
+            self.at, self.apart = (1.0 - share) * start + share * place, (1.0 - share) * began + share * apart
+            self.scene.move(0, self.at, self.turn, 2.0 * np.arcsin(min(0.5 * self.apart / HINGE, 1.0)))
+            self.scene.step()
+
+    def touched(self):
+        """Nodes and weights of the points that touch the jaws."""
+        state = self.scene.simulation.state
+        pressed = np.flatnonzero(state.contact_pressed[0, : state.count[st.ENTRIES]] > 0.0)
+        return state.contact_node[pressed].copy(), state.contact_weight[pressed].copy()
+
+    def points(self, touched):
+        """Where those points are now, (k, 3) m."""
+        return np.einsum("ij,ijk->ik", touched[1], self.scene.simulation.positions[touched[0]])
+
+    def lift(self, way=0.010):
+        """Lift what the jaws hold; how far the median point that they held fell behind, m."""
+        held = self.touched()
+        before = self.points(held)
+        self.lead(self.at + way * self.up, self.apart, 1000)
+        self.lead(self.at, self.apart, 200)
+        behind = np.linalg.norm(self.points(held) - before - way * self.up, axis=1)
+        return float(np.median(behind))
+
+
+@pytest.mark.parametrize("seconds", [1.0, pytest.param(30.0, marks=pytest.mark.slow)])
+def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, seconds):
+    nip = Nip(pads, 0.6)
+    behind = nip.lift()
+    held = nip.touched()
+    before = nip.points(held)
+    nip.lead(nip.at, nip.apart, round(1e3 * seconds))
+    slip = float(np.linalg.norm(nip.points(held) - before, axis=1).max())
+    pull = -float(nip.scene.wrenches[0, :3] @ nip.up)
+    print(f"lifted 10 mm, {1e3 * behind:.2f} mm behind; {seconds:g} s: slip {1e3 * slip:.4f} mm under {pull:.2f} N")
+    assert len(held[0]) > 20
+    assert behind < 2e-3
+    assert slip < 1e-3
+    assert pull > 0.3, "the hand feels the pull"
+    nip.lead(nip.at, nip.width + 0.01, 300)
+    nip.lead(nip.at + 0.05 * nip.up, nip.width + 0.01, 3000)
+    simulation = nip.scene.simulation
+    assert np.abs(nip.scene.wrenches).max() == 0.0, "let go"
+    assert simulation.asleep
+    assert np.abs(simulation.positions - simulation.model.rest).max() < 1e-5
+
+
+def test_slippery_jaws_do_not_lift_it(pads):
+    assert Nip(pads, 0.05).lift() > 5e-3
+
+
+def test_hand_of_a_gripper_feels_the_sum_and_no_more_than_the_clamp(pads):
+    nip = Nip(pads, 0.6)
+    nip.lead(nip.at + 0.005 * nip.up, nip.apart, 300)
+    bodies = nip.scene.simulation.state.wrench[:, :3]
+    np.testing.assert_allclose(nip.scene.wrenches[0, :3], bodies.sum(axis=0), atol=1e-12)
+    assert np.linalg.norm(bodies, axis=1).min() > 0.3
+    nip.scene.simulation.settings[st.FORCE_CLAMP] = 0.05
+    nip.lead(nip.at, nip.apart, 3)
+    assert np.linalg.norm(nip.scene.wrenches[0, :3]) == pytest.approx(0.05)
+    assert np.linalg.norm(nip.scene.simulation.state.wrench[:, :3].sum(axis=0)) <= 0.05 + 1e-12

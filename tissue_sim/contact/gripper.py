@@ -1,0 +1,37 @@
+"""A gripper: one tool with two jaws that open about a hinge."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.organ.organ import Floats
+
+WIDEST = 2.5  # rad; an angle beyond it is in another unit
+
+
+def jaw_poses(pose: Floats, angle: float, radius: float, length: float) -> Floats:
+    """Poses (2, 7) of a gripper's jaws, m and unit quaternions xyzw.
+
+    pose (7,) of the gripper: its origin lies where the tips of the closed jaws meet, its shaft along -z; angle rad
+    between the jaws, which turn about an axis along y through the hinge, `length` m behind the tips. Each jaw's x axis
+    points away from the other one, and its origin lies `radius` m from the middle when closed: 0 for jaws of a mesh,
+    whose pads lie in x = 0. Negative angles count as closed.
+    """
+    half = 0.5 * min(max(angle, 0.0), WIDEST)
+    turn = Rotation.from_quat(pose[3:])
+    poses = np.empty((2, 7))
+    for jaw, side in enumerate((1.0, -1.0)):
+        opened = Rotation.from_rotvec([0.0, side * half, 0.0])
+        tip = opened.apply([side * radius, 0.0, length]) - [0.0, 0.0, length]
+        poses[jaw, :3] = pose[:3] + turn.apply(tip)
+        mirrored = Rotation.from_rotvec([0.0, 0.0, 0.0 if side > 0.0 else np.pi])
+        poses[jaw, 3:] = (turn * opened * mirrored).as_quat()
+    return poses
+
+
+def about(origin: Floats, wrenches: Floats, origins: Floats) -> Floats:
+    """Sum (6,) of wrenches (b, 6), each N and N m about its own of origins (b, 3) m, about one origin (3,) m."""
+    total = wrenches.sum(axis=0)
+    total[3:] += np.cross(origins - origin, wrenches[:, :3]).sum(axis=0)
+    return np.asarray(total)

@@ -1,0 +1,65 @@
+"""What the hands feel: minus the force on the tissue, within clamp and slew limit, faded when stale."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.state import AGE, CLAMPED, FORCE_CLAMP, FORCE_SLEW, SLEWED, TICK_TIME
+from tissue_sim.model.tool_motion import freshness
+
+
+@kernel
+def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """Set the wrench of every body; clamp and slew limit hold for the sum over a hand's bodies."""
+    cut = held_back = False
+    for hand in range(len(state.wrench)):
+        clamped = clamp_share(scratch.impulse, shapes.hand, hand, settings[FORCE_CLAMP] * settings[TICK_TIME])
+        cut = cut or clamped < 1.0
+        wanted = -clamped / settings[TICK_TIME]
+        change = slew_share(state.felt, scratch.impulse, wanted, shapes.hand, hand, settings)
+        held_back = held_back or change < 1.0
+        for body in range(len(state.wrench)):
+            if shapes.hand[body] == hand:
+                felt, impulse = state.felt[body], scratch.impulse[body]
+                for c in range(6):
+                    felt[c] = (
+                        wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
+                    )
+        # Where the clamp itself was lowered meanwhile.
+        clamped = clamp_share(state.felt, shapes.hand, hand, settings[FORCE_CLAMP])
+        for body in range(len(state.wrench)):
+            if shapes.hand[body] == hand:
+                fresh = freshness(state.tool_count[body, AGE], settings)
+                for c in range(6):
+                    state.felt[body, c] *= clamped
+                    state.wrench[body, c] = fresh * state.felt[body, c]
+    state.count[CLAMPED] += cut
+    state.count[SLEWED] += held_back
+
+
+@kernel
+def clamp_share(values: Any, hands: Any, hand: int, most: float) -> float:
+    """Factor that brings the sum of a hand's forces, the first three of values (T, 6), to `most`."""
+    x = y = z = 0.0
+    for body in range(len(values)):
+        if hands[body] == hand:
+            x += values[body, 0]
+            y += values[body, 1]
+            z += values[body, 2]
+    size = math.sqrt(x * x + y * y + z * z)
+    return most / size if size > most else 1.0
+
+
+@kernel
+def slew_share(felt: Any, impulse: Any, wanted: float, hands: Any, hand: int, settings: Any) -> float:
+    """Share of the way from felt (T, 6) to wanted * impulse (T, 6) that a hand's force may go in a tick."""
+    x = y = z = 0.0
+    for body in range(len(felt)):
+        if hands[body] == hand:
+            x += wanted * impulse[body, 0] - felt[body, 0]
+            y += wanted * impulse[body, 1] - felt[body, 1]
+            z += wanted * impulse[body, 2] - felt[body, 2]
+    size, most = math.sqrt(x * x + y * y + z * z), settings[FORCE_SLEW] * settings[TICK_TIME]
+    return most / size if size > most else 1.0
