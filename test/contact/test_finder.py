@@ -264,6 +264,18 @@ def test_nearest_weights_give_the_nearest_point():
     assert np.all(np.linalg.norm(others - points[:, None], axis=2).min(axis=1) >= distance - 1e-9)
 
 
+def test_nearest_point_of_a_fine_triangle_is_no_farther_than_its_middle():
+    """Half a millimetre in metres: products of its lengths are as small as 1e-13."""
+    random = np.random.default_rng(0)
+    corners = random.uniform(-3e-4, 3e-4, (500, 3, 3))
+    points = random.uniform(-4e-4, 4e-4, (500, 3))
+    _, distance = nearest_weights(corners, points)
+    sampled = random.dirichlet([0.7, 0.7, 0.7], 400)
+    near = np.linalg.norm(np.einsum("sk,tkc->tsc", sampled, corners) - points[:, None], axis=2).min(axis=1)
+    assert np.all(distance <= near + 1e-12)
+    assert np.all(distance >= near - 5e-5)
+
+
 @pytest.mark.parametrize(
     "corners",
     [

@@ -34,14 +34,16 @@ def test_grid_of_a_ring_is_its_distance_inside_and_out():
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     assert np.all(points.min(axis=0) <= -np.array([0.024, 0.024, 0.004]) - MARGIN + 1e-4)
     error = grid.distance.ravel() - ring_distance(points)
-    assert np.abs(error).max() < 1.2e-4  # the mesh's own chords; spacing 0.4 mm
+    assert np.abs(error).max() < 1.2e-4  # the mesh's own chords; spacing 0.6 mm
     assert (grid.distance < 0.0).sum() * grid.spacing**3 == pytest.approx(ring().volume, rel=0.03)
 
 
 def test_tool_that_is_not_convex_keeps_its_hole(ring_file):
     tools = ToolSet([Tool("left", "mesh", mesh=ring_file)])
     assert tools.shapes.kind[0] == GRID
-    assert signed_distance(tools.shapes, 0, 0.0, 0.0, 0.0)[0] == pytest.approx(0.016, abs=2e-4)
+    assert signed_distance(tools.shapes, 0, 0.0, 0.0, 0.0)[0] == pytest.approx(
+        0.016, abs=3e-4
+    )  # in the middle it has a kink
     assert signed_distance(tools.shapes, 0, 0.02, 0.0, 0.0)[0] == pytest.approx(-0.004, abs=3e-4)
 
 

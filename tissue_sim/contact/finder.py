@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.contact.broad_phase import holds_node, nearest_node, points_near, surface_box, triangles_in_box
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
+from tissue_sim.contact.triangles import closest_points
 from tissue_sim.model.inputs import take_contacts
 from tissue_sim.model.shapes import rotation_matrix
 from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs, State
@@ -308,7 +309,7 @@ def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
 
     Returns the barycentric weights (k, 3) and the distances (k,) m.
     """
-    nearest = trimesh.triangles.closest_point(corners, points)
+    nearest = closest_points(corners, points)
     weights = trimesh.triangles.points_to_barycentric(corners, nearest)
     # A triangle without area has no such weights: its nearest corner stands for it.
     flat = ~np.all(np.isfinite(weights), axis=1)
