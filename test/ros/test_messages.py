@@ -10,7 +10,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.ros.cdr import parse_stamped, unit_pose
-from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, WrenchTemplate, rest_mesh
+from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, NumbersTemplate, rest_mesh
 
 FRAMES = ["", "o", "organ", "frames", "a_rather_long_frame/of_an_arm"]
 
@@ -41,7 +41,7 @@ def test_short_message_is_refused(length):
 @pytest.mark.parametrize("frame", FRAMES)
 def test_wrench_template_is_what_ros_would_write(frame):
     wrench = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
-    read = deserialize_message(WrenchTemplate(frame).message(5_000_000_007, wrench), WrenchStamped)
+    read = deserialize_message(NumbersTemplate(WrenchStamped(), 6, frame).message(5_000_000_007, wrench), WrenchStamped)
     expected = WrenchStamped()
     expected.header.frame_id = frame
     expected.header.stamp.sec, expected.header.stamp.nanosec = 5, 7

@@ -38,6 +38,7 @@ from tissue_sim.ros.parameters import SETTING_OF, Parameters
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.presenter import Presenter
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.tool_port import ToolPort, as_values
 
 NAME = "tissue_sim"
@@ -75,6 +76,7 @@ class TissueNode(Node):
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
         self.physics = Physics(self.simulation)
+        self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken, self._stop = threading.Event(), threading.Event()
         self.ports = [self._port(index, name) for index, name in enumerate(values.tools)]
         self.recorder = Recorder(self.get_fully_qualified_name(), values.tools, self._tool_topics(), self._config())
@@ -127,16 +129,16 @@ class TissueNode(Node):
             self,
             index,
             name,
-            values[f"{name}.frame_id"] or self.frame_id,
-            {topic: values.topic(name, topic) for topic in bag.TOOL_TOPICS},
-            values[f"{name}.reliable"],
+            values.topics(name),
+            values.frames(name, self._lookup),
+            self.frame_id,
             self.physics,
             lambda: self.recorder,
             self._woken,
         )
 
     def _tool_topics(self) -> dict[tuple[str, str], str]:
-        return {(port.name, topic): port.names[topic] for port in self.ports for topic in bag.TOOL_TOPICS}
+        return {(port.name, topic): port.bag_names[topic] for port in self.ports for topic in bag.TOOL_TOPICS}
 
     def _config(self) -> dict[str, Any]:
         return {
@@ -175,7 +177,7 @@ class TissueNode(Node):
                 ("measured_cf", port.newest_force),
             ):
                 if raw:
-                    newest[port.names[topic]] = (sequence, raw)
+                    newest[port.bag_names[topic]] = (sequence, raw)
         folder = Path(self.parameters["record_folder"]).absolute()
         return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest)
 
