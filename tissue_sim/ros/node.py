@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
@@ -42,6 +43,7 @@ from tissue_sim.ros.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.tool_port import ToolPort, as_values
 
 NAME = "tissue_sim"
+RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 
 
@@ -265,7 +267,13 @@ def main(arguments: list[str] | None = None) -> int:
     # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
     sys.setswitchinterval(0.0005)
     stop = threading.Event()
-    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    except (RCLError, UnknownROSArgsError) as error:
+        reason = str(error).split(", at /")[0]  # where in rcl's sources
+        hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
+        sys.stderr.write(f"tissue_node: error: {reason}{hint}\n")
+        return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     node = None
