@@ -49,6 +49,9 @@ class TfLookup:
         except tf2_ros.TransformException as error:
             raise UnknownFrame(f"tf leads from none of that name to '{self.target}' ({error})") from None
         offset, turn = found.translation, found.rotation
-        answer = Transform.of_pose((offset.x, offset.y, offset.z, turn.x, turn.y, turn.z, turn.w))
+        try:
+            answer = Transform.of_pose((offset.x, offset.y, offset.z, turn.x, turn.y, turn.z, turn.w))
+        except ValueError as error:
+            raise UnknownFrame(f"tf's transform to '{self.target}' {error}") from None
         self._answers[frame_id] = (now, answer)
         return answer
