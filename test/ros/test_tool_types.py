@@ -101,7 +101,7 @@ class Tools(Client):
         """Press with a tool from outside to DEPTH; to_device takes m in the organ's frame to the device's own."""
         touch, inward = poke_path(shipped())
         start, held = time.monotonic(), 0
-        while (held < 60 or not np.any(self.felt[tool][-1:])) and time.monotonic() < start + 8.0:
+        while (held < 40 or not np.any(self.felt[tool][-1:])) and time.monotonic() < start + 8.0:
             depth = -0.008 + (DEPTH + 0.008) * min(1.0, max(0.0, time.monotonic() - start - 0.2))
             self.send(tool, to_device(touch + depth * inward), turn, frame)
             if force is not None:
