@@ -41,7 +41,7 @@ DISTRIBUTION_OF = {
     "skfem": "scikit-fem",
     "SimpleITK": "simpleitk",
 }
-ROS_PACKAGES_OF = re.compile(r"rclpy|rpyutils|rcl_interfaces|ament_index_python|(\w+_(msgs|srvs|interfaces))")
+ROS_PACKAGES_OF = re.compile(r"rclpy|rpyutils|tf2_ros|rcl_interfaces|ament_index_python|(\w+_(msgs|srvs|interfaces))")
 
 GPL_FAMILY = re.compile(r"GPL|General Public License|Affero|SSPL", re.IGNORECASE)
 # Distributions whose metadata names a licence of the GPL family, and why they may stay.
@@ -78,6 +78,11 @@ def test_package_xml_names_every_ros_package_that_is_imported():
     named = {element.text for element in package.findall("exec_depend")}
     imported = {name for name in third_party_imports("tissue_sim", "launch") if is_ros(name) or "launch" in name}
     assert imported <= named
+
+
+def test_configuration_is_installed():
+    installed = {file for _, files in SETUP["data_files"] for file in files}
+    assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "config").rglob("*") if path.is_file()} <= installed
 
 
 def test_everything_imported_is_declared():

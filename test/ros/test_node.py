@@ -205,6 +205,8 @@ REFUSED_STARTS = {
     "model:=solid": "choose one of surface, volume, hybrid",
     "tools:=[a, a]": "no name of its own",
     "left.shape:=cube": "sphere, capsule, mesh",
+    "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",
+    "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a quaternion of zero",
 }
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, WrenchStamped
+from geometry_msgs.msg import Point, Pose
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh, MeshTriangle
@@ -21,19 +22,26 @@ from tissue_sim.ros.cdr import CDR_HEADER
 SENTINEL = 1.2345678901234567e89
 
 
-class WrenchTemplate:
-    """A WrenchStamped in a frame, ready to be patched."""
+class NumbersTemplate:
+    """A message that ends in doubles, ready to be patched: a wrench or a pose, with or without a header.
 
-    def __init__(self, frame_id: str) -> None:
-        message = WrenchStamped()
-        message.header.frame_id = frame_id
+    message: a PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), its numbers to be replaced.
+    """
+
+    def __init__(self, message: Any, n_numbers: int, frame_id: str = "") -> None:
+        self._stamped = hasattr(message, "header")
+        if self._stamped:
+            message.header.frame_id = frame_id
         self._bytes = bytearray(serialize_message(message))
-        self._body = len(self._bytes) - 48
+        self._n = n_numbers
+        self._body = len(self._bytes) - 8 * n_numbers
 
-    def message(self, stamp: int, wrench: Floats) -> bytes:
-        """The message with a stamp in ns and a wrench (6,) N, N m."""
-        struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
-        struct.pack_into("<6d", self._bytes, self._body, *wrench)
+    def message(self, stamp: int, numbers: Sequence[float] | Floats) -> bytes:
+        """The message with a stamp in ns, if it has one, and as many of the numbers as it holds; the rest are zero."""
+        if self._stamped:
+            struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        n = min(self._n, len(numbers))
+        struct.pack_into(f"<{n}d", self._bytes, self._body, *numbers[:n])
         return bytes(self._bytes)
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
@@ -38,9 +39,11 @@ from tissue_sim.ros.parameters import SETTING_OF, Parameters
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.presenter import Presenter
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.tool_port import ToolPort, as_values
 
 NAME = "tissue_sim"
+RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 
 
@@ -73,6 +76,7 @@ class TissueNode(Node):
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
         self.physics = Physics(self.simulation)
+        self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken, self._stop = threading.Event(), threading.Event()
         self.ports = [self._port(index, name) for index, name in enumerate(values.tools)]
         self.recorder = Recorder(self.get_fully_qualified_name(), values.tools, self._tool_topics(), self._config())
@@ -125,16 +129,16 @@ class TissueNode(Node):
             self,
             index,
             name,
-            values[f"{name}.frame_id"] or self.frame_id,
-            {topic: values.topic(name, topic) for topic in bag.TOOL_TOPICS},
-            values[f"{name}.reliable"],
+            values.topics(name),
+            values.frames(name, self._lookup),
+            self.frame_id,
             self.physics,
             lambda: self.recorder,
             self._woken,
         )
 
     def _tool_topics(self) -> dict[tuple[str, str], str]:
-        return {(port.name, topic): port.names[topic] for port in self.ports for topic in bag.TOOL_TOPICS}
+        return {(port.name, topic): port.bag_names[topic] for port in self.ports for topic in bag.TOOL_TOPICS}
 
     def _config(self) -> dict[str, Any]:
         return {
@@ -173,7 +177,7 @@ class TissueNode(Node):
                 ("measured_cf", port.newest_force),
             ):
                 if raw:
-                    newest[port.names[topic]] = (sequence, raw)
+                    newest[port.bag_names[topic]] = (sequence, raw)
         folder = Path(self.parameters["record_folder"]).absolute()
         return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest)
 
@@ -261,7 +265,13 @@ def main(arguments: list[str] | None = None) -> int:
     # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
     sys.setswitchinterval(0.0005)
     stop = threading.Event()
-    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    except (RCLError, UnknownROSArgsError) as error:
+        reason = str(error).split(", at /")[0]  # where in rcl's sources
+        hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
+        sys.stderr.write(f"tissue_node: error: {reason}{hint}\n")
+        return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     node = None

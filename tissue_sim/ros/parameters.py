@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -19,6 +20,9 @@ from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS
 from tissue_sim.model.state import Floats
+from tissue_sim.ros import bag
+from tissue_sim.ros.frames import IDENTITY, Frames, Transform, unit_quaternion
+from tissue_sim.ros.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 
 
 @dataclass(frozen=True)
@@ -33,11 +37,18 @@ class Spec:
     live: bool = False
     choices: tuple[str, ...] = ()
     setting: int | None = None
+    check: Callable[[Any], object] | None = None  # raises ValueError with the reason
+
+
+def _check_pose(value: Any) -> None:
+    Transform.of_pose(value)
 
 
 NODE_SPECS = (
     Spec("organ_file", "", "organ file (.npz); empty for the kidney that ships"),
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
+    Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
+    Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0),
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
@@ -66,6 +77,19 @@ TOOL_SPECS = (
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
     Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
+    Spec("pose_type", "PoseStamped", "message type of measured_cp", choices=tuple(POSE_TYPES)),
+    Spec("force_type", "WrenchStamped", "message type of measured_cf", choices=tuple(FORCE_TYPES)),
+    Spec("wrench_type", "WrenchStamped", "message type of servo_cf", choices=tuple(WRENCH_TYPES)),
+    Spec("array_length", 3, "numbers in a Float64MultiArray: 3 forces, then up to 3 torques, then a zero", 3, 7),
+    Spec("base_pose", list(IDENTITY), "its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
+    Spec("motion_scale", 1.0, "m of the tool for one m of the hand; forces are not scaled", 0.01, 1.0),
+    Spec("wrench_frame", "base", "axes of servo_cf: those of its poses' frame, or its own", choices=WRENCH_FRAMES),
+    Spec(
+        "wrench_rotation",
+        [0.0, 0.0, 0.0, 1.0],
+        "quaternion of the wrench's axes in wrench_frame, for a bridge that turns its poses",
+        check=unit_quaternion,
+    ),
     Spec("reliable", False, "reliable instead of best effort for this tool's topics"),
 )
 
@@ -99,9 +123,34 @@ class Parameters:
         get = {key: self[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh")}
         return Tool(name, **get)
 
-    def topic(self, tool: str, name: str) -> str:
-        """Topic of a tool: measured_cp, measured_cf or servo_cf."""
-        return self[f"{tool}.{name}"] or f"{tool}/{name}"
+    def topics(self, tool: str) -> ToolTopics:
+        """How the bridge of a tool speaks."""
+        words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
+        return ToolTopics(
+            names={topic: self[f"{tool}.{topic}"] or f"{tool}/{topic}" for topic in bag.TOOL_TOPICS},
+            frame_id=self[f"{tool}.frame_id"] or self["frame_id"],
+            wrench_rotation=unit_quaternion(self[f"{tool}.wrench_rotation"]),
+            **{word: self[f"{tool}.{word}"] for word in words},
+        )
+
+    def frames(self, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
+        """The frames that a tool's poses may come in; lookup leads others to `tf_target`, None without tf."""
+        organ_id, base_id = self["frame_id"], self["base_frame"]
+        to_organ = Transform.of_pose(self["organ_pose"]).inverse()
+        known = {organ_id: Transform()}
+        if base_id:
+            known[base_id] = to_organ
+        known[self[f"{tool}.frame_id"] or organ_id] = to_organ.after(Transform.of_pose(self[f"{tool}.base_pose"]))
+        if lookup is None:
+            return Frames(known, self[f"{tool}.motion_scale"])
+        # Without a name for the base, tf itself knows where the organ is.
+        led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
+        return Frames(known, self[f"{tool}.motion_scale"], led)
+
+    @property
+    def tf_target(self) -> str:
+        """The frame that other frames are looked up against."""
+        return self["base_frame"] or self["frame_id"]
 
     def apply(self, settings: Floats) -> None:
         """Write the parameters that are settings of the simulation."""
@@ -119,13 +168,21 @@ class Parameters:
         if spec.choices:
             descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
         if spec.low is not None and spec.high is not None:
-            descriptor.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high, step=0.0)]
+            if isinstance(spec.default, int):
+                bounds = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
+                descriptor.integer_range = [bounds]
+            else:
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=spec.low, to_value=spec.high, step=0.0)
+                ]
         descriptor.dynamic_typing = False
         self._specs[name] = spec
         try:
             self._node.declare_parameter(name, spec.default, descriptor)
         except InvalidParameterTypeException:
             kind = type(spec.default).__name__
+            if kind == "list":
+                kind = f"list like {spec.default}"
             raise UserError(f"parameter '{name}' is of the wrong type; it takes a {kind}: {spec.text}") from None
         except InvalidParameterValueException:
             given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
@@ -159,6 +216,11 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
     if spec.low is not None and spec.high is not None:
         if not np.isfinite(value) or not spec.low <= value <= spec.high:
             return f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})"
+    if spec.check is not None:
+        try:
+            spec.check(value)
+        except ValueError as error:
+            return f"parameter '{name}' {error}"
     return ""
 
 

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from tissue_sim.model import state as st
 from tissue_sim.model.state import Floats
-from tissue_sim.ros.cdr import Stamped, parse_stamped, unit_pose
-from tissue_sim.ros.messages import WrenchTemplate
+from tissue_sim.ros import bag
+from tissue_sim.ros.cdr import UNSTAMPED, Stamped, unit_pose
+from tissue_sim.ros.frames import Frames, Transform, UnknownFrame, Vector, rotate, rotate_back
+from tissue_sim.ros.messages import NumbersTemplate
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming, ToolTopics
 
 FARTHEST = 100.0  # m: a pose beyond it is in another unit
 WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
@@ -34,8 +37,9 @@ class Refused(Exception):
 
 
 class ToolPort:
-    """Subscribes a tool's measured_cp and measured_cf, publishes its servo_cf.
+    """Subscribes a tool's measured_cp and measured_cf, publishes its servo_cf, in the types and axes of its bridge.
 
+    Inside, and in a bag, a pose is a PoseStamped and a force or wrench a WrenchStamped, all in the organ's frame.
     A wrench goes out for each pose that arrives, from the callback itself; `keep_publishing` goes on
     at the tick rate when poses stop, until the wrench is zero.
     """
@@ -45,14 +49,14 @@ class ToolPort:
         node: Node,
         index: int,
         name: str,
-        frame_id: str,
-        topics: dict[str, str],
-        reliable: bool,
+        topics: ToolTopics,
+        frames: Frames,
+        organ_frame: str,
         physics: Physics,
         recorder: Callable[[], Recorder],
         woken: threading.Event,
     ) -> None:
-        self.index, self.name, self.frame_id = index, name, frame_id
+        self.index, self.name, self.topics = index, name, topics
         self.refused: Counter[str] = Counter()
         self.poses = self.forces = 0
         # Sequence, pose (7,) and bytes of the newest pose, replaced as one so that they belong together.
@@ -65,24 +69,46 @@ class ToolPort:
         self._physics, self._recorder, self._woken = physics, recorder, woken
         self._pose_stamp = self._force_stamp = 0
         self._warned: dict[str, float] = {}
-        self._template = WrenchTemplate(frame_id)
+        self._frames = frames
+        self._to_organ = frames.to_organ(topics.frame_id)  # from the frame that the newest pose came in
+        self._pose_type, self._force_type = POSE_TYPES[topics.pose_type], FORCE_TYPES[topics.force_type]
+        # Bytes that come in or go out just as a bag holds them are not made a second time.
+        unmoved = self._to_organ.is_identity
+        as_bagged = {
+            "measured_cp": topics.pose_type == "PoseStamped" and unmoved,
+            "measured_cf": topics.force_type == "WrenchStamped" and unmoved,
+            "servo_cf": topics.wrench_type == "WrenchStamped" and unmoved and not topics.turns_wrench,
+        }
+        frame_id = name if topics.wrench_frame == "body" else topics.frame_id
+        n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
+        self._template = NumbersTemplate(topics.outgoing(), n_numbers, frame_id)
+        self._bag_pose = NumbersTemplate(PoseStamped(), N_POSE, organ_frame)
+        self._bag_force = NumbersTemplate(WrenchStamped(), N_WRENCH, organ_frame)
+        self._bag_wrench = NumbersTemplate(WrenchStamped(), N_WRENCH, organ_frame)
         self._lock = threading.Lock()
         self._published = -math.inf
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=1,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            reliability=ReliabilityPolicy.RELIABLE if topics.reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.VOLATILE,
         )
-        self._servo = node.create_publisher(WrenchStamped, topics["servo_cf"], qos)
+        names = topics.names
+        self._servo = node.create_publisher(type(topics.outgoing()), names["servo_cf"], qos)
         self._subscriptions = [
-            node.create_subscription(PoseStamped, topics["measured_cp"], self._on_pose, qos, raw=True),
-            node.create_subscription(WrenchStamped, topics["measured_cf"], self._on_force, qos, raw=True),
+            node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True),
+            node.create_subscription(self._force_type.message, names["measured_cf"], self._on_force, qos, raw=True),
         ]
         self.names = {"servo_cf": self._servo.topic_name} | {
             topic: subscription.topic_name
             for topic, subscription in zip(("measured_cp", "measured_cf"), self._subscriptions, strict=True)
         }
+        # A bag's topic has a name of its own where its type or axes are not the bridge's.
+        own = node.get_fully_qualified_name()
+        self.bag_names = {
+            topic: self.names[topic] if as_bagged[topic] else f"{own}/{name}/{topic}" for topic in bag.TOOL_TOPICS
+        }
+        self._wrench_as_bagged = as_bagged["servo_cf"]
 
     # in ----------------------------------------------------------------------------------------
     def _on_pose(self, raw: bytes) -> None:
@@ -90,7 +116,10 @@ class ToolPort:
         fresh_for = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
         now = time.monotonic()
         try:
-            message = self._read(raw, 7, "pose", self._pose_stamp if now - self.pose_clock < fresh_for else 0)
+            last_stamp = self._pose_stamp if now - self.pose_clock < fresh_for else 0
+            message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", last_stamp)
+            if not to_organ.is_identity:
+                message = message._replace(values=to_organ.of(message.values))
             try:
                 pose = unit_pose(np.array(message.values))
             except ValueError as error:
@@ -100,11 +129,15 @@ class ToolPort:
         except Refused as refused:
             self._refuse("pose", refused)
             return
-        self._pose_stamp = message.stamp
+        if message.stamp != UNSTAMPED:
+            self._pose_stamp = message.stamp
+        self._to_organ = to_organ
+        if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
+            raw = self._bag_pose.message(self._stamp(message), message.values)
         self.newest = (self._physics.post_pose(self.index, pose), pose, raw)
         self.pose_clock = now
         self.poses += 1
-        self._recorder().received(self.names["measured_cp"], raw)
+        self._recorder().received(self.bag_names["measured_cp"], raw)
         self._publish()
         self._woken.set()
 
@@ -113,36 +146,50 @@ class ToolPort:
         fresh_for = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
         now = time.monotonic()
         try:
-            message = self._read(raw, 6, "force", self._force_stamp if now - self.force_clock < fresh_for else 0)
+            last_stamp = self._force_stamp if now - self.force_clock < fresh_for else 0
+            message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", last_stamp)
         except Refused as refused:
             self._refuse("force", refused)
             return
-        self._force_stamp, self.force_clock = message.stamp, now
+        if message.stamp != UNSTAMPED:
+            self._force_stamp = message.stamp
+        self.force_clock = now
+        if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
+            message = message._replace(values=_turned(message.values, lambda v: rotate(to_organ.rotation, v)))
+            raw = self._bag_force.message(self._stamp(message), message.values)
         self.newest_force = (self._physics.post_force(self.index, np.array(message.values[:3])), raw)
         self.forces += 1
-        self._recorder().received(self.names["measured_cf"], raw)
+        self._recorder().received(self.bag_names["measured_cf"], raw)
         self._woken.set()
 
-    def _read(self, raw: bytes, n_values: int, what: str, last_stamp: int) -> Stamped:
+    def _read(self, raw: bytes, kind: Incoming, n_values: int, what: str, last_stamp: int) -> tuple[Stamped, Transform]:
+        """A message whose values can be used, and the transform from its frame to the organ's."""
         try:
-            message = parse_stamped(raw, n_values)
+            message = kind.parse(raw, n_values)
         except ValueError as error:
             raise Refused("malformed", f"{error}") from None
         if not all(map(math.isfinite, message.values)):
             raise Refused(f"nan_{what}", "it holds a value that is not finite")
-        if message.frame_id != self.frame_id:
+        if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
+            return message, self._frames.to_organ(self.topics.frame_id)
+        try:
+            to_organ = self._frames.to_organ(message.frame_id)
+        except UnknownFrame as error:
             raise Refused(
                 "unknown_frame",
-                f"its frame is '{message.frame_id}', expected '{self.frame_id}'"
-                f" (parameter {self.name}.frame_id names another)",
-            )
+                f"its frame is '{message.frame_id}', expected '{self.topics.frame_id}'"
+                f" (parameter {self.name}.frame_id names another); {error}",
+            ) from None
         if message.stamp == 0:
             raise Refused("no_stamp", "its stamp is 0, which marks invalid data")
         if message.stamp < last_stamp:
             raise Refused(
                 "backward_stamp", f"its stamp is {1e-9 * (last_stamp - message.stamp):.3f} s before the last one"
             )
-        return message
+        return message, to_organ
+
+    def _stamp(self, message: Stamped) -> int:
+        return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)
 
     def _refuse(self, what: str, refused: Refused) -> None:
         self.refused[refused.name] += 1
@@ -161,11 +208,25 @@ class ToolPort:
         if not np.all(np.isfinite(wrench)):  # never seen, and never to be felt
             wrench = np.zeros(6)
             self.refused["nan_wrench"] += 1
-        raw = self._template.message(self._clock.now().nanoseconds, wrench)
+        stamp = self._clock.now().nanoseconds
+        raw = self._template.message(stamp, self._along_axes(wrench))
         self._servo.publish(raw)
         self.force = math.sqrt(float(wrench[:3] @ wrench[:3]))
         self._published = time.monotonic()
-        self._recorder().wrench(self.names["servo_cf"], self.index, tick, raw)
+        recorder = self._recorder()
+        if recorder.active:
+            if not (self._wrench_as_bagged and self._to_organ.is_identity):
+                raw = self._bag_wrench.message(stamp, wrench)
+            recorder.wrench(self.bag_names["servo_cf"], self.index, tick, raw)
+
+    def _along_axes(self, wrench: Floats) -> Sequence[float] | Floats:
+        """A wrench in the organ's axes, along those that the bridge takes it in; about the tool's origin still."""
+        to_organ, topics = self._to_organ, self.topics
+        if to_organ.is_identity and not topics.turns_wrench:
+            return wrench
+        x, y, z, w = self.newest[1].tolist()[3:] if topics.wrench_frame == "body" else to_organ.rotation
+        turn = topics.wrench_rotation
+        return _turned(wrench.tolist(), lambda v: rotate_back(turn, rotate_back((x, y, z, w), v)))
 
     def keep_publishing(self, silence: float) -> bool:
         """Publish the newest wrench if nothing went out for `silence` s and the last one wasn't zero.
@@ -193,6 +254,11 @@ class ToolPort:
         if time.monotonic() - self.pose_clock > settings[st.STALE_TIME]:
             return "stale"
         return "fresh" if engaged else "refused"
+
+
+def _turned(wrench: Sequence[float], turn: Callable[[Vector], Vector]) -> tuple[float, ...]:
+    fx, fy, fz, tx, ty, tz = wrench
+    return (*turn((fx, fy, fz)), *turn((tx, ty, tz)))
 
 
 def as_values(counter: Counter[str], prefix: str) -> dict[str, Any]:

@@ -1,0 +1,41 @@
+"""Takes the place of tf2_ros where only ROS's wheels are: the same calls, for single static transforms."""
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
+
+
+class TransformException(Exception):
+    pass
+
+
+class LookupException(TransformException):
+    pass
+
+
+class Buffer:
+    def __init__(self, cache_time: Duration | None = None, node: Node | None = None) -> None:
+        self.heard: dict[tuple[str, str], TransformStamped] = {}
+
+    def set_transform(self, transform: TransformStamped, authority: str) -> None:
+        self.heard[transform.header.frame_id, transform.child_frame_id] = transform
+
+    def lookup_transform(
+        self, target_frame: str, source_frame: str, time: Time, timeout: Duration | None = None
+    ) -> TransformStamped:
+        found = self.heard.get((target_frame, source_frame))
+        if found is None:
+            raise LookupException(f'"{source_frame}" passed to lookupTransform argument source_frame does not exist.')
+        return found
+
+
+class TransformListener:
+    """Hears TransformStamped on /tf_static; tf2_msgs isn't among the wheels."""
+
+    def __init__(self, buffer: Buffer, node: Node, *, spin_thread: bool = False) -> None:
+        qos = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.subscription = node.create_subscription(
+            TransformStamped, "/tf_static", lambda message: buffer.set_transform(message, "test"), qos
+        )

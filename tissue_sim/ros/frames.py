@@ -1,0 +1,131 @@
+"""Where a tool's poses come from: rigid transforms between its frame and the organ's, fixed or looked up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class UnknownFrame(ValueError):
+    """A frame that nothing leads from to the organ; the message is the end of a sentence that names the frame."""
+
+
+class Transform(NamedTuple):
+    """A rigid transform, its translation in m and its unit quaternion xyzw.
+
+    `scale` is applied to positions before it: m of the tool for one m of the hand. Plain floats, because it runs for
+    each pose at up to 1 kHz, where small arrays would cost more.
+    """
+
+    translation: Vector = (0.0, 0.0, 0.0)
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    scale: float = 1.0
+
+    @classmethod
+    def of_pose(cls, pose: Sequence[float]) -> Transform:
+        """The transform of a pose (7,): from the axes at that pose to the frame it is given in.
+
+        Raises ValueError when it isn't seven finite numbers with a quaternion that isn't zero.
+        """
+        if len(pose) != 7 or not all(map(math.isfinite, pose)):
+            raise ValueError("takes seven finite numbers: x, y, z (m) and a quaternion x, y, z, w")
+        x, y, z = (float(value) for value in pose[:3])
+        return cls((x, y, z), unit_quaternion(pose[3:]))
+
+    @property
+    def is_identity(self) -> bool:
+        """True when it changes no pose."""
+        return self == UNMOVED
+
+    def inverse(self) -> Transform:
+        """The transform back; of a transform without scale."""
+        x, y, z, w = self.rotation
+        back = (-x, -y, -z, w)
+        tx, ty, tz = rotate(back, self.translation)
+        return Transform((-tx, -ty, -tz), back)
+
+    def after(self, first: Transform) -> Transform:
+        """This transform after another one; a scale may be in the first one alone."""
+        x, y, z = rotate(self.rotation, first.translation)
+        tx, ty, tz = self.translation
+        return Transform((tx + x, ty + y, tz + z), multiply(self.rotation, first.rotation), first.scale)
+
+    def scaled(self, scale: float) -> Transform:
+        """This transform, with positions scaled before it."""
+        return Transform(self.translation, self.rotation, scale)
+
+    def of(self, pose: Sequence[float]) -> tuple[float, ...]:
+        """A pose (7,) taken through it; a quaternion keeps its length."""
+        px, py, pz, qx, qy, qz, qw = pose
+        scale = self.scale
+        x, y, z = rotate(self.rotation, (scale * px, scale * py, scale * pz))
+        tx, ty, tz = self.translation
+        return (tx + x, ty + y, tz + z, *multiply(self.rotation, (qx, qy, qz, qw)))
+
+
+UNMOVED = Transform()
+
+
+class Frames:
+    """Leads the frames that a tool's poses may come in to the organ.
+
+    known: from each to the organ's frame. lookup: asked for any other, raises UnknownFrame; None without tf.
+    """
+
+    def __init__(
+        self, known: dict[str, Transform], scale: float = 1.0, lookup: Callable[[str], Transform] | None = None
+    ) -> None:
+        self._known = {frame_id: transform.scaled(scale) for frame_id, transform in known.items()}
+        self._scale, self._lookup = scale, lookup
+
+    def to_organ(self, frame_id: str) -> Transform:
+        """The transform from a frame to the organ's; raises UnknownFrame."""
+        transform = self._known.get(frame_id)
+        if transform is not None:
+            return transform
+        if self._lookup is None:
+            raise UnknownFrame("tf2_ros, which could look up another one, isn't installed")
+        return self._lookup(frame_id).scaled(self._scale)
+
+
+def unit_quaternion(values: Sequence[float]) -> Quaternion:
+    """A quaternion xyzw scaled to length 1; raises ValueError when it is zero or isn't four finite numbers."""
+    if len(values) != 4 or not all(map(math.isfinite, values)):
+        raise ValueError("takes a quaternion of four finite numbers: x, y, z, w")
+    length = math.hypot(*values)
+    if length < 1e-6:
+        raise ValueError("has a quaternion of zero; no rotation is 0, 0, 0, 1")
+    x, y, z, w = (float(value) / length for value in values)
+    return (x, y, z, w)
+
+
+def multiply(first: Quaternion, second: Quaternion) -> Quaternion:
+    """The rotation `first` after `second`, xyzw."""
+    ax, ay, az, aw = first
+    bx, by, bz, bw = second
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def rotate(rotation: Quaternion, vector: Vector) -> Vector:
+    """A vector turned by a unit quaternion xyzw."""
+    x, y, z, w = rotation
+    vx, vy, vz = vector
+    cx, cy, cz = y * vz - z * vy + w * vx, z * vx - x * vz + w * vy, x * vy - y * vx + w * vz
+    return (vx + 2.0 * (y * cz - z * cy), vy + 2.0 * (z * cx - x * cz), vz + 2.0 * (x * cy - y * cx))
+
+
+def rotate_back(rotation: Quaternion, vector: Vector) -> Vector:
+    """A vector turned by the inverse of a unit quaternion xyzw."""
+    x, y, z, w = rotation
+    return rotate((-x, -y, -z, w), vector)
