@@ -36,11 +36,11 @@ class Loop:
     def _run(self):
         one = self.simulation
         world = World(one.model, one.state, one.shapes, one.settings.copy(), one.scratch)
-        rt.run_loop(handle(world), handle(self.box), one.buffer.floats, one.buffer.integers, round(1e9 / RATE))
+        rt.run_loop(handle(world), handle(self.box), one.buffer.floats, one.buffer.integers)
 
     def __enter__(self):
         self.thread.start()
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + 180.0
         while self.box.control[rt.LOOP_TICKS] == 0:
             assert time.monotonic() < deadline
             time.sleep(0.01)

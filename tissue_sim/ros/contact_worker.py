@@ -51,6 +51,7 @@ class ContactWorker:
         self._last_time = time.monotonic()
         self._last_key: tuple[int, ...] = ()
         self._last_empty = False
+        self._last_resets = physics.resets
 
     def start(self) -> None:
         """Start the thread."""
@@ -60,7 +61,8 @@ class ContactWorker:
         """End the thread."""
         self._stop.set()
         self._woken.set()
-        self._thread.join(timeout=2.0)
+        if self._thread.is_alive():
+            self._thread.join(timeout=0.5)
 
     def engaged(self, tool: int) -> bool:
         """True while a tool may touch."""
@@ -86,7 +88,12 @@ class ContactWorker:
         newest = [port.newest for port in self._ports]
         sequences = [sequence for sequence, _, _ in newest]
         poses = np.array([pose for _, pose, _ in newest])
-        fresh = [now - port.pose_clock < alive for port in self._ports]
+        if self._physics.resets != self._last_resets:  # the organ has jumped back under the tools
+            self._last_resets = self._physics.resets
+            self._engaged[:] = 0
+        # While the clock stands no tool touches, so that none bears on the organ at once when it goes on.
+        standing = self._physics.standing
+        fresh = [now - port.pose_clock < alive and not standing for port in self._ports]
         pushing = np.array([now - port.force_clock < alive for port in self._ports], dtype=np.int64)
         if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
             self.unchanged_skips += 1

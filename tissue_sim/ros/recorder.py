@@ -49,6 +49,7 @@ class Recorder:
         self._state_tick = -1
         self._started = 0.0
         self._epoch = 0
+        self._hurry = threading.Event()
         self.path: Path | None = None
         self.active = False
         self.lost = 0
@@ -81,6 +82,7 @@ class Recorder:
             name: writer.add_connection(name, kind, typestore=self._store) for name, kind in types.items()
         }
         self._queue = queue.SimpleQueue()
+        self._hurry.clear()
         self._thread = threading.Thread(target=self._drain, args=(writer, self._queue), name="recorder", daemon=True)
         self._thread.start()
         self._epoch = time.time_ns() - time.monotonic_ns()
@@ -96,15 +98,22 @@ class Recorder:
         self.settings(int(physics.box.settings_sequence[0]), physics.settings())
         return path
 
-    def stop(self, physics: Physics) -> Path | None:
-        """Close the bag; returns its path, None when none was open."""
+    def stop(self, physics: Physics, patience: float = 30.0) -> Path | None:
+        """Close the bag; returns its path, None when none was open.
+
+        What is not written within `patience` s is left out and counted as lost; what is in the bag still replays.
+        """
         if not self.active:
             return None
         self.poll(physics)
         self.active = False
         self._queue.put(None)
         if self._thread is not None:
-            self._thread.join(timeout=30.0)
+            self._thread.join(timeout=patience)
+            self._hurry.set()
+            self._thread.join(timeout=patience)
+            if self._thread.is_alive():
+                self.error = f"recording to {self.path} failed: the disk doesn't answer"
         return self.path
 
     def poll(self, physics: Physics) -> None:
@@ -193,6 +202,9 @@ class Recorder:
         try:
             while (item := get()) is not None:
                 name, stamp, raw = item
+                if self._hurry.is_set():
+                    self.lost += 1
+                    continue
                 writer.write(self._connections[name], stamp, raw)
             writer.close()
         except Exception as error:  # anything that goes wrong on the way to the disk
