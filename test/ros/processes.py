@@ -19,7 +19,7 @@ READY = "surface nodes"  # in the line that the node logs when its first tick is
 class Process:
     """A child process with its output in a file."""
 
-    def __init__(self, words: list[str], log: Path) -> None:
+    def __init__(self, words: list[str], log: Path, **environment: str) -> None:
         self.log = log
         self._stream = log.open("w")
         self.child = subprocess.Popen(
@@ -27,7 +27,7 @@ class Process:
             stdout=self._stream,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
-            env=os.environ,
+            env=os.environ | environment,
         )
 
     def text(self) -> str:
@@ -50,12 +50,16 @@ class Process:
             self._stream.close()
 
 
-def start_node(folder: Path, *parameters: str, wait: bool = True) -> Process:
-    """A node with parameters like `rate:=500.0`; waits until it ticks."""
+def start_node(
+    folder: Path, *parameters: str, wait: bool = True, remap: tuple[str, ...] = (), **environment: str
+) -> Process:
+    """A node with parameters like `rate:=500.0` and remaps like `__ns:=/a`; waits until it ticks."""
     words = ["-m", "tissue_sim.ros.node", "--ros-args"]
+    for rule in remap:
+        words += ["-r", rule]
     for parameter in parameters:
         words += ["-p", parameter]
-    process = Process(words, folder / "node.log")
+    process = Process(words, folder / "node.log", **environment)
     if wait:
         process.wait_for(READY)
     return process

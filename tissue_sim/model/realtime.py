@@ -379,8 +379,9 @@ def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any) -> None:
             rested = nap(due + NAP // period * period, state, settings, box)
             while due + 2 * period <= rested:
                 due += period
+                begin = now(box.clock)
                 tick(world)
-                note_tick(box, due, period, 0, 0)
+                note_tick(box, due, period, 0, now(box.clock) - begin)
         start = wait_until(due + period, box)
         if due == 0 or start < due:  # the first time that was posted, or it jumped back
             due = start

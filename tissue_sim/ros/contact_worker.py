@@ -15,6 +15,7 @@ from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.tool_port import ToolPort
 
+BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force after which it is looked whether they went stale
 MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 
 
@@ -52,6 +53,7 @@ class ContactWorker:
         self._last_key: tuple[int, ...] = ()
         self._last_empty = False
         self._last_resets = physics.resets
+        self._idle = False
 
     def start(self) -> None:
         """Start the thread."""
@@ -70,7 +72,7 @@ class ContactWorker:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self._woken.wait(timeout=0.05)
+            self._woken.wait(timeout=IDLE_WAIT if self._idle else BUSY_WAIT)
             self._woken.clear()
             start = time.monotonic()
             try:
@@ -97,7 +99,9 @@ class ContactWorker:
         pushing = np.array([now - port.force_clock < alive for port in self._ports], dtype=np.int64)
         if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
             self.unchanged_skips += 1
+            self._idle = True
             return
+        self._idle = False
         key = (*sequences, self._physics.surface_sequence, *map(int, fresh), *map(int, pushing))
         if key == self._last_key:
             self.unchanged_skips += 1

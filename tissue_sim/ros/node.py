@@ -46,6 +46,7 @@ from tissue_sim.ros.tool_port import ToolPort, as_values
 
 NAME = "tissue_sim"
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
+IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
 BAG_PATIENCE = 0.3  # s that the bag's queue gets at the end; what it holds then is left out
 
 
@@ -206,12 +207,17 @@ class TissueNode(Node):
     def _run_outlet(self) -> None:
         """Markers at their rate, fading wrenches at the tick rate, journal, diagnostics at 1 Hz."""
         next_marker = next_report = next_look = time.monotonic()
+        seen = -1
         self.contacts.rate = self.parameters["contact_rate"]
         while not self._stop.is_set():
             fading = [port.keep_publishing(SILENCE) for port in self.ports]
             now = time.monotonic()
             if now >= next_marker:
-                next_marker = max(next_marker + 1.0 / self.live.marker_rate, now)
+                # Nothing moves in an organ that sleeps, but somebody may have come to look.
+                rate = self.live.marker_rate
+                rate = rate if self.physics.surface_sequence != seen else min(rate, IDLE_MARKER_RATE)
+                seen = self.physics.surface_sequence
+                next_marker = max(next_marker + 1.0 / rate, now)
                 self.presenter.present(self.parameters["record_markers"])
                 self.recorder.poll(self.physics)
             if now >= next_look:
@@ -230,9 +236,8 @@ class TissueNode(Node):
         """Whether the clock stands, and whether the machine keeps up."""
         self.sim_clock.watch()
         timing, ladder = self._load.read(), self.ladder
-        late = timing.late_ticks / max(timing.ticks, 1)
         was_stuck, was = ladder.stuck, ladder.level
-        if ladder.look(now, degrade.Look(timing.load, late, timing.new_dropped), self.live.helps):
+        if ladder.look(now, degrade.Look(timing.load, timing.late_share, timing.dropped_ticks), self.live.helps):
             self.live.update(ladder.level)
             line = f"{self.live.describe()} (the ticks take {100 * timing.load:.0f} % of the time)"
             if ladder.level > was:
