@@ -1,7 +1,12 @@
 """What is given up when the machine is too slow, in which order, and how it comes back."""
 
+import time
+
 import numpy as np
 import pytest
+from client import Client
+from diagnostic_msgs.msg import DiagnosticStatus
+from processes import poke_path, shipped, start_node
 
 from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
@@ -145,3 +150,33 @@ def test_half_the_rate_is_worth_it_only_when_it_saves_substeps():
 def test_fewer_markers_help_only_where_there_are_more():
     assert not live(marker_rate=5.0)[0].helps(MARKERS)
     assert live(marker_rate=5.0)[0].marker_rate == 5.0
+
+
+def test_node_with_an_impossible_load_degrades_in_order_and_keeps_time(tmp_path):
+    """4000 implicit ticks a second are too many; fewer of them are as long, so that time is kept in the end."""
+    process = start_node(tmp_path, "rate:=4000.0", "integrator:=implicit", "tools:=[left]", "stale_time:=1.0")
+    client = Client()
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics, 20.0)
+    assert client.diagnostics["degraded"] == "none"
+    touch, inward = poke_path(shipped(), radius=0.0)
+
+    def push():
+        client.send_pose(touch - 0.0055 * inward)  # the tip stays clear of the surface
+        client.send_force(0.1 * inward)
+        client.spin(0.02)
+        return client.diagnostics["degraded"]
+
+    seen = []
+    end = time.monotonic() + 25.0
+    while time.monotonic() < end and not (seen[-1:] == ["rate"] and float(client.diagnostics["load"]) < 0.75):
+        level = push()
+        seen += [level] if level not in seen else []
+    assert seen[-2:] == ["markers", "rate"], (seen, process.text())
+    assert client.level == DiagnosticStatus.WARN
+    assert "degraded: markers at 10 Hz, " in client.message
+    lines = [line for line in process.text().splitlines() if "the machine is too slow" in line]
+    assert "markers at 10 Hz (" in lines[0]
+    assert "markers at 10 Hz, 2000 Hz (" in lines[1]
+    assert float(client.diagnostics["real_time_factor"]) > 0.5
+    client.close()
+    assert process.stop() == 0, process.text()

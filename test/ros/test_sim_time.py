@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from client import Client
-from processes import poke_path, shipped, start_node
+from processes import poke_path, press_until_felt, shipped, start_node
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
@@ -24,14 +24,8 @@ class Simulator:
         self.publisher.publish(Clock(clock=Time(nanoseconds=round(1e9 * self.time)).to_msg()))
 
     def press(self):
-        """Press the tool in until it feels something; again from outside, when the machine held up its poses."""
-        touch, inward = poke_path(shipped())
-        for _ in range(6):
-            for depth in np.linspace(-0.002, 0.002, 60):
-                self.run(STEP, touch + depth * inward)
-                if depth > 0.0018 and self.client.wrenches[-1][1][0] > 0.02:
-                    return touch + depth * inward
-        raise AssertionError(self.client.diagnostics)
+        """Press the tool in; returns where it is then."""
+        return press_until_felt(self.client, lambda position: self.run(STEP, position))
 
     def run(self, seconds, pose=None, wall=STEP):
         """Let so many s of simulated time go by, each step in `wall` s."""
