@@ -167,7 +167,7 @@ def test_node_with_an_impossible_load_degrades_in_order_and_keeps_time(tmp_path)
         return client.diagnostics["degraded"]
 
     seen = []
-    end = time.monotonic() + 25.0
+    end = time.monotonic() + 15.0
     while time.monotonic() < end and not (seen[-1:] == ["rate"] and float(client.diagnostics["load"]) < 0.75):
         level = push()
         seen += [level] if level not in seen else []
