@@ -26,13 +26,13 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "profile",
                 default_value="",
-                description="Haptic bridge whose topics and types the tools take, as in tissue_node.launch.py; goes with"
-                " bridge:=false.",
+                description="Haptic bridge whose topics and types the tools take, as in tissue_node.launch.py;"
+                " goes with bridge:=false.",
             ),
             DeclareLaunchArgument(
                 "organ_file",
                 default_value="",
-                description="Organ made by `tissue_sim build`; empty for that of params_file, or the kidney that ships.",
+                description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
             ),
             DeclareLaunchArgument(
                 "namespace",

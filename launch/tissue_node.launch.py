@@ -57,7 +57,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "organ_file",
                 default_value="",
-                description="Organ made by `tissue_sim build`; empty for that of params_file, or the kidney that ships.",
+                description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
             ),
             DeclareLaunchArgument(
                 "namespace",

@@ -47,7 +47,7 @@ from tissue_sim.ros.tool_port import ToolPort, as_values
 NAME = "tissue_sim"
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
-BAG_PATIENCE = 0.5  # s that the bag's queue gets at the end; what it holds then is left out
+BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
 
 
 class TissueNode(Node):

@@ -24,6 +24,7 @@ from tissue_sim.ros.physics import Physics
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
 WHOLE_SET = ("tool", "node", "weight", "normal", "tip_node", "tip_weight")
+CLOSING_TIME = 0.4  # s that a bag which is closed before all is written may take for that
 LONGEST_QUEUE = 200_000  # messages; a disk that can't keep up loses the rest, and that is said
 
 
@@ -111,7 +112,7 @@ class Recorder:
         if self._thread is not None:
             self._thread.join(timeout=patience)
             self._hurry.set()
-            self._thread.join(timeout=patience)
+            self._thread.join(timeout=CLOSING_TIME)
             if self._thread.is_alive():
                 self.error = f"recording to {self.path} failed: the disk doesn't answer"
         return self.path
@@ -203,8 +204,8 @@ class Recorder:
             while (item := get()) is not None:
                 name, stamp, raw = item
                 if self._hurry.is_set():
-                    self.lost += 1
-                    continue
+                    self.lost += messages.qsize()  # all but the None at the end, and this one
+                    break
                 writer.write(self._connections[name], stamp, raw)
             writer.close()
         except Exception as error:  # anything that goes wrong on the way to the disk
