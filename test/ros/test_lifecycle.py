@@ -1,5 +1,6 @@
 """How the node starts, lives beside others, changes while it runs, and ends: real processes."""
 
+import os
 import signal
 import time
 from pathlib import Path
@@ -93,6 +94,23 @@ def test_idle_node_with_a_viewer_costs_under_3_percent_of_a_core(client, node):
         if shares[-1] < 0.03:
             break
     assert min(shares) < 0.03, shares
+
+
+def test_time_that_was_lost_is_told(client, node):
+    """A process that is held up for 0.2 s is behind, and drops ticks: diagnostics warn within a second."""
+    assert client.spin_until(lambda: int(client.diagnostics["tick"]) > 0, 3.0)
+    dropped = counter(client, "dropped_ticks")
+    os.kill(node.child.pid, signal.SIGSTOP)
+    time.sleep(0.2)
+    os.kill(node.child.pid, signal.SIGCONT)
+    assert client.spin_until(lambda: counter(client, "dropped_ticks") > dropped, 3.0)
+    behind, factor = float(client.diagnostics["behind_ms"]), float(client.diagnostics["real_time_factor"])
+    assert counter(client, "dropped_ticks") - dropped > 150
+    assert behind > 190.0
+    assert factor < 0.9
+    assert client.level == DiagnosticStatus.WARN
+    assert f"{behind:.1f} ms behind" in client.message
+    assert "dropped_ticks" in client.message
 
 
 # changes while it runs -------------------------------------------------------------------------

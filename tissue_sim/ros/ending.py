@@ -23,7 +23,8 @@ class Ending:
 
     While starting, a signal raises Interrupted in the main thread; where that comes too late, the process ends
     without it: no bag is open yet, and no force was published. Once running, the node closes; one that
-    can't in 5 s, or gets a second signal, ends as it is. Make it in the main thread.
+    can't in 5 s ends as it is. Further signals change nothing: a launcher often sends its own after the
+    terminal's. Make it in the main thread.
     """
 
     def __init__(self) -> None:
@@ -61,11 +62,6 @@ class Ending:
             time.sleep(START_GRACE)
         if self._starting:
             _leave(0, "ended while starting")
-        threading.Thread(target=self._leave_late, name="late", daemon=True).start()
-        os.read(pipe, 1)
-        _leave(1, "a second signal: ended without closing")
-
-    def _leave_late(self) -> None:
         time.sleep(GRACE)
         _leave(1, f"could not close in {GRACE:g} s")
 

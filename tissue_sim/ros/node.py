@@ -236,16 +236,22 @@ class TissueNode(Node):
         """Whether the clock stands, and whether the machine keeps up."""
         self.sim_clock.watch()
         timing, ladder = self._load.read(), self.ladder
-        was_stuck, was = ladder.stuck, ladder.level
+        was_stuck = ladder.stuck
         if ladder.look(now, degrade.Look(timing.load, timing.late_share, timing.dropped_ticks), self.live.helps):
-            self.live.update(ladder.level)
-            line = f"{self.live.describe()} (the ticks take {100 * timing.load:.0f} % of the time)"
-            if ladder.level > was:
-                self.get_logger().warning(f"the machine is too slow: {line}")
-            else:
-                self.get_logger().info(f"the machine keeps up again: {line}")
+            # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
+            threading.Thread(target=self._degrade, args=(ladder.level, timing.load), daemon=True).start()
         elif ladder.stuck and not was_stuck:
             self.get_logger().warning("the machine is too slow, and there is nothing left to give up: time is lost")
+
+    def _degrade(self, level: int, load: float) -> None:
+        """Go to another level of degradation, and say so."""
+        worse = level > self.live.level
+        self.live.update(level)
+        line = f"{self.live.describe()} (the ticks took {100 * load:.0f} % of the time)"
+        if worse:
+            self.get_logger().warning(f"the machine is too slow: {line}")
+        else:
+            self.get_logger().info(f"the machine keeps up again: {line}")
 
     def _report(self) -> None:
         count, tools = self.physics.counts()
