@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import subprocess
@@ -36,6 +37,7 @@ class Process:
             stdin=subprocess.DEVNULL,
             env=os.environ | environment,
         )
+        atexit.register(self.child.kill)  # a test that fails leaves nothing running
 
     def text(self) -> str:
         return self.log.read_text()

@@ -7,7 +7,11 @@ pose and publish the newest wrench.
 
 from __future__ import annotations
 
-import os
+if __name__ == "__main__":
+    from tissue_sim.ros.program import run
+
+    run()
+
 import sys
 import threading
 import time
@@ -302,15 +306,15 @@ class TissueNode(Node):
         self.diagnostics.publish(values, problems, warnings, failure)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, ending: Ending | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; returns the exit code. To be called in the main thread."""
+    ending = ending or Ending()
     words = sys.argv if arguments is None else arguments
     if any(word in ("-h", "--help") for word in words[1:]):
         print(HELP)
         return 0
     # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
     sys.setswitchinterval(0.0005)
-    ending = Ending()
     node = None
     try:
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
@@ -359,14 +363,3 @@ def _describe_parameters() -> str:
 
 
 HELP += _describe_parameters()
-
-
-def run() -> None:
-    """The program: `main`, and out."""
-    code = main()
-    sys.stdout.flush()
-    os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise
-
-
-if __name__ == "__main__":
-    run()
