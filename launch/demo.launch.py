@@ -7,18 +7,43 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
+PASSED_ON = ("params_file", "profile", "organ_file", "namespace", "use_sim_time")
+
 
 def generate_launch_description() -> LaunchDescription:
     """The node of tissue_node.launch.py with a bridge that pokes the organ and a viewer in the browser."""
     share = FindPackageShare("tissue_sim")
     # Not Node actions: those append --ros-args, which the sub-commands do not take.
     command = PathJoinSubstitution([FindPackagePrefix("tissue_sim"), "lib", "tissue_sim", "tissue_sim"])
+    node = [LaunchConfiguration("namespace"), "/tissue_sim"]
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 "params_file",
                 default_value=PathJoinSubstitution([share, "config", "tissue_node.yaml"]),
                 description="YAML file with the node's parameters: organ, rates, tools, contact.",
+            ),
+            DeclareLaunchArgument(
+                "profile",
+                default_value="",
+                description="Haptic bridge whose topics and types the tools take, as in tissue_node.launch.py;"
+                " goes with bridge:=false.",
+            ),
+            DeclareLaunchArgument(
+                "organ_file",
+                default_value="",
+                description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
+            ),
+            DeclareLaunchArgument(
+                "namespace",
+                default_value="",
+                description="Namespace of node, bridge and viewer.",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                choices=["true", "false"],
+                description="Whether ticks follow /clock instead of the wall; goes with bridge:=false.",
             ),
             DeclareLaunchArgument(
                 "bridge",
@@ -34,16 +59,16 @@ def generate_launch_description() -> LaunchDescription:
             ),
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(PathJoinSubstitution([share, "launch", "tissue_node.launch.py"])),
-                launch_arguments={"params_file": LaunchConfiguration("params_file")}.items(),
+                launch_arguments={name: LaunchConfiguration(name) for name in PASSED_ON}.items(),
             ),
             ExecuteProcess(
-                cmd=[command, "bridge"],
+                cmd=[command, "bridge", "--node", node],
                 name="bridge",
                 output="screen",
                 condition=IfCondition(LaunchConfiguration("bridge")),
             ),
             ExecuteProcess(
-                cmd=[command, "view"],
+                cmd=[command, "view", "--node", node],
                 name="viewer",
                 output="screen",
                 condition=IfCondition(LaunchConfiguration("viewer")),

@@ -1,5 +1,6 @@
 """The compiled loop in a thread: its rate, its mailboxes, its journal, and that its ticks repeat by hand."""
 
+import ctypes
 import sys
 import threading
 import time
@@ -36,11 +37,11 @@ class Loop:
     def _run(self):
         one = self.simulation
         world = World(one.model, one.state, one.shapes, one.settings.copy(), one.scratch)
-        rt.run_loop(handle(world), handle(self.box), one.buffer.floats, one.buffer.integers, round(1e9 / RATE))
+        rt.run_loop(handle(world), handle(self.box), one.buffer.floats, one.buffer.integers)
 
     def __enter__(self):
         self.thread.start()
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + 180.0
         while self.box.control[rt.LOOP_TICKS] == 0:
             assert time.monotonic() < deadline
             time.sleep(0.01)
@@ -156,7 +157,8 @@ def test_rest_shape_is_handed_out_once_and_nothing_more_while_asleep():
         loop.wait(20)
         assert loop.box.surface_sequence[0] == 1
         np.testing.assert_array_equal(loop.box.surface[1 % rt.OUT_SLOTS], ball(2).rest_positions)
-        assert loop.box.out_sequence[0] >= 20
+        newest = int(loop.box.out_sequence[0]) % rt.OUT_SLOTS
+        assert loop.box.out_count[newest, st.TICK] >= 16, "a nap is a few ticks long"
         assert len(loop.journal()) == 0
 
 
@@ -270,6 +272,85 @@ def test_only_the_newest_of_several_poses_is_taken():
     assert taken == sorted(set(taken))
     assert taken[-1] == 500
     np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], loop.poses[500])
+
+
+def test_pose_ends_a_nap():
+    """An idle loop sleeps over several ticks; a pose with the bell is taken within one, those before as if run."""
+    libc = ctypes.CDLL(None)
+    with Loop() as loop:
+        bell = ctypes.c_void_p(loop.box.bell.ctypes.data)
+        latencies = []
+        for turn in range(12):
+            loop.wait(80)  # until the last pose is stale
+            deadline = time.monotonic() + 10.0
+            while not loop.box.control[rt.NAPPING]:
+                assert time.monotonic() < deadline, "an idle loop naps"
+            before = time.monotonic()
+            loop.post_pose(above(0.05 + 0.001 * turn))
+            libc.sem_post(bell)
+            while loop.box.row[rt.ROW_TOOLS] != turn + 1:
+                assert time.monotonic() < deadline
+            latencies.append(time.monotonic() - before)
+        assert loop.simulation.state.count[st.TICK] == pytest.approx(loop.ticks(), abs=8)
+    assert min(latencies) < 0.002
+    assert all(np.diff([int(row[rt.ROW_TICK]) for row in loop.journal()]) >= 70)
+    simulation = by_hand(loop, loop.ticks())
+    np.testing.assert_array_equal(simulation.buffer.integers, loop.simulation.buffer.integers)
+    np.testing.assert_array_equal(simulation.buffer.floats, loop.simulation.buffer.floats)
+
+
+def test_ticks_follow_posted_times():
+    """None without a time, as many as it moves, none while it stands; a jump back is taken up, a long one dropped."""
+    loop = Loop()
+    control = loop.box.control
+    control[rt.SIM_TIME] = 1
+
+    def post(seconds, wait):
+        control[rt.POSTED_TIME] = round(1e9 * seconds)
+        time.sleep(wait)
+        return loop.ticks()
+
+    loop.thread.start()
+    deadline = time.monotonic() + 100.0
+    while control[rt.STARTED] == 0:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(0.2)
+    assert loop.ticks() == 0
+    assert control[rt.STANDING] == 1
+    assert loop.box.surface_sequence[0] == 1, "the rest shape is there all the same"
+    assert post(5.0, 0.3) == 0, "the first time is where it begins"
+    assert post(5.1, 0.3) == 100
+    assert control[rt.STANDING] == 0
+    assert control[rt.DUE] == 5_100_000_000
+    time.sleep(0.6)
+    assert control[rt.STANDING] == 1
+    assert loop.ticks() == 100
+    floats, _ = loop.snapshot()
+    assert len(floats), "a clock that stands keeps nobody waiting"
+    assert post(2.0, 0.3) == 100
+    assert post(2.05, 0.3) == 150
+    assert control[rt.DROPPED] == 0
+    assert post(9.05, 0.3) == 151
+    assert control[rt.DROPPED] == pytest.approx(7000, abs=1)
+    control[rt.SIM_TIME] = 0
+    time.sleep(0.3)
+    assert loop.ticks() > 250
+    loop.__exit__()
+
+
+def test_tick_time_is_a_setting_that_may_change():
+    with Loop() as loop:
+        loop.wait(10)
+        slower = loop.simulation.settings.copy()
+        slower[st.TICK_TIME] = 0.01
+        loop.post_settings(slower)
+        time.sleep(0.1)
+        ticks, simulated, begin = loop.ticks(), int(loop.box.control[rt.SIMULATED]), time.monotonic()
+        time.sleep(0.5)
+        elapsed = time.monotonic() - begin
+        assert loop.ticks() - ticks == pytest.approx(100.0 * elapsed, abs=8)
+        assert 1e-9 * (int(loop.box.control[rt.SIMULATED]) - simulated) == pytest.approx(elapsed, abs=0.08)
 
 
 def test_now_is_the_monotonic_clock():

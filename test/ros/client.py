@@ -20,10 +20,11 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class Client:
     """Subscribes a node's topics in this process, and talks to its services."""
 
-    def __init__(self) -> None:
+    def __init__(self, namespace: str = "") -> None:
         self.context = rclpy.Context()
         self.context.init()
-        self.node = rclpy.create_node("client", context=self.context)
+        self.node = rclpy.create_node("client", namespace=namespace, context=self.context)
+        self.target = f"{namespace}/tissue_sim"  # the node's full name
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.wrenches: list[tuple[float, np.ndarray]] = []
@@ -35,7 +36,7 @@ class Client:
         node = self.node
         node.create_subscription(WrenchStamped, "left/servo_cf", self._on_wrench, qos_profile_sensor_data)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        node.create_subscription(MarkerArray, "/tissue_sim/markers", self._on_markers, LATCHED)
+        node.create_subscription(MarkerArray, f"{self.target}/markers", self._on_markers, LATCHED)
         self.pose = node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
         self.force = node.create_publisher(WrenchStamped, "left/measured_cf", qos_profile_sensor_data)
 
@@ -62,14 +63,14 @@ class Client:
         return future.result()
 
     def reset(self) -> Trigger.Response:
-        return self.call(Trigger, "/tissue_sim/reset", Trigger.Request())
+        return self.call(Trigger, f"{self.target}/reset", Trigger.Request())
 
     def record(self, on: bool) -> SetBool.Response:
-        return self.call(SetBool, "/tissue_sim/record", SetBool.Request(data=on))
+        return self.call(SetBool, f"{self.target}/record", SetBool.Request(data=on))
 
     def set_parameter(self, name: str, value: object) -> object:
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        return self.call(SetParameters, "/tissue_sim/set_parameters", request).results[0]
+        return self.call(SetParameters, f"{self.target}/set_parameters", request).results[0]
 
     def send_pose(
         self,
@@ -105,7 +106,7 @@ class Client:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == "tissue_sim: physics":
+            if status.name == f"{self.target.strip('/')}: physics":
                 self.diagnostics = {item.key: item.value for item in status.values}
                 self.level, self.message = status.level, status.message
 

@@ -1,16 +1,24 @@
 """Real processes for the tests: the node, and a second one that publishes tool poses."""
 
+from __future__ import annotations
+
+import atexit
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+
+if TYPE_CHECKING:
+    from client import Client
 
 PUBLISHER = Path(__file__).with_name("publish_poses.py")
 READY = "surface nodes"  # in the line that the node logs when its first tick is done
@@ -19,7 +27,7 @@ READY = "surface nodes"  # in the line that the node logs when its first tick is
 class Process:
     """A child process with its output in a file."""
 
-    def __init__(self, words: list[str], log: Path) -> None:
+    def __init__(self, words: list[str], log: Path, **environment: str) -> None:
         self.log = log
         self._stream = log.open("w")
         self.child = subprocess.Popen(
@@ -27,8 +35,9 @@ class Process:
             stdout=self._stream,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
-            env=os.environ,
+            env=os.environ | environment,
         )
+        atexit.register(self.child.kill)  # a test that fails leaves nothing running
 
     def text(self) -> str:
         return self.log.read_text()
@@ -50,12 +59,16 @@ class Process:
             self._stream.close()
 
 
-def start_node(folder: Path, *parameters: str, wait: bool = True) -> Process:
-    """A node with parameters like `rate:=500.0`; waits until it ticks."""
+def start_node(
+    folder: Path, *parameters: str, wait: bool = True, remap: tuple[str, ...] = (), **environment: str
+) -> Process:
+    """A node with parameters like `rate:=500.0` and remaps like `__ns:=/a`; waits until it ticks."""
     words = ["-m", "tissue_sim.ros.node", "--ros-args"]
+    for rule in remap:
+        words += ["-r", rule]
     for parameter in parameters:
         words += ["-p", parameter]
-    process = Process(words, folder / "node.log")
+    process = Process(words, folder / "node.log", **environment)
     if wait:
         process.wait_for(READY)
     return process
@@ -74,6 +87,22 @@ def poke_path(organ: Organ, radius: float = 0.005) -> tuple[np.ndarray, np.ndarr
     node = int(np.argmax(points[:, 0] - 0.5 * np.abs(points[:, 2] - centre[2])))
     inward = np.array([-1.0, 0.0, 0.0])
     return points[node] - radius * inward, inward
+
+
+def press_until_felt(client: Client, move: Callable[[np.ndarray], None], deepest: float = 0.002) -> np.ndarray:
+    """Press the left tool in until it feels the organ; returns where it is then, (3,) m.
+
+    move sends a pose at a position and lets a moment pass. A machine that holds poses up has the tool held off; then it
+    comes from outside again.
+    """
+    touch, inward = poke_path(shipped())
+    for _ in range(6):
+        for depth in np.linspace(-0.002, deepest, 60):
+            position = touch + depth * inward
+            move(position)
+            if depth > 0.9 * deepest and client.wrenches and client.wrenches[-1][1][0] > 0.02:
+                return position
+    raise AssertionError(f"the tool feels nothing: {client.diagnostics}")
 
 
 def shipped() -> Organ:

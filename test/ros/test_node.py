@@ -154,7 +154,7 @@ def test_tool_that_appears_inside_is_held_off(client, node):
 def test_parameters_change_live_or_say_why_not(client):
     assert client.set_parameter("friction", 0.3).successful
     assert client.set_parameter("marker_rate", 20.0).successful
-    refused = client.set_parameter("rate", 500.0)
+    refused = client.set_parameter("model", "surface")
     assert not refused.successful
     assert "start it again" in refused.reason
     assert not client.set_parameter("friction", -1.0).successful
@@ -194,7 +194,7 @@ def test_diagnostics_tell_the_state_of_the_loop(client):
     assert values["region"] in ("asleep", "whole")
     for key in ("overruns", "active_nodes", "contact_count", "force_n", "recording", "real_time_factor", "left.state"):
         assert key in values
-    for key in ("asleep_ticks", "skipped.mesh_unchanged", "skipped.contacts_unchanged"):
+    for key in ("skipped.asleep", "skipped.mesh_unchanged", "skipped.nothing_moved"):
         assert int(values[key]) > 0, key
 
 
@@ -233,7 +233,7 @@ def test_sigterm_ends_in_a_second_with_the_bag_closed(tmp_path):
     time.sleep(0.5)
     start = time.monotonic()
     assert process.stop(signal.SIGTERM) == 0, process.text()
-    assert time.monotonic() - start < 3.0
+    assert time.monotonic() - start < 1.0
     (bag,) = tmp_path.glob("tissue_sim-*")
     with Reader(bag) as reader:
         assert reader.message_count > 0

@@ -153,9 +153,11 @@ def test_the_newest_status_of_the_right_node_counts():
         status = DiagnosticStatus(name=name, values=[KeyValue(key="tick_rate_hz", value=rate)])
         return DiagnosticArray(header=Header(stamp=Time(sec=1)), status=[status])
 
-    reports = [report("tissue_sim: physics", "1"), report("tissue_sim: physics", "2"), report("camera: driver", "3")]
+    names = ("tissue_sim: physics", "ward/tissue_sim: physics", "ward/tissue_sim: physics", "camera: driver")
+    reports = [report(name, str(rate)) for rate, name in enumerate(names)]
     assert client.physics_status(reports, "ward/tissue_sim") == {"tick_rate_hz": "2"}
-    assert client.physics_status(reports[2:], "tissue_sim") is None
+    assert client.physics_status(reports, "tissue_sim") == {"tick_rate_hz": "0"}
+    assert client.physics_status(reports[3:], "tissue_sim") is None
 
 
 # the process -----------------------------------------------------------------------------------

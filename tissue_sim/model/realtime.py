@@ -4,6 +4,9 @@ Python and the loop exchange data through mailboxes in shared arrays. A mailbox 
 number and a few slots: the writer fills slot `(sequence + 1) % slots` and then raises the number;
 the reader copies slot `sequence % slots` and accepts it if the writer can't have come round to
 it meanwhile. Nobody waits for anybody.
+
+Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). While the organ sleeps and no tool
+is near, the loop naps over several ticks and does them afterwards; a bell (a semaphore) wakes it for a pose or force.
 """
 
 from __future__ import annotations
@@ -19,17 +22,21 @@ from tissue_sim.model.arrays import copy
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.modal_region import place_outside
 from tissue_sim.model.state import (
+    AGE,
     ASLEEP,
+    FORCE_AGE,
     MAX_ENTRIES,
     MODAL,
     N_COUNT,
     N_SETTINGS,
     REGION,
     TICK,
+    TICK_TIME,
     Floats,
     Longs,
     StateBuffer,
 )
+from tissue_sim.model.tool_motion import freshness
 from tissue_sim.model.world import tick_implied_world, tick_world
 
 IN_SLOTS = 3
@@ -41,18 +48,34 @@ TIMING_ROWS = 8192
 STOP, RESETS, SNAPSHOT_ASKED, SNAPSHOT_DONE, LOOP_TICKS, OVERRUNS, DROPPED, AWAKE_TICK = range(8)
 SURFACE_ASKED, SURFACE_DONE = 8, 9
 ON_DEMAND = 10  # 1 while positions are handed out only when asked for, because most of them are not worked out
-N_CONTROL = 11
+STARTED = 11  # 1 when the loop runs and has handed out the rest shape
+SIMULATED = 12  # ns of simulated time
+DUE = 13  # ns of the clock in use: when the last tick was due
+NAPPING = 14  # 1 while the loop sleeps over several ticks
+SIM_TIME = 15  # 1 while ticks follow POSTED_TIME, 0 the monotonic clock
+POSTED_TIME = 16  # ns, newest time of /clock; 0 before the first one
+STANDING = 17  # 1 while /clock gives no time, or has stood still for a while
+N_CONTROL = 18
 
 # First columns of a journal row; then pose and force sequence of each tool.
 ROW_TICK, ROW_CONTACTS, ROW_SETTINGS, ROW_RESETS, ROW_TOOLS = range(5)
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
-LATEST_CATCH_UP = 50_000_000  # ns; further behind than this, ticks are dropped instead of run in a burst
+# ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
+LATEST_CATCH_UP, LATEST_CATCH_UP_POSTED = 50_000_000, 1_000_000_000
+NAP = 4_000_000  # ns that an idle loop sleeps at most, so that simulated time is never 5 ms behind
+LOOK_UP = 50_000_000  # ns after which a loop that waits for a posted time looks whether it has to end
+STANDS_AFTER = 500_000_000  # ns of wall time after which a clock that doesn't move is said to stand
+
+# Columns of Mailboxes.clock: two timespecs; the newest posted time that the loop has seen, when it saw that, and how
+# far it still was from the one before.
+SECONDS, NANOSECONDS, WAKE_SECONDS, WAKE_NANOSECONDS, SEEN, SEEN_AT, BEHIND = range(7)
 
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _clock_nanosleep = types.ExternalFunction(
     "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
 )
+_sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp, types.int32, types.intp))
 
 
 class Mailboxes(NamedTuple):
@@ -87,7 +110,8 @@ class Mailboxes(NamedTuple):
     journal_written: Longs  # (1,)
     journal: Longs  # (JOURNAL_ROWS, ROW_TOOLS + 2 T) what each tick took up, where anything changed
     timing: Longs  # (TIMING_ROWS, 2) ns: lateness and duration of each tick
-    clock: Longs  # (4,) timespecs of the loop
+    clock: Longs  # (7,) what the loop notes about the time
+    bell: Longs  # (4,) a sem_t, posted to wake the loop
     row: Longs  # (ROW_TOOLS + 2 T,) of the journal, as the last tick took it up
 
 
@@ -132,7 +156,8 @@ def make_mailboxes(buffer: StateBuffer) -> Mailboxes:
         journal_written=longs(1),
         journal=longs(JOURNAL_ROWS, ROW_TOOLS + 2 * n_tools),
         timing=longs(TIMING_ROWS, 2),
-        clock=longs(4),
+        clock=longs(7),
+        bell=longs(4),
         row=longs(ROW_TOOLS + 2 * n_tools),
     )
 
@@ -152,15 +177,68 @@ def fence(typing_context):  # type: ignore[no-untyped-def]
 def now(clock: Any) -> int:
     """Monotonic time, ns."""
     _clock_gettime(CLOCK_MONOTONIC, clock.ctypes.data)
-    return clock[0] * 1_000_000_000 + clock[1]
+    return clock[SECONDS] * 1_000_000_000 + clock[NANOSECONDS]
 
 
 @kernel
 def sleep_until(deadline: int, clock: Any) -> None:
     """Sleep to an absolute monotonic time, ns; a signal doesn't end it early."""
-    clock[2], clock[3] = deadline // 1_000_000_000, deadline % 1_000_000_000
-    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, clock[2:].ctypes.data, 0) == 4:
+    clock[WAKE_SECONDS], clock[WAKE_NANOSECONDS] = deadline // 1_000_000_000, deadline % 1_000_000_000
+    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, clock[WAKE_SECONDS:].ctypes.data, 0) == 4:
         pass
+
+
+@kernel
+def sleep_until_bell(deadline: int, box: Any) -> None:
+    """Sleep until the bell is rung, or to an absolute monotonic time, ns."""
+    clock = box.clock
+    clock[WAKE_SECONDS], clock[WAKE_NANOSECONDS] = deadline // 1_000_000_000, deadline % 1_000_000_000
+    _sem_clockwait(box.bell.ctypes.data, CLOCK_MONOTONIC, clock[WAKE_SECONDS:].ctypes.data)
+
+
+@kernel
+def wait_until(deadline: int, box: Any) -> int:
+    """Sleep until a tick is due by the clock in use, ns; returns that clock's time.
+
+    A posted time may not have come that far yet: then it is earlier, and the caller asks again.
+    """
+    control, clock = box.control, box.clock
+    if control[SIM_TIME] == 0:
+        sleep_until(deadline, clock)
+        return now(clock)
+    if control[POSTED_TIME] < deadline:
+        sleep_until_bell(now(clock) + LOOK_UP, box)
+    fence()
+    time = control[POSTED_TIME]
+    if time != clock[SEEN]:
+        clock[BEHIND] = max(0, clock[SEEN] - deadline)
+        clock[SEEN], clock[SEEN_AT] = time, now(clock)
+    elif time < deadline and now(clock) - clock[SEEN_AT] > STANDS_AFTER:
+        control[STANDING] = 1
+    return time
+
+
+@kernel
+def is_idle(state: Any, settings: Any, box: Any, row: Any) -> bool:
+    """True while the organ sleeps, no pose or force is fresh, and none has come."""
+    idle = state.count[ASLEEP] == 1 and box.control[RESETS] == row[ROW_RESETS]
+    for tool in range(len(state.tool_count)):
+        ages, column = state.tool_count[tool], ROW_TOOLS + 2 * tool
+        idle = idle and freshness(ages[AGE], settings) == 0.0 and freshness(ages[FORCE_AGE], settings) == 0.0
+        idle = idle and box.pose_sequence[tool] == row[column] and box.force_sequence[tool] == row[column + 1]
+    return idle
+
+
+@kernel
+def nap(deadline: int, state: Any, settings: Any, box: Any) -> int:
+    """Sleep to an absolute monotonic time, ns, unless something is to be done sooner; returns until when it was."""
+    control = box.control
+    control[NAPPING] = 1
+    fence()  # from here on whoever posts rings
+    if is_idle(state, settings, box, box.row):
+        sleep_until_bell(deadline, box)
+    control[NAPPING] = 0
+    return min(now(box.clock), deadline)
 
 
 @kernel
@@ -258,22 +336,67 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
     box.control[SURFACE_DONE] = asked
 
 
+@kernel
+def post_snapshot(box: Any, floats: Any, integers: Any) -> None:
+    """Hand out the whole state when it was asked for."""
+    control = box.control
+    if control[SNAPSHOT_ASKED] != control[SNAPSHOT_DONE]:
+        copy(floats, box.snapshot_floats)
+        copy(integers, box.snapshot_integers)
+        fence()
+        control[SNAPSHOT_DONE] = control[SNAPSHOT_ASKED]
+
+
+@kernel
+def note_tick(box: Any, due: int, period: int, late: int, duration: int) -> None:
+    """Note when a tick was due, its length, lateness and duration, ns."""
+    control = box.control
+    slot = control[LOOP_TICKS] % TIMING_ROWS
+    box.timing[slot, 0] = late
+    box.timing[slot, 1] = duration
+    control[DUE] = due
+    control[SIMULATED] += period
+    control[LOOP_TICKS] += 1
+    fence()
+
+
 @part
-def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
-    model, state, settings = world.model, world.state, world.settings
+def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any) -> None:
+    model, state, settings, control = world.model, world.state, world.settings, box.control
     row = box.row
-    deadline = now(box.clock)
-    moved = True  # the first tick hands out the rest shape
-    while box.control[STOP] == 0:
-        deadline += period
-        sleep_until(deadline, box.clock)
-        start = now(box.clock)
-        late = start - deadline
+    post_results(world, box, True)  # the rest shape
+    control[STARTED] = 1
+    moved = False
+    followed, due = -1, 0  # the clock that ticks follow, and when the last one was due by it; 0 before its first time
+    while control[STOP] == 0:
+        post_snapshot(box, floats, integers)
+        posted = control[SIM_TIME]
+        if posted != followed:
+            followed, due = posted, 0 if posted == 1 else now(box.clock)
+            control[STANDING] = posted  # until its first tick
+        period = int(settings[TICK_TIME] * 1e9 + 0.5)
+        if posted == 0 and 2 * period <= NAP and is_idle(state, settings, box, row):
+            rested = nap(due + NAP // period * period, state, settings, box)
+            while due + 2 * period <= rested:
+                due += period
+                begin = now(box.clock)
+                tick(world)
+                note_tick(box, due, period, 0, now(box.clock) - begin)
+        start = wait_until(due + period, box)
+        if due == 0 or start < due:  # the first time that was posted, or it jumped back
+            due = start
+        if start < due + period:
+            continue
+        due += period
+        late = start - due
+        begin = start
+        if late > (LATEST_CATCH_UP_POSTED if posted == 1 else LATEST_CATCH_UP):
+            control[DROPPED] += late // period
+            due = start
+        if posted == 1:  # a posted time makes many ticks due at once; late is what was left of the one before
+            begin, late, box.clock[BEHIND] = now(box.clock), box.clock[BEHIND], 0
         if late > period:
-            box.control[OVERRUNS] += 1
-        if late > LATEST_CATCH_UP:
-            box.control[DROPPED] += late // period
-            deadline = start
+            control[OVERRUNS] += 1
         resets = row[ROW_RESETS]
         if take_inputs(model, state, settings, box, row):
             moved = moved or row[ROW_RESETS] != resets
@@ -284,28 +407,20 @@ def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any, period: i
         tick(world)
         moved = moved or state.count[ASLEEP] == 0
         post_results(world, box, moved)
+        control[STANDING] = 0
         if moved:
-            box.control[AWAKE_TICK] = state.count[TICK]
+            control[AWAKE_TICK] = state.count[TICK]
         moved = False
-        if box.control[SNAPSHOT_ASKED] != box.control[SNAPSHOT_DONE]:
-            copy(floats, box.snapshot_floats)
-            copy(integers, box.snapshot_integers)
-            fence()
-            box.control[SNAPSHOT_DONE] = box.control[SNAPSHOT_ASKED]
-        slot = box.control[LOOP_TICKS] % TIMING_ROWS
-        box.timing[slot, 0] = late
-        box.timing[slot, 1] = now(box.clock) - start
-        box.control[LOOP_TICKS] += 1
-        fence()
+        note_tick(box, due, period, late, now(box.clock) - begin)
 
 
 @kernel
-def run_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
-    """Tick every `period` ns until control[STOP]; floats and integers are the state's flat buffers."""
-    _loop(world, tick_world, box, floats, integers, period)
+def run_loop(world: Any, box: Any, floats: Any, integers: Any) -> None:
+    """Tick every settings[TICK_TIME] s until control[STOP]; floats and integers are the state's flat buffers."""
+    _loop(world, tick_world, box, floats, integers)
 
 
 @kernel
-def run_implied_loop(world: Any, box: Any, floats: Any, integers: Any, period: int) -> None:
+def run_implied_loop(world: Any, box: Any, floats: Any, integers: Any) -> None:
     """The same where return springs pull to the boundary that the skeleton implies."""
-    _loop(world, tick_implied_world, box, floats, integers, period)
+    _loop(world, tick_implied_world, box, floats, integers)

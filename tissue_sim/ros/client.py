@@ -167,7 +167,7 @@ def cloud_array(message: Any) -> NDArray[np.float32]:
 
 def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
     """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
-    name = f"{target.rpartition('/')[2]}: physics"
+    name = f"{target.strip('/')}: physics"
     for report in reversed(reports):
         for status in report.status:
             if status.name == name:

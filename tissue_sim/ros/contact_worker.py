@@ -14,6 +14,8 @@ from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.tool_port import ToolPort
 
+BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force after which it is looked whether they went stale
+
 
 class ContactWorker:
     """A thread that turns the newest poses and surface into contact sets.
@@ -48,6 +50,8 @@ class ContactWorker:
         self._last_time = time.monotonic()
         self._last_key: tuple[int, ...] = ()
         self._last_empty = False
+        self._last_resets = physics.resets
+        self._idle = False
 
     def start(self) -> None:
         """Start the thread."""
@@ -57,7 +61,8 @@ class ContactWorker:
         """End the thread."""
         self._stop.set()
         self._woken.set()
-        self._thread.join(timeout=2.0)
+        if self._thread.is_alive():
+            self._thread.join(timeout=0.5)
 
     def engaged(self, tool: int) -> bool:
         """True while a tool may touch."""
@@ -65,7 +70,7 @@ class ContactWorker:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self._woken.wait(timeout=0.05)
+            self._woken.wait(timeout=IDLE_WAIT if self._idle else BUSY_WAIT)
             self._woken.clear()
             start = time.monotonic()
             try:
@@ -83,11 +88,18 @@ class ContactWorker:
         newest = [port.newest for port in self._ports]
         sequences = [sequence for sequence, _, _ in newest]
         poses = np.array([pose for _, pose, _ in newest])
-        fresh = [now - port.pose_clock < alive for port in self._ports]
+        if self._physics.resets != self._last_resets:  # the organ has jumped back under the tools
+            self._last_resets = self._physics.resets
+            self._engaged[:] = 0
+        # While the clock stands no tool touches, so that none bears on the organ at once when it goes on.
+        standing = self._physics.standing
+        fresh = [now - port.pose_clock < alive and not standing for port in self._ports]
         pushing = np.array([now - port.force_clock < alive for port in self._ports], dtype=np.int64)
         if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
             self.unchanged_skips += 1
+            self._idle = True
             return
+        self._idle = False
         key = (*sequences, self._physics.surface_sequence, *map(int, fresh), *map(int, pushing))
         if key == self._last_key:
             self.unchanged_skips += 1

@@ -7,8 +7,11 @@ pose and publish the newest wrench.
 
 from __future__ import annotations
 
-import os
-import signal
+if __name__ == "__main__":
+    from tissue_sim.ros.program import run
+
+    run()
+
 import sys
 import threading
 import time
@@ -32,19 +35,26 @@ from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros import bag
+from tissue_sim.ros import bag, degrade
 from tissue_sim.ros.contact_worker import ContactWorker
-from tissue_sim.ros.diagnostics import Diagnostics, physics_values
-from tissue_sim.ros.parameters import SETTING_OF, Parameters
+from tissue_sim.ros.diagnostics import Diagnostics, physics_values, timing_warnings
+from tissue_sim.ros.ending import Ending, Interrupted
+from tissue_sim.ros.live_settings import LiveSettings
+from tissue_sim.ros.namesakes import Namesakes
+from tissue_sim.ros.parameters import Parameters
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.presenter import Presenter
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.sim_clock import SimClock
 from tissue_sim.ros.tf_lookup import TfLookup, tf_installed
+from tissue_sim.ros.timing import TimingReader
 from tissue_sim.ros.tool_port import ToolPort, as_values
 
 NAME = "tissue_sim"
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
+IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
+BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
 
 
 class TissueNode(Node):
@@ -87,6 +97,12 @@ class TissueNode(Node):
         self.finder = finder
         self.presenter = Presenter(self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder)
         self.diagnostics = Diagnostics(self, self.organ.name)
+        self.live = LiveSettings(
+            self.simulation, self.physics, values, lambda sequence, posted: self.recorder.settings(sequence, posted)
+        )
+        self.ladder = degrade.Ladder()
+        self.namesakes = Namesakes(self)
+        self.sim_clock = SimClock(self, self.physics, self._on_jump_back)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         values.changed.append(self._on_parameters)
@@ -94,9 +110,10 @@ class TissueNode(Node):
 
     # life --------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Start the threads; returns when the first tick is done."""
+        """Start the threads; returns when the loop runs."""
         self.finder.warm_up(self.organ.rest_positions)
         self.physics.start()
+        self._timing, self._load = TimingReader(self.physics.box), TimingReader(self.physics.box)
         self.contacts.start()
         if self.parameters["record"]:
             self.get_logger().info(f"recording to {self._start_recording()}")
@@ -109,18 +126,21 @@ class TissueNode(Node):
         )
 
     def close(self) -> None:
-        """Leave no force standing, close the bag, delete the markers, end the threads."""
+        """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
         self._stop.set()
         if self._outlet.is_alive():
-            self._outlet.join(timeout=2.0)
+            self._outlet.join(timeout=0.3)
         for port in self.ports:
             port.publish_zero()
         self.presenter.close()
         self.contacts.stop()
-        path = self.recorder.stop(self.physics)
+        path = self.recorder.stop(self.physics, BAG_PATIENCE)
         self.physics.stop()
-        if path is not None:
-            self.get_logger().info(f"bag closed: {path}")
+        if path is not None and self.recorder.error:
+            self.get_logger().error(self.recorder.error)
+        elif path is not None:
+            lost = f", without {self.recorder.lost} messages" if self.recorder.lost else ""
+            self.get_logger().info(f"bag closed: {path}{lost}")
 
     # wiring ------------------------------------------------------------------------------------
     def _port(self, index: int, name: str) -> ToolPort:
@@ -181,46 +201,77 @@ class TissueNode(Node):
         folder = Path(self.parameters["record_folder"]).absolute()
         return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest)
 
-    def _on_parameters(self, changed: dict[str, Any]) -> None:
-        settings = self.physics.settings()
-        for name, value in changed.items():
-            if name in SETTING_OF:
-                settings[SETTING_OF[name]] = value
-        if "stiffness_scale" in changed:
-            self.simulation.settings[:] = settings
-            self.simulation.set_substeps()
-            settings = self.simulation.settings.copy()
-        self.contacts.rate = changed.get("contact_rate", self.contacts.rate)
-        if any(name in SETTING_OF for name in changed):
-            sequence = self.physics.post_settings(settings)
-            self.recorder.settings(sequence, settings)
+    def _on_parameters(self, _: set[str]) -> None:
+        self.contacts.rate = self.parameters["contact_rate"]
+        self.live.update()
+
+    def _on_jump_back(self) -> None:
+        for port in self.ports:
+            port.forget_stamps()
 
     # the outlet --------------------------------------------------------------------------------
     def _run_outlet(self) -> None:
         """Markers at their rate, fading wrenches at the tick rate, journal, diagnostics at 1 Hz."""
-        tick_time = 1.0 / self.simulation.rate
-        next_marker = next_report = time.monotonic()
+        next_marker = next_report = next_look = time.monotonic()
+        seen = -1
         self.contacts.rate = self.parameters["contact_rate"]
         while not self._stop.is_set():
             fading = [port.keep_publishing(SILENCE) for port in self.ports]
             now = time.monotonic()
             if now >= next_marker:
-                next_marker = max(next_marker + 1.0 / self.parameters["marker_rate"], now)
+                # Nothing moves in an organ that sleeps, but somebody may have come to look.
+                rate = self.live.marker_rate
+                rate = rate if self.physics.surface_sequence != seen else min(rate, IDLE_MARKER_RATE)
+                seen = self.physics.surface_sequence
+                next_marker = max(next_marker + 1.0 / rate, now)
                 self.presenter.present(self.parameters["record_markers"])
                 self.recorder.poll(self.physics)
+            if now >= next_look:
+                next_look = max(next_look + degrade.LOOK_EVERY, now)
+                self._look(now)
             if now >= next_report:
                 next_report = max(next_report + 1.0, now)
                 self._report()
-            wait = next_marker - time.monotonic()
+            wait = min(next_marker, next_look) - time.monotonic()
             if any(fading):
-                wait = min(wait, tick_time)
+                wait = min(wait, self.physics.tick_time)
             if wait > 0.0:
                 self._stop.wait(wait)
+
+    def _look(self, now: float) -> None:
+        """Whether the clock stands, and whether the machine keeps up."""
+        self.sim_clock.watch()
+        timing, ladder = self._load.read(), self.ladder
+        was_stuck = ladder.stuck
+        if ladder.look(now, degrade.Look(timing.load, timing.late_share, timing.dropped_ticks), self.live.helps):
+            # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
+            threading.Thread(target=self._degrade, args=(ladder.level, timing.load), daemon=True).start()
+        elif ladder.stuck and not was_stuck:
+            self.get_logger().warning("the machine is too slow, and there is nothing left to give up: time is lost")
+
+    def _degrade(self, level: int, load: float) -> None:
+        """Go to another level of degradation, and say so."""
+        worse = level > self.live.level
+        self.live.update(level)
+        line = f"{self.live.describe()} (the ticks took {100 * load:.0f} % of the time)"
+        if worse:
+            self.get_logger().warning(f"the machine is too slow: {line}")
+        else:
+            self.get_logger().info(f"the machine keeps up again: {line}")
 
     def _report(self) -> None:
         count, tools = self.physics.counts()
         settings = self.physics.settings()
-        values = physics_values(self.physics.timing(), count)
+        timing = self._timing.read()
+        values = physics_values(timing, count)
+        values["clock"] = self.sim_clock.state()
+        values["degraded"] = degrade.name(self.live.level)
+        warnings = timing_warnings(timing)
+        if self.live.level != degrade.NONE:
+            warnings.append(f"degraded: {self.live.describe()}")
+        values["same_name_nodes"] = self.namesakes.look()
+        if self.namesakes.count:
+            warnings.append(f"another node is called {self.get_fully_qualified_name()} too")
         values["force_n"] = float(sum(port.force for port in self.ports))
         values["recording"] = str(self.recorder.path) if self.recorder.active else ""
         durations = self.contacts.durations[-250:]
@@ -231,7 +282,7 @@ class TissueNode(Node):
             "turned_cells": int(count[st.TURNED]),
             "contact_sets": counters.sets,
             "skipped.tool_far": counters.far_skips,
-            "skipped.contacts_unchanged": self.contacts.unchanged_skips,
+            "skipped.nothing_moved": self.contacts.unchanged_skips,
             "skipped.mesh_unchanged": self.presenter.unchanged_skips,
             "skipped.no_subscriber": self.presenter.unseen_skips,
         }
@@ -239,6 +290,7 @@ class TissueNode(Node):
             "faults": int(count[st.FAULTS]),
             "false_rest_shapes": int(count[st.SNAPS]),
             "clamped_ticks": int(count[st.CLAMPED]),
+            "dropped_ticks": timing.dropped,
             "dropped_contacts": self.contacts.dropped,
             "lost_bag_messages": self.recorder.lost,
         }
@@ -253,36 +305,34 @@ class TissueNode(Node):
         failure = self.recorder.error or self.contacts.error
         if not self.physics.alive:
             failure = "the physics loop has ended"
-        self.diagnostics.publish(values, problems, failure)
+        self.diagnostics.publish(values, problems, warnings, failure)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; returns the exit code."""
+def main(arguments: list[str] | None = None, ending: Ending | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; returns the exit code. To be called in the main thread."""
+    ending = ending or Ending()
     words = sys.argv if arguments is None else arguments
     if any(word in ("-h", "--help") for word in words[1:]):
         print(HELP)
         return 0
     # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
     sys.setswitchinterval(0.0005)
-    stop = threading.Event()
-    try:
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-    except (RCLError, UnknownROSArgsError) as error:
-        reason = str(error).split(", at /")[0]  # where in rcl's sources
-        hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
-        sys.stderr.write(f"tissue_node: error: {reason}{hint}\n")
-        return 2
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     node = None
     try:
+        _start_rclpy(words)
         node = TissueNode()
         executor = EventsExecutor()
         executor.add_node(node)
         node.start()
-        while not stop.is_set():
+        ending.started()
+        while not ending.asked.is_set():
             executor.spin_once(timeout_sec=0.1)
         node.close()
+        return 0
+    except Interrupted:
+        ending.closes()
+        if node is not None:
+            node.close()
         return 0
     except UserError as error:
         sys.stderr.write(f"tissue_node: error: {error}\n")
@@ -291,6 +341,16 @@ def main(arguments: list[str] | None = None) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _start_rclpy(words: list[str]) -> None:
+    """Raises UserError for arguments that rcl can't use."""
+    try:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    except (RCLError, UnknownROSArgsError) as error:
+        reason = str(error).split(", at /")[0]  # where in rcl's sources
+        hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
+        raise UserError(f"{reason}{hint}") from None
 
 
 HELP = """usage: tissue_node [--ros-args -p PARAMETER:=VALUE ... --params-file FILE -r OLD:=NEW ...]
@@ -315,8 +375,3 @@ def _describe_parameters() -> str:
 
 
 HELP += _describe_parameters()
-
-if __name__ == "__main__":
-    code = main()
-    sys.stdout.flush()
-    os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise

@@ -49,7 +49,7 @@ NODE_SPECS = (
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
     Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
-    Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0),
+    Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
     Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
@@ -103,7 +103,7 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._specs: dict[str, Spec] = {}
-        self.changed: list[Any] = []  # called after a live change
+        self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
         for spec in NODE_SPECS:
             self._declare(spec.name, spec)
         self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))
@@ -114,6 +114,7 @@ class Parameters:
             for spec in TOOL_SPECS:
                 self._declare(f"{tool}.{spec.name}", spec)
         node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._tell)
 
     def __getitem__(self, name: str) -> Any:
         return self._node.get_parameter(name).value
@@ -204,10 +205,13 @@ class Parameters:
                 return SetParametersResult(successful=False, reason=reason)
             if problem := _problem(parameter.name, spec, parameter.value):
                 return SetParametersResult(successful=False, reason=problem)
-        names = [parameter.name for parameter in parameters if parameter.name in self._specs]
-        for call in self.changed if names else []:
-            call({parameter.name: parameter.value for parameter in parameters if parameter.name in names})
         return SetParametersResult(successful=True)
+
+    def _tell(self, parameters: list[Parameter]) -> None:
+        """After a change that nobody refused."""
+        names = {parameter.name for parameter in parameters} & set(self._specs)
+        for call in self.changed if names else []:
+            call(names)
 
 
 def _problem(name: str, spec: Spec, value: Any) -> str:

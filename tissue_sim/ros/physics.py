@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import time
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
@@ -16,17 +17,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats, Longs
 from tissue_sim.model.world import World
 
-
-class Timing(NamedTuple):
-    """How the loop kept time since the last look."""
-
-    rate: float  # ticks a second
-    p50: float  # s, duration of a tick
-    p99: float
-    late_p99: float  # s
-    overruns: int  # ticks that began more than a period late, in all
-    dropped: int  # ticks given up because the loop was too far behind, in all
-    real_time_factor: float  # simulated over wall time
+_libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
 
 
 class Physics:
@@ -42,9 +33,9 @@ class Physics:
         self.n_tools = len(simulation.shapes.kind)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._journal_read = 0
-        self._timing_read = 0
-        self._timing_clock = time.monotonic()
-        self._timing_tick = 0
+        bell = ctypes.c_void_p(self.box.bell.ctypes.data)
+        _libc.sem_init(bell, 0, 0)
+        self._ring = partial(_libc.sem_post, bell)
         self._settings_lock = threading.Lock()
         self.post_settings(simulation.settings.copy())
 
@@ -60,21 +51,20 @@ class Physics:
             self._box,
             simulation.buffer.floats,
             simulation.buffer.integers,
-            round(1e9 / simulation.rate),
         )
 
     def start(self) -> None:
-        """Start the loop; returns when the first tick is done (compiling takes a while)."""
+        """Start the loop; returns when it runs (compiling takes a while)."""
         self._thread.start()
-        while self.box.control[rt.LOOP_TICKS] == 0 and self._thread.is_alive():
+        while self.box.control[rt.STARTED] == 0 and self._thread.is_alive():
             time.sleep(0.01)
-        self._timing_clock, self._timing_read = time.monotonic(), int(self.box.control[rt.LOOP_TICKS])
 
     def stop(self) -> None:
         """End the loop after the running tick."""
         self.box.control[rt.STOP] = 1
-        if self._thread.is_alive():
-            self._thread.join(timeout=2.0)
+        self._ring()
+        if self._thread.is_alive() and self.box.control[rt.STARTED]:  # one that still compiles can't be stopped
+            self._thread.join(timeout=0.5)
 
     @property
     def alive(self) -> bool:
@@ -87,6 +77,7 @@ class Physics:
         sequence = int(self.box.pose_sequence[tool]) + 1
         self.box.pose[sequence % rt.IN_SLOTS, tool] = pose
         self.box.pose_sequence[tool] = sequence
+        self._wake()
         return sequence
 
     def post_force(self, tool: int, force: Floats) -> int:
@@ -94,6 +85,7 @@ class Physics:
         sequence = int(self.box.force_sequence[tool]) + 1
         self.box.force[sequence % rt.IN_SLOTS, tool] = force
         self.box.force_sequence[tool] = sequence
+        self._wake()
         return sequence
 
     def post_contacts(self, found: ContactSet) -> int:
@@ -127,10 +119,45 @@ class Physics:
     def reset(self) -> None:
         """Back to the rest shape before the next tick."""
         self.box.control[rt.RESETS] += 1
+        self._wake()
+
+    def follow_posted_time(self, follow: bool) -> None:
+        """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""
+        self.box.control[rt.SIM_TIME] = int(follow)
+        self._ring()
+
+    def post_time(self, nanoseconds: int) -> None:
+        """The newest time of /clock: ticks up to it are due."""
+        self.box.control[rt.POSTED_TIME] = nanoseconds
+        self._ring()
+
+    def _wake(self) -> None:
+        if self.box.control[rt.NAPPING]:
+            self._ring()
 
     # out ---------------------------------------------------------------------------------------
+    @property
+    def standing(self) -> bool:
+        """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
+        return bool(self.box.control[rt.STANDING])
+
+    @property
+    def resets(self) -> int:
+        """How often it was asked to go back to the rest shape."""
+        return int(self.box.control[rt.RESETS])
+
+    @property
+    def tick_time(self) -> float:
+        """Simulated time of a tick, s, by the newest settings."""
+        return float(self.settings()[st.TICK_TIME])
+
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick and its wrenches (T, 6) N, N m; a copy."""
+        """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock stands.
+
+        A force that no tick renews must not stay in the hand.
+        """
+        if self.standing:
+            return -1, np.zeros((self.n_tools, 6))
         while True:
             sequence = int(self.box.out_sequence[0])
             slot = sequence % rt.OUT_SLOTS
@@ -195,22 +222,3 @@ class Physics:
         rows = self.box.journal[np.arange(first, written) % rt.JOURNAL_ROWS].copy()
         self._journal_read = written
         return rows
-
-    def timing(self) -> Timing:
-        """Timing since the last call."""
-        control = self.box.control
-        done, clock = int(control[rt.LOOP_TICKS]), time.monotonic()
-        first = max(self._timing_read, done - rt.TIMING_ROWS + 64)
-        rows = self.box.timing[np.arange(first, done) % rt.TIMING_ROWS]
-        elapsed, ticks = max(clock - self._timing_clock, 1e-9), done - self._timing_read
-        self._timing_read, self._timing_clock = done, clock
-        late, busy = (rows * 1e-9).T if len(rows) else (np.zeros(1), np.zeros(1))
-        return Timing(
-            rate=ticks / elapsed,
-            p50=float(np.percentile(busy, 50)),
-            p99=float(np.percentile(busy, 99)),
-            late_p99=float(np.percentile(late, 99)),
-            overruns=int(control[rt.OVERRUNS]),
-            dropped=int(control[rt.DROPPED]),
-            real_time_factor=ticks / elapsed / self.simulation.rate,
-        )

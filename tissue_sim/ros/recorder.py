@@ -24,6 +24,7 @@ from tissue_sim.ros.physics import Physics
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
 WHOLE_SET = ("tool", "node", "weight", "normal", "tip_node", "tip_weight")
+CLOSING_TIME = 0.4  # s that a bag which is closed before all is written may take for that
 LONGEST_QUEUE = 200_000  # messages; a disk that can't keep up loses the rest, and that is said
 
 
@@ -49,6 +50,7 @@ class Recorder:
         self._state_tick = -1
         self._started = 0.0
         self._epoch = 0
+        self._hurry = threading.Event()
         self.path: Path | None = None
         self.active = False
         self.lost = 0
@@ -81,6 +83,7 @@ class Recorder:
             name: writer.add_connection(name, kind, typestore=self._store) for name, kind in types.items()
         }
         self._queue = queue.SimpleQueue()
+        self._hurry.clear()
         self._thread = threading.Thread(target=self._drain, args=(writer, self._queue), name="recorder", daemon=True)
         self._thread.start()
         self._epoch = time.time_ns() - time.monotonic_ns()
@@ -96,15 +99,22 @@ class Recorder:
         self.settings(int(physics.box.settings_sequence[0]), physics.settings())
         return path
 
-    def stop(self, physics: Physics) -> Path | None:
-        """Close the bag; returns its path, None when none was open."""
+    def stop(self, physics: Physics, patience: float = 30.0) -> Path | None:
+        """Close the bag; returns its path, None when none was open.
+
+        What is not written within `patience` s is left out and counted as lost; what is in the bag still replays.
+        """
         if not self.active:
             return None
         self.poll(physics)
         self.active = False
         self._queue.put(None)
         if self._thread is not None:
-            self._thread.join(timeout=30.0)
+            self._thread.join(timeout=patience)
+            self._hurry.set()
+            self._thread.join(timeout=CLOSING_TIME)
+            if self._thread.is_alive():
+                self.error = f"recording to {self.path} failed: the disk doesn't answer"
         return self.path
 
     def poll(self, physics: Physics) -> None:
@@ -193,6 +203,9 @@ class Recorder:
         try:
             while (item := get()) is not None:
                 name, stamp, raw = item
+                if self._hurry.is_set():
+                    self.lost += messages.qsize()  # all but the None at the end, and this one
+                    break
                 writer.write(self._connections[name], stamp, raw)
             writer.close()
         except Exception as error:  # anything that goes wrong on the way to the disk

@@ -198,6 +198,10 @@ class ToolPort:
             self._warned[refused.name] = now
             self._log.warning(f"tool '{self.name}': {what} refused: {refused}")
 
+    def forget_stamps(self) -> None:
+        """Time has jumped back: the next stamps may be earlier than the last ones."""
+        self._pose_stamp = self._force_stamp = 0
+
     # out ---------------------------------------------------------------------------------------
     def _publish(self) -> None:
         with self._lock:

@@ -1,0 +1,300 @@
+"""How the node starts, lives beside others, changes while it runs, and ends: real processes."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from client import Client
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from processes import poke_path, press_until_felt, shipped, start_node, start_publisher
+from rclpy.qos import qos_profile_sensor_data
+from rosbags.rosbag2 import Reader, Writer
+
+from tissue_sim.cli import main
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros import bag
+from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.recorder import Recorder
+
+from ..scenes import ball
+
+AWAY = (1.0, 0.0, 0.0)  # m, far from the organ
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    """A node whose small loads move a local region."""
+    folder = tmp_path_factory.mktemp("lifecycle")
+    process = start_node(folder, "local_region:=frozen", f"record_folder:={folder / 'bags'}")
+    yield process
+    assert process.stop() == 0, process.text()
+    assert "Traceback" not in process.text()
+
+
+@pytest.fixture
+def client(node):
+    client = Client()
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics, 20.0)
+    yield client
+    client.close()
+
+
+@pytest.fixture
+def start():
+    """start_node, for nodes that end with the test at the latest, whatever comes of it."""
+    started = []
+
+    def one(*words, **named):
+        started.append(start_node(*words, **named))
+        return started[-1]
+
+    yield one
+    for process in started:
+        process.child.kill()
+
+
+def counter(client, name):
+    return int(client.diagnostics[name])
+
+
+# skips -----------------------------------------------------------------------------------------
+def test_every_skip_has_a_counter_that_counts(client):
+    """Asleep organ, no subscriber, nothing moved, unchanged mesh; then a tool far away, then a small load."""
+    names = ("asleep", "no_subscriber", "nothing_moved", "mesh_unchanged", "tool_far", "small_load")
+    assert {f"skipped.{name}" for name in names} <= set(client.diagnostics)
+    assert counter(client, "skipped.no_subscriber") > 0, "nobody looked before this test"
+    for name in ("asleep", "nothing_moved", "mesh_unchanged"):
+        before = counter(client, f"skipped.{name}")
+        assert client.spin_until(lambda b=before, n=name: counter(client, f"skipped.{n}") > b, 3.0), name
+    far, small = counter(client, "skipped.tool_far"), counter(client, "skipped.small_load")
+
+    def push_from_afar():
+        client.send_pose(AWAY)
+        return counter(client, "skipped.tool_far") > far
+
+    assert client.spin_until(push_from_afar, 5.0)
+    assert counter(client, "skipped.small_load") == small
+    touch, inward = poke_path(shipped(), radius=0.0)
+
+    def push_softly():
+        client.send_pose(touch - 0.0055 * inward)  # the tip stays clear of the surface
+        client.send_force(0.05 * inward)
+        return counter(client, "skipped.small_load") > small
+
+    assert client.spin_until(push_softly, 5.0), client.diagnostics
+
+
+def cpu_seconds(pid):
+    """Processor time of a process, s."""
+    threads = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return 1e-9 * sum(int(thread.read_text().split()[0]) for thread in threads)
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the kernel keeps no schedstat")
+def test_idle_node_with_a_viewer_costs_under_3_percent_of_a_core(client, node):
+    """Nothing sent for a while; a machine under load makes every wake-up dearer, so the best of some counts."""
+    client.spin(0.5)
+    shares = []
+    for _ in range(4):
+        begin, spent = time.monotonic(), cpu_seconds(node.child.pid)
+        client.spin(2.0)
+        shares.append((cpu_seconds(node.child.pid) - spent) / (time.monotonic() - begin))
+        if shares[-1] < 0.03:
+            break
+    assert min(shares) < 0.03, shares
+
+
+def test_time_that_was_lost_is_told(client, node):
+    """A process that is held up for 0.2 s is behind, and drops ticks: diagnostics warn within a second."""
+    assert client.spin_until(lambda: int(client.diagnostics["tick"]) > 0, 3.0)
+    dropped = counter(client, "dropped_ticks")
+    os.kill(node.child.pid, signal.SIGSTOP)
+    time.sleep(0.2)
+    os.kill(node.child.pid, signal.SIGCONT)
+    assert client.spin_until(lambda: counter(client, "dropped_ticks") > dropped, 3.0)
+    behind, factor = float(client.diagnostics["behind_ms"]), float(client.diagnostics["real_time_factor"])
+    assert counter(client, "dropped_ticks") - dropped > 150
+    assert behind > 190.0
+    assert factor < 0.9
+    assert client.level == DiagnosticStatus.WARN
+    assert f"{behind:.1f} ms behind" in client.message
+    assert "dropped_ticks" in client.message
+
+
+# changes while it runs -------------------------------------------------------------------------
+def test_rate_changes_live_and_the_bag_repeats(client, tmp_path, capsys):
+    started = client.record(True)
+    assert started.success, started.message
+    publisher = start_publisher(tmp_path, depth=0.004, seconds=3.0)
+    client.spin(1.2)
+    assert client.set_parameter("rate", 500.0).successful
+    assert client.spin_until(lambda: abs(float(client.diagnostics["tick_rate_hz"]) - 500.0) < 60.0, 6.0)
+    assert abs(float(client.diagnostics["real_time_factor"]) - 1.0) < 0.35, "neither half nor double"
+    assert client.set_parameter("rate", 1000.0).successful
+    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
+    assert publisher.stop() == 0
+    assert client.record(False).success
+    assert max(np.linalg.norm(wrench[:3]) for _, wrench in client.wrenches) > 0.05
+    assert main(["replay", started.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
+    assert "repeats" in capsys.readouterr().out
+    for wrong in (10.0, 1e5):
+        assert not client.set_parameter("rate", wrong).successful
+
+
+RANGES = {"friction": 6.0, "stiffness_scale": 0.0, "damping_scale": -1.0, "marker_rate": 0.0, "contact_rate": 5000.0}
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_live_parameters_keep_to_their_range(client, name):
+    assert not client.set_parameter(name, RANGES[name]).successful
+    assert client.set_parameter(name, {"marker_rate": 60.0, "contact_rate": 250.0}.get(name, 1.0)).successful
+
+
+# beside others ---------------------------------------------------------------------------------
+def test_second_node_of_the_same_name_is_noticed(client, node):
+    """One line with the remedy, a warning in diagnostics while it lasts."""
+    twin = rclpy.create_node("tissue_sim", context=client.context)
+    assert client.spin_until(lambda: counter(client, "same_name_nodes") == 1, 5.0)
+    assert client.level == DiagnosticStatus.WARN
+    assert "another node is called /tissue_sim" in client.message
+    lines = [line for line in node.text().splitlines() if "another node is called" in line]
+    assert len(lines) == 1
+    assert "-r __node:=" in lines[0]
+    assert "-r __ns:=" in lines[0]
+    twin.destroy_node()
+    assert client.spin_until(lambda: counter(client, "same_name_nodes") == 0, 5.0)
+
+
+def test_two_nodes_with_two_organs_run_side_by_side(tmp_path, start):
+    """Namespaces keep their forces apart; a remapped topic goes where it was sent."""
+    folders = [tmp_path / name for name in "ab"]
+    for folder in folders:
+        folder.mkdir()
+    other = shipped_organ().with_name("kidney_as_built.npz")
+    nodes = [
+        start(folders[0], "tools:=[left]", "marker_rate:=5.0", remap=("__ns:=/a",), wait=False),
+        start(
+            folders[1],
+            "tools:=[left]",
+            "marker_rate:=5.0",
+            f"organ_file:={other}",
+            remap=("__ns:=/b", "left/servo_cf:=felt"),
+            wait=False,
+        ),
+    ]
+    for process in nodes:
+        process.wait_for("surface nodes")
+    first, second = Client("/a"), Client("/b")
+    felt = []
+    second.node.create_subscription(WrenchStamped, "felt", felt.append, qos_profile_sensor_data)
+    clients = (first, second)
+    for client in clients:
+        assert client.spin_until(lambda c=client: c.pose.get_subscription_count() > 0 and c.diagnostics, 20.0)
+
+    def move(position):
+        first.send_pose(position)
+        second.send_pose(AWAY)
+        for client in clients:
+            client.spin(0.003)
+
+    press_until_felt(first, move)
+    first.spin(1.1)
+    second.spin(1.1)
+    assert len(felt) > 50
+    assert all(message.wrench.force.x == 0.0 for message in felt)
+    assert not second.wrenches, "its topic goes by another name"
+    assert counter(second, "left.poses") > 50
+    assert counter(first, "left.poses") > 50
+    for client in clients:
+        assert counter(client, "same_name_nodes") == 0
+        client.close()
+    for process in nodes:
+        assert process.stop() == 0, process.text()
+        assert "another node" not in process.text()
+
+
+# the end ---------------------------------------------------------------------------------------
+def end_of(process, number):
+    """Exit code after a signal, and how long it took, s."""
+    begin = time.monotonic()
+    return process.stop(number), time.monotonic() - begin
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_signal_under_load_zeroes_the_wrench_and_closes_the_bag(tmp_path, start, number):
+    bags = f"record_folder:={tmp_path}"
+    process = start(tmp_path, "record:=true", bags, "tools:=[left]", "marker_rate:=5.0", remap=("__ns:=/end",))
+    client = Client("/end")
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0, 20.0)
+    position = press_until_felt(client, lambda position: (client.send_pose(position), client.spin(0.005)))
+    process.child.send_signal(number)
+    begin = time.monotonic()
+    while process.child.poll() is None and time.monotonic() - begin < 5.0:
+        client.send_pose(position)
+        client.spin(0.002)
+    assert time.monotonic() - begin < 1.0, process.text()
+    assert process.stop() == 0, process.text()
+    client.spin(0.1)
+    assert np.all(client.wrenches[-1][1] == 0.0)
+    (folder,) = tmp_path.glob("tissue_sim-*")
+    assert f"bag closed: {folder}" in process.text()
+    with Reader(folder) as reader:
+        assert reader.message_count > 200, process.text()
+    client.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_signal_while_kernels_compile_ends_at_once(tmp_path, start, number):
+    """In the compiler no Python handler runs; there is no bag yet, and nothing to zero."""
+    process = start(tmp_path, wait=False, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    process.wait_for("compiling the kernels")
+    time.sleep(2.0 if number == signal.SIGINT else 5.0)
+    code, seconds = end_of(process, number)
+    assert code == 0, process.text()
+    assert seconds < 1.0
+    assert "Traceback" not in process.text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_signal_while_loading_ends_at_once(tmp_path, start, number):
+    """While Python itself starts, twice over the wheels, the signal ends it as it does every program."""
+    for delay in (0.4, 0.8, 1.2, 1.6, 2.0):
+        process = start(tmp_path, wait=False)
+        time.sleep(delay)
+        code, seconds = end_of(process, number)
+        assert code in (0, -number), (delay, process.text())
+        assert seconds < 1.0, (delay, process.text())
+        assert "Traceback" not in process.text() or code == -number
+
+
+def test_bag_with_a_full_queue_is_closed_in_time(tmp_path, monkeypatch):
+    """What a slow disk can't take in time is left out and counted; the bag can be read."""
+    simulation = Simulation(ball(2))
+    physics = Physics(simulation)
+    topics = {("left", topic): f"/left/{topic}" for topic in bag.TOOL_TOPICS}
+    recorder = Recorder("/tissue_sim", ["left"], topics, {"tools": ["left"]})
+    write = Writer.write
+
+    def slowly(self, *words):
+        time.sleep(0.002)
+        write(self, *words)
+
+    monkeypatch.setattr(Writer, "write", slowly)
+    physics.start()
+    path = recorder.start(tmp_path, physics, b"organ", b"\0" * 16, {})
+    for _ in range(20_000):
+        recorder.received("/left/measured_cp", b"\0" * 64)
+    begin = time.monotonic()
+    assert recorder.stop(physics, 0.3) == path
+    assert time.monotonic() - begin < 1.0
+    physics.stop()
+    assert recorder.error == ""
+    assert 10_000 < recorder.lost < 20_000
+    with Reader(path) as reader:
+        assert reader.message_count + recorder.lost > 20_000

@@ -1,0 +1,88 @@
+"""What the node gives up, in a stated order, while the machine is too slow for it: markers, modal region, rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+NONE, MARKERS, REGION, RATE = range(4)  # from RATE on each further level halves the rate again
+LEVELS = RATE + 3
+NAMES = ("none", "markers", "region", "rate")
+
+LOOK_EVERY = 0.25  # s
+MARKER_RATE = 10.0  # Hz, from level MARKERS on
+STRAINED_LOAD, WELL_LOAD = 0.8, 0.35  # of the wall time, in ticks; well: twice the rate would not strain either
+STRAINED_LATE, WELL_LATE = 0.2, 0.05  # share of ticks late by more than a period
+PATIENCE = 1.0  # s of strain before the next step
+HOLD, LONGEST_HOLD = 10.0, 160.0  # s of wellness before a step back; doubled each time that this was too soon
+
+
+class Look(NamedTuple):
+    """How the loop did since the last look."""
+
+    load: float  # share of the wall time that it spent in ticks
+    late: float  # share of its ticks that were late by more than a period
+    dropped: int  # ticks that it gave up
+
+    @property
+    def strained(self) -> bool:
+        """True when the machine is too slow."""
+        return self.load > STRAINED_LOAD or self.late > STRAINED_LATE or self.dropped > 0
+
+    @property
+    def well(self) -> bool:
+        """True when there is room to take a step back."""
+        return self.load < WELL_LOAD and self.late < WELL_LATE and self.dropped == 0
+
+
+def name(level: int) -> str:
+    """Name of a level, as diagnostics tell it."""
+    return NAMES[min(level, RATE)]
+
+
+def halvings(level: int) -> int:
+    """How often the rate is halved at a level."""
+    return max(0, level - RATE + 1)
+
+
+class Ladder:
+    """Decides from one look to the next. Knows no clock and no node: both are told.
+
+    A step is taken after a second of strain without a break, and back after ten without any; when a step had to be
+    taken again soon after, the way back takes twice as long.
+    """
+
+    def __init__(self) -> None:
+        self.level = NONE
+        self.stuck = False  # True while strained with nothing left to give up
+        self._hold = HOLD
+        self._back_at = -LONGEST_HOLD  # s, when the last step back was taken
+        self._strained_since = self._well_since = -1.0  # s; negative: it isn't
+
+    def look(self, now: float, look: Look, helps: Callable[[int], bool]) -> bool:
+        """Take a look at `now` s; returns whether the level changed. helps: whether a level gives anything up."""
+        self._strained_since = _since(self._strained_since, now, look.strained)
+        self._well_since = _since(self._well_since, now, look.well)
+        self.stuck = self.stuck and look.strained
+        if self._strained_since >= 0.0 and now - self._strained_since >= PATIENCE:
+            further = next((level for level in range(self.level + 1, LEVELS) if helps(level)), None)
+            self.stuck = further is None
+            if further is None:
+                return False
+            self._hold = min(2.0 * self._hold, LONGEST_HOLD) if now - self._back_at < self._hold else HOLD
+            return self._go(further)
+        if self.level > NONE and self._well_since >= 0.0 and now - self._well_since >= self._hold:
+            self._back_at = now
+            return self._go(next(level for level in range(self.level - 1, -1, -1) if level == NONE or helps(level)))
+        return False
+
+    def _go(self, level: int) -> bool:
+        self.level = level
+        self._strained_since = self._well_since = -1.0
+        return True
+
+
+def _since(since: float, now: float, true: bool) -> float:
+    if not true:
+        return -1.0
+    return now if since < 0.0 else since

@@ -1,0 +1,72 @@
+"""How SIGINT and SIGTERM end the node in time, whatever it is doing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+START_GRACE = 0.4  # s in which a node that is still starting may end by itself
+GRACE = 5.0  # s in which a node that runs may close
+
+
+class Interrupted(BaseException):
+    """A signal came while the node was starting; not an Exception, so that nothing on the way takes it for its own."""
+
+
+class Ending:
+    """Notices the signals, also while the main thread is inside the compiler, which no Python handler interrupts.
+
+    While starting, a signal raises Interrupted in the main thread; where that comes too late, the process ends
+    without it: no bag is open yet, and no force was published. Once running, the node closes; one that
+    can't in 5 s ends as it is. Further signals change nothing: a launcher often sends its own after the
+    terminal's. Make it in the main thread.
+    """
+
+    def __init__(self) -> None:
+        self.asked = threading.Event()
+        self._starting, self._raised = True, False
+        read, write = os.pipe()
+        os.set_blocking(write, False)
+        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        for number in SIGNALS:
+            signal.signal(number, self._on_signal)
+        threading.Thread(target=self._watch, args=(read,), name="ending", daemon=True).start()
+
+    def started(self) -> None:
+        """The node runs, and closes itself when asked to. Raises Interrupted if it was asked before."""
+        self.closes()
+        if self.asked.is_set():
+            raise Interrupted
+
+    def closes(self) -> None:
+        """The main thread is able to close what there is."""
+        self._starting = False
+
+    def _on_signal(self, *_: Any) -> None:
+        """In the main thread, as soon as it is back in Python."""
+        self.asked.set()
+        if self._starting and not self._raised:  # a second one must not disturb what the first one has begun
+            self._raised = True
+            raise Interrupted
+
+    def _watch(self, pipe: int) -> None:
+        """In a thread of its own: the pipe is written to by the system's handler."""
+        os.read(pipe, 1)
+        self.asked.set()
+        if self._starting:
+            time.sleep(START_GRACE)
+        if self._starting:
+            _leave(0, "ended while starting")
+        time.sleep(GRACE)
+        _leave(1, f"could not close in {GRACE:g} s")
+
+
+def _leave(code: int, line: str) -> None:
+    sys.stderr.write(f"tissue_node: {line}\n")
+    sys.stderr.flush()
+    os._exit(code)

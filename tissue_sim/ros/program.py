@@ -1,0 +1,22 @@
+"""The program `tissue_node`: signals are heard before what takes a second to load is loaded."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import NoReturn
+
+from tissue_sim.ros.ending import Ending, Interrupted
+
+
+def run() -> NoReturn:
+    """Run the node and leave the process."""
+    code, ending = 0, Ending()
+    try:
+        from tissue_sim.ros.node import main
+
+        code = main(ending=ending)
+    except Interrupted:
+        pass
+    sys.stdout.flush()
+    os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise
