@@ -165,11 +165,17 @@ def cloud_array(message: Any) -> NDArray[np.float32]:
     return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
 
 
-def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
-    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
+def newest_status(reports: Sequence[Any], target: str) -> Any:
+    """A node's newest physics DiagnosticStatus in DiagnosticArrays, or None when it isn't in there."""
     name = f"{target.rpartition('/')[2]}: physics"
     for report in reversed(reports):
         for status in report.status:
             if status.name == name:
-                return {item.key: item.value for item in status.values}
+                return status
     return None
+
+
+def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
+    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
+    status = newest_status(reports, target)
+    return None if status is None else {item.key: item.value for item in status.values}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,6 +20,7 @@ from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.tool_port import ToolPort
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REPEAT_AFTER = 0.5  # s after which an organ that stands still is streamed again
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
@@ -46,7 +49,8 @@ class Presenter:
         self._skeleton_bytes.points[:, 4] = organ.atom_parent
         self._positions = organ.rest_positions
         self._sequence: dict[str, int] = {}
-        self._had_markers = self._had_surface = 0
+        self._had_markers = 0
+        self._surface_sent = -math.inf
         self.mesh_bytes = rest_mesh(organ)
         self.unchanged_skips = self.unseen_skips = self.published = 0
         self._mesh.publish(self.mesh_bytes)
@@ -59,9 +63,12 @@ class Presenter:
         sequence = physics.surface_sequence
         # A viewer that has just come gets the organ even when nothing moves.
         show_markers = n_markers > 0 and (self._moved("markers", sequence) or n_markers > self._had_markers)
-        show_surface = n_surface > 0 and (self._moved("surface", sequence) or n_surface > self._had_surface)
+        # Best effort may lose the shape in which the organ comes to rest, or the first one of a viewer: say it again.
+        show_surface = n_surface > 0 and (
+            self._moved("surface", sequence) or time.monotonic() - self._surface_sent >= REPEAT_AFTER
+        )
         record = recorder.active and self._moved("bag", sequence)
-        self._had_markers, self._had_surface = n_markers, n_surface
+        self._had_markers = n_markers
         if not (show_markers or show_surface or record):
             if n_markers or n_surface:
                 self.unchanged_skips += 1
@@ -84,7 +91,7 @@ class Presenter:
             if show_surface:
                 self._surface.publish(surface)
                 self._skeleton.publish(skeleton)
-                self._sequence["surface"] = sequence
+                self._sequence["surface"], self._surface_sent = sequence, time.monotonic()
             if record:
                 recorder.surface(tick, surface, skeleton, markers if record_markers else None)
                 self._sequence["bag"] = sequence

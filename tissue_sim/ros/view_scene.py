@@ -172,7 +172,7 @@ class ToolView:
     def __init__(self, server: viser.ViserServer, name: str, index: int, radius: float) -> None:
         self._name, self._radius = name, radius
         scene = server.scene
-        self._ball = scene.add_icosphere(
+        self.ball = scene.add_icosphere(
             f"/tools/{name}",
             radius=radius,
             color=TOOL_COLOURS[index % len(TOOL_COLOURS)],
@@ -195,12 +195,12 @@ class ToolView:
 
     def show(self, position: Floats | None, force: Floats | None) -> None:
         """Draw the tool at a position (3,) m with a force (3,) N; None for what is not known."""
-        self._ball.visible = position is not None
+        self.ball.visible = position is not None
         felt = position is not None and force is not None and float(np.linalg.norm(force)) > LEAST_FORCE
         self._arrow.visible = self._label.visible = felt
         if position is None:
             return
-        self._ball.position = position
+        self.ball.position = position
         if felt and force is not None:
             self._arrow.points = arrow(position, force, self._radius)
             self._label.position = self._arrow.points[0, 1]
