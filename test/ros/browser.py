@@ -25,7 +25,10 @@ class Browser:
 
     def __init__(self, folder: Path, width: int = 1200, height: int = 800) -> None:
         profile = folder / "profile"
+        # Drawing in software takes every core there is: what is tested goes first.
         words = [
+            "nice",
+            "-n5",
             program(),
             "--headless=new",
             "--no-sandbox",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 from collections.abc import Collection
 from typing import Any
 
@@ -16,7 +17,9 @@ from tissue_sim.ros.view_scene import VIEW, ToolView
 
 CLEAR = 0.008  # m between a tool that is taken and the organ
 GIZMO = 0.03  # m, length of its arrows
-ASK_EVERY = 0.5  # s between two looks at who else publishes
+LOOK_EVERY = 0.5  # s between two looks at who else publishes
+PROBE_EVERY = 1.0  # s between two questions to the browser that holds a tool
+PATIENCE = 5.0  # s that it may take to answer
 
 
 def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
@@ -54,6 +57,7 @@ class Poke:
         self._gizmo: Any = None
         self._offset = np.zeros(3)  # m, from where the mouse grabbed the tool to its goal
         self._asked: queue.SimpleQueue[tuple[bool, int | None]] = queue.SimpleQueue()
+        self._gone = threading.Event()  # of the hand that holds it now
         self._next_look = -np.inf
         gui = server.gui
         self._box: Any = gui.add_checkbox(
@@ -63,7 +67,11 @@ class Poke:
             hint=f"Takes the tool in hand: drag it, or an arrow at it. Publishes {self._tool.topic}",
         )
         self._warning = gui.add_markdown("", visible=False)
-        self._box.on_update(lambda event: self._asked.put((self._box.value, event.client_id)))
+        self._box.on_update(self._on_box)
+
+    def _on_box(self, event: Any) -> None:
+        if event.client_id is not None:  # not our own change
+            self._asked.put((self._box.value, event.client_id))
 
     def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
         """Take up what the checkbox asked for.
@@ -74,13 +82,13 @@ class Poke:
         while not self._asked.empty():
             wanted, who = self._asked.get()
             if not wanted:
-                self._let_go()
+                self.close()
             elif who is not None and points is not None:
                 self._take(who, points, frame_id)
         if self._holder is not None and self._holder not in watchers:
             self.close()
         if now >= self._next_look:
-            self._next_look = now + ASK_EVERY
+            self._next_look = now + LOOK_EVERY
             rivals = self._tool.rivals()
             self._warning.visible = rivals > 0
             if rivals > 0:
@@ -92,7 +100,8 @@ class Poke:
     def close(self) -> None:
         """Let the tool go."""
         self._let_go()
-        self._box.value = False
+        if self._box.value:
+            self._box.value = False
 
     def _take(self, who: int, points: Floats, frame_id: str) -> None:
         self._let_go()
@@ -115,14 +124,29 @@ class Poke:
         self._view.ball.on_drag(self._on_drag)
         self._holder = who
         self._tool.take(position, turn, frame_id)
+        self._gone = threading.Event()
+        threading.Thread(target=self._watch, args=(holder, self._gone), name="hand", daemon=True).start()
 
     def _let_go(self) -> None:
         self._tool.release()
         self._holder = None
+        self._gone.set()
         if self._gizmo is not None:
             self._view.ball.remove_drag_callback("all")
             self._gizmo.remove()
             self._gizmo = None
+
+    def _watch(self, holder: viser.ClientHandle, gone: threading.Event) -> None:
+        """Lets go when the page no longer answers: a page that was left, or lies behind others, stays connected."""
+        while not gone.wait(PROBE_EVERY):
+            try:
+                holder.local_storage.get_item("hand", timeout=PATIENCE)
+            except TimeoutError:
+                if not gone.is_set():
+                    self._asked.put((False, None))
+                return
+            except RuntimeError:  # disconnected, which `update` sees; or a browser that keeps no storage, but answers
+                continue
 
     async def _on_gizmo(self, event: Any) -> None:
         self._tool.goal = np.array(event.target.position, dtype=np.float64)
