@@ -204,7 +204,7 @@ class TissueNode(Node):
             now = time.monotonic()
             if now >= next_marker:
                 next_marker = max(next_marker + 1.0 / self.parameters["marker_rate"], now)
-                self.presenter.present(self.parameters["record_markers"])
+                self.presenter.present(self.parameters["record_markers"], self.parameters["marker_colour"])
                 self.recorder.poll(self.physics)
             if now >= next_report:
                 next_report = max(next_report + 1.0, now)

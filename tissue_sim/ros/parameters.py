@@ -19,6 +19,7 @@ from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS
 from tissue_sim.model.state import Floats
+from tissue_sim.ros.colours import MARKER_COLOURS
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ NODE_SPECS = (
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0),
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
+    Spec("marker_colour", "displacement", "what colours the markers", live=True, choices=MARKER_COLOURS),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
     Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
     Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
@@ -54,7 +56,7 @@ NODE_SPECS = (
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting=st.DAMPING_SCALE),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made", live=True),
-    Spec("record_markers", False, "put the markers into the bag too (9 MB a second)", live=True),
+    Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
 )
 
 TOOL_SPECS = (

@@ -9,7 +9,7 @@ from enum import Enum
 
 import viser
 
-from tissue_sim.ros.view_scene import BANDS, TISSUE, Colour
+from tissue_sim.ros.colours import BANDS, TISSUE, Colour
 
 NO_VALUE = "-"
 LAST = 1e9  # order in the panel: below everything that comes later

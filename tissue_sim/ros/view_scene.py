@@ -10,20 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from tissue_sim.ros.bands import Floats, Ints, cut_into_bands
+from tissue_sim.ros.colours import BANDS, TISSUE, Colour
 
-Colour = tuple[int, int, int]
-TISSUE: Colour = (146, 52, 46)
-# Where the surface has moved by more than so many mm, it has this colour.
-BANDS: tuple[tuple[float, Colour], ...] = (
-    (0.5, (176, 66, 48)),
-    (1.0, (201, 86, 48)),
-    (2.0, (222, 110, 49)),
-    (3.0, (237, 138, 54)),
-    (4.0, (246, 168, 66)),
-    (6.0, (250, 198, 88)),
-    (8.0, (252, 224, 122)),
-    (10.0, (255, 244, 178)),
-)
 SKELETON: Colour = (20, 30, 60)
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)
