@@ -113,15 +113,18 @@ def processor_seconds(process):
 def test_sixty_markers_a_second_cost_little(client, node, tmp_path, colour):
     """Of the node's processor time with one subscriber of the markers, less without one, while the organ moves."""
     client.set_parameter("marker_colour", colour)
-    publisher = start_publisher(tmp_path, depth=0.004, seconds=70.0, hold=True)
-    client.spin(4.0)
+    # Let go, it swings on: no pose and no contact adds its own noise to the figure.
+    client.set_parameter("damping_scale", 0.0)
+    publisher = start_publisher(tmp_path, depth=0.004, seconds=2.0)
+    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
+    publisher.stop()
     count = [0]
 
     def heard(_):
         count[0] += 1
 
     shares, seen = {False: [], True: []}, 0
-    for _ in range(5):
+    for _ in range(6):
         for watched in (False, True):
             if watched:
                 subscription = client.node.create_subscription(
@@ -134,10 +137,9 @@ def test_sixty_markers_a_second_cost_little(client, node, tmp_path, colour):
             elapsed = time.monotonic() - began
             shares[watched].append((processor_seconds(node.child.pid) - spent) / elapsed)
             if watched:
-                seen += count[0] / elapsed / 5
+                seen += count[0] / elapsed / 6
                 client.node.destroy_subscription(subscription)
-    publisher.child.terminate()
-    publisher.stop()
+    client.set_parameter("damping_scale", 1.0)
     share = np.median(shares[True]) - np.median(shares[False])
     print(f"\n{colour}: {100 * share:.2f} % of a core for {seen:.0f} markers a second")
     print({key: [round(100 * s, 2) for s in value] for key, value in shares.items()})

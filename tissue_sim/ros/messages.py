@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, WrenchStamped
+from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh, MeshTriangle
@@ -96,7 +97,8 @@ class MarkersTemplate:
             marker.action = 0x5EED000
         if coloured:
             surface.colors = [ColorRGBA(r=COLOUR_SENTINEL), *([ColorRGBA()] * (len(self._corners) - 1))]
-        self._bytes = raw = bytearray(serialize_message(MarkerArray(markers=markers)))
+        raw = serialize_message(MarkerArray(markers=markers))
+        self._bytes = _aligned(raw)
         self._stamps, self._actions, self._blocks = [], [], []
         self._colours: Any = None
         at = 0
@@ -106,12 +108,12 @@ class MarkersTemplate:
             at = raw.find(struct.pack("<i", 0x5EED000), at)
             self._actions.append(at)
             at = raw.find(struct.pack("<d", SENTINEL), at)
-            self._blocks.append(np.frombuffer(raw, dtype="<f8", offset=at, count=3 * size).reshape(size, 3))
+            self._blocks.append(self._bytes[at : at + 24 * size].view("<f8").reshape(size, 3))
             at += 24 * size
             if coloured and index == 0:
                 at = raw.find(struct.pack("<f", COLOUR_SENTINEL), at)
-                self._colours = np.frombuffer(raw, dtype="<f4", offset=at, count=4 * size).reshape(size, 4)
-            struct.pack_into("<i", raw, self._actions[-1], Marker.ADD)
+                self._colours = self._bytes[at : at + 16 * size].view("<f4").reshape(size, 4)
+            struct.pack_into("<i", self._bytes, self._actions[-1], Marker.ADD)
 
     def message(
         self, stamp: int, position: Floats, n_surface: int, centre: Floats, wrench: Floats, colours: Any = None
@@ -123,11 +125,12 @@ class MarkersTemplate:
         """
         for at in self._stamps:
             struct.pack_into("<iI", self._bytes, at, stamp // 1_000_000_000, stamp % 1_000_000_000)
-        np.take(position, self._corners, axis=0, out=self._blocks[0])
+        # mode: with the default one numpy takes into a buffer of its own first.
+        np.take(position, self._corners, axis=0, out=self._blocks[0], mode="clip")
         if self._colours is not None:
-            np.take(colours, self._corners, axis=0, out=self._colours)
+            np.take(colours, self._corners, axis=0, out=self._colours, mode="clip")
         if len(self._bones):
-            np.take(position[n_surface:], self._bones, axis=0, out=self._blocks[1])
+            np.take(position[n_surface:], self._bones, axis=0, out=self._blocks[1], mode="clip")
         for tool in range(self._n_tools):
             index = len(self._blocks) - self._n_tools + tool
             force = wrench[tool, :3]
@@ -135,13 +138,22 @@ class MarkersTemplate:
             struct.pack_into("<i", self._bytes, self._actions[index], Marker.ADD if felt else Marker.DELETE)
             self._blocks[index][0] = centre[tool]
             self._blocks[index][1] = centre[tool] + self.ARROW_LENGTH * force
-        return bytes(self._bytes)
+        return self._bytes.tobytes()
 
     def deletion(self) -> bytes:
         """The same markers, all deleted: for the shutdown."""
         for at in self._actions:
             struct.pack_into("<i", self._bytes, at, Marker.DELETE)
-        return bytes(self._bytes)
+        return self._bytes.tobytes()
+
+
+def _aligned(raw: bytes) -> NDArray[np.uint8]:
+    """A message's bytes in memory whose float64 lie where the processor wants them: CDR aligns behind its header."""
+    room = np.empty(len(raw) + 8, dtype=np.uint8)
+    start = (-CDR_HEADER - room.ctypes.data) % 8
+    aligned = room[start : start + len(raw)]
+    aligned[:] = np.frombuffer(raw, dtype=np.uint8)
+    return aligned
 
 
 def skeleton_lines(organ: Organ) -> Any:
