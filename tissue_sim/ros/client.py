@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.ros.dds import use_shipped_profile
+
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
@@ -91,6 +93,7 @@ def client_node(name: str, target: str) -> Iterator[Node]:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    use_shipped_profile()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(

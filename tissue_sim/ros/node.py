@@ -33,6 +33,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros import bag
 from tissue_sim.ros.contact_worker import ContactWorker
+from tissue_sim.ros.dds import use_shipped_profile
 from tissue_sim.ros.diagnostics import Diagnostics, physics_values
 from tissue_sim.ros.parameters import SETTING_OF, Parameters
 from tissue_sim.ros.physics import Physics
@@ -263,6 +264,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
     sys.setswitchinterval(0.0005)
     stop = threading.Event()
+    use_shipped_profile()
     rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

@@ -41,7 +41,7 @@ NODE_SPECS = (
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0),
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
-    Spec("marker_colour", "displacement", "what colours the markers", live=True, choices=MARKER_COLOURS),
+    Spec("marker_colour", "none", "what colours the markers", live=True, choices=MARKER_COLOURS),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
     Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
     Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
