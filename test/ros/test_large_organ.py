@@ -50,9 +50,8 @@ def test_the_profile_gives_large_shared_memory(reach):
 def geodesic_sphere(frequency: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (10 f^2 + 2, 3) and triangles of a unit sphere."""
     solid = trimesh.creation.icosahedron()
-    index = {
-        (i, j): k for k, (i, j) in enumerate((i, j) for i in range(frequency + 1) for j in range(frequency + 1 - i))
-    }
+    lattice = [(i, j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
+    index = {place: number for number, place in enumerate(lattice)}
     weights = np.array([(i, j, frequency - i - j) for i, j in lattice]) / frequency
     local = [
         triangle

@@ -1,12 +1,15 @@
 """What a viewer gets from the node: at once, coloured, at a price."""
 
+import json
 import os
+import re
 import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from client import LATCHED, Client
 from processes import poke_path, shipped, start_node, start_publisher
 from rclpy.qos import qos_profile_sensor_data
@@ -17,6 +20,9 @@ from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.client import cloud_array
 from tissue_sim.ros.colours import MOVING, TISSUE, shades
+from tissue_sim.ros.messages import MarkersTemplate
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 @pytest.fixture(scope="module")
@@ -72,14 +78,15 @@ def test_markers_are_coloured_by_what_is_asked_for(client, tmp_path):
         return colours_of(deserialize_message(markers[-1], MarkerArray))
 
     def coloured(colour):
-        assert client.set_parameter("marker_colour", colour).successful
-        client.spin(0.3)
         markers.clear()
-        assert client.spin_until(lambda: len(markers) > 0, 5.0)
+        assert client.set_parameter("marker_colour", colour).successful
+        assert client.spin_until(lambda: len(markers) > 0, 5.0), "nothing moves, but the colour is new"
+        client.spin(0.3)
         return newest()
 
     assert client.spin_until(lambda: len(markers) > 0, 10.0)
-    assert np.allclose(newest(), [*(part / 255.0 for part in TISSUE), 1.0], atol=1e-6), "displacement is the default"
+    assert len(newest()) == 0, "a colour for each corner only when asked"
+    assert np.allclose(coloured("displacement"), [*(part / 255.0 for part in TISSUE), 1.0], atol=1e-6)
     publisher = start_publisher(tmp_path, depth=0.004, seconds=8.0, hold=True)
     assert client.spin_until(lambda: len(client.wrenches) > 0 and client.wrenches[-1][1][0] > 0.1, 15.0)
     client.spin(1.0)
@@ -145,3 +152,42 @@ def test_sixty_markers_a_second_cost_little(client, node, tmp_path, colour):
     print({key: [round(100 * s, 2) for s in value] for key, value in shares.items()})
     assert seen > 50.0
     assert share < 0.03
+
+
+# the files for other viewers -------------------------------------------------------------------
+def topics_of_the_node(client):
+    """Name and type of every topic and service that the running node has, once they are all known."""
+    own = {name: kinds[0] for name, kinds in client.node.get_topic_names_and_types()}
+    return own, {name: kinds[0] for name, kinds in client.node.get_service_names_and_types()}
+
+
+def test_the_rviz_config_shows_what_the_node_publishes(client):
+    config = yaml.safe_load((CONFIG / "tissue_sim.rviz").read_text())["Visualization Manager"]
+    kinds = {"MarkerArray": "visualization_msgs/msg", "PointCloud2": "sensor_msgs/msg", "Pose": "geometry_msgs/msg"}
+    assert config["Global Options"]["Fixed Frame"] == "organ"
+    assert client.spin_until(lambda: "/tissue_sim/markers" in topics_of_the_node(client)[0], 5.0)
+    topics, _ = topics_of_the_node(client)
+    for display in config["Displays"]:
+        plugin = display["Class"].rpartition("/")[2]
+        topic = display["Topic"]
+        assert topics[topic["Value"]] == f"{kinds[plugin]}/{plugin}{'Stamped' * (plugin == 'Pose')}"
+        for end in client.node.get_publishers_info_by_topic(topic["Value"]):
+            if end.node_name == "tissue_sim":
+                assert end.qos_profile.reliability.name == topic["Reliability Policy"].upper().replace(" ", "_")
+                assert end.qos_profile.durability.name == topic["Durability Policy"].upper().replace(" ", "_")
+    markers = next(display for display in config["Displays"] if display["Class"].endswith("MarkerArray"))
+    template = MarkersTemplate("organ", shipped(), 2)
+    assert set(markers["Namespaces"]) == {m.ns for m in deserialize_message(template.deletion(), MarkerArray).markers}
+
+
+def test_the_foxglove_layout_shows_what_the_node_publishes(client):
+    layout = json.loads((CONFIG / "foxglove.json").read_text())
+    panels = layout["configById"]
+    assert client.spin_until(lambda: "/tissue_sim/reset" in topics_of_the_node(client)[1], 5.0)
+    topics, services = topics_of_the_node(client)
+    named = {*panels["3D!organ"]["topics"], panels["DiagnosticStatusPanel!health"]["topicToRender"]}
+    named |= {path["value"].partition(".")[0] for path in panels["Plot!force"]["paths"]}
+    assert named <= set(topics)
+    assert {panel["serviceName"] for panel in panels.values() if "serviceName" in panel} <= set(services)
+    placed = re.findall(r"\w+!\w+", json.dumps(layout["layout"]))
+    assert sorted(placed) == sorted(panels)
