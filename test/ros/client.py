@@ -20,7 +20,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class Client:
     """Subscribes a node's topics in this process, and talks to its services."""
 
-    def __init__(self, namespace: str = "") -> None:
+    def __init__(self, namespace: str = "", markers: bool = True) -> None:
         self.context = rclpy.Context()
         self.context.init()
         self.node = rclpy.create_node("client", namespace=namespace, context=self.context)
@@ -36,7 +36,8 @@ class Client:
         node = self.node
         node.create_subscription(WrenchStamped, "left/servo_cf", self._on_wrench, qos_profile_sensor_data)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        node.create_subscription(MarkerArray, f"{self.target}/markers", self._on_markers, LATCHED)
+        if markers:
+            node.create_subscription(MarkerArray, f"{self.target}/markers", self._on_markers, LATCHED)
         self.pose = node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
         self.force = node.create_publisher(WrenchStamped, "left/measured_cf", qos_profile_sensor_data)
 

@@ -27,11 +27,11 @@ READY = "surface nodes"  # in the line that the node logs when its first tick is
 class Process:
     """A child process with its output in a file."""
 
-    def __init__(self, words: list[str], log: Path, **environment: str) -> None:
+    def __init__(self, words: list[str], log: Path, program: str = sys.executable, **environment: str) -> None:
         self.log = log
         self._stream = log.open("w")
         self.child = subprocess.Popen(
-            [sys.executable, *words],
+            [program, *words],
             stdout=self._stream,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,

@@ -131,7 +131,7 @@ def test_the_status_shows_what_is_there_and_survives_what_is_not():
     assert "| Tick rate | 1000 Hz |" in text
     assert "| Force | 0.46 N |" in text
     assert "| Tool left | fresh, - |" in text
-    assert "| Overruns | - |" in text
+    assert "| Late ticks | - |" in text
     assert "`/a/b`" in text
 
 

@@ -1,4 +1,4 @@
-"""Where the organs that come with the package are."""
+"""Where the files that come with the package are."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from tissue_sim.errors import UserError
 AS_BUILT = "kidney_as_built"  # with the paper's 48 atoms, before calibration
 
 
-def shipped_organ(name: str = "kidney") -> Path:
-    """Path of an organ that ships with the package: in the checkout, or in an install's share folder.
-
-    Raises UserError when there is none of that name.
-    """
-    inside = Path("config") / "organs" / f"{name}.npz"
+def shipped_file(inside: str) -> Path | None:
+    """Path of a file that ships with the package, in the checkout or in an install's share folder; None without one."""
     here = Path(__file__).resolve()
     # PREFIX/lib/python3.x/site-packages/tissue_sim/organ/shipped.py, as pip and colcon lay it out.
     prefixes: list[str | Path] = [*here.parents[5:6], sys.prefix]
     prefixes += os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     shares = [Path(prefix) / "share" / "tissue_sim" for prefix in prefixes if prefix]
-    for folder in (here.parents[2], *shares):
-        if (folder / inside).is_file():
-            return folder / inside
-    raise UserError(f"no organ '{name}' comes with this installation; make one with 'tissue_sim build'")
+    return next((folder / inside for folder in (here.parents[2], *shares) if (folder / inside).is_file()), None)
+
+
+def shipped_organ(name: str = "kidney") -> Path:
+    """Path of an organ that ships with the package. Raises UserError when there is none of that name."""
+    found = shipped_file(f"config/organs/{name}.npz")
+    if found is None:
+        raise UserError(f"no organ '{name}' comes with this installation; make one with 'tissue_sim build'")
+    return found

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.ros.dds import use_shipped_profile
+
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
@@ -91,6 +93,7 @@ def client_node(name: str, target: str) -> Iterator[Node]:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
+    use_shipped_profile()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(
@@ -165,11 +168,17 @@ def cloud_array(message: Any) -> NDArray[np.float32]:
     return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
 
 
-def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
-    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
+def newest_status(reports: Sequence[Any], target: str) -> Any:
+    """A node's newest physics DiagnosticStatus in DiagnosticArrays, or None when it isn't in there."""
     name = f"{target.strip('/')}: physics"
     for report in reversed(reports):
         for status in report.status:
             if status.name == name:
-                return {item.key: item.value for item in status.values}
+                return status
     return None
+
+
+def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
+    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
+    status = newest_status(reports, target)
+    return None if status is None else {item.key: item.value for item in status.values}

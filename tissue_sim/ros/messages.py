@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose
+from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh, MeshTriangle
@@ -18,8 +19,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.cdr import CDR_HEADER
+from tissue_sim.ros.colours import TISSUE
 
 SENTINEL = 1.2345678901234567e89
+COLOUR_SENTINEL = 1.2345e30
 
 
 class NumbersTemplate:
@@ -73,57 +76,69 @@ class CloudTemplate:
 
 
 class MarkersTemplate:
-    """The MarkerArray of a scene: surface, skeleton and an arrow for each tool's contact force."""
+    """The MarkerArray of a scene: surface, skeleton and an arrow for each tool's contact force.
 
-    SURFACE_COLOUR = (0.72, 0.27, 0.24, 1.0)
+    Coloured, the surface has a colour for each corner of a triangle, which makes the message two thirds longer.
+    """
+
+    SURFACE_COLOUR = (*(part / 255.0 for part in TISSUE), 1.0)
     SKELETON_COLOUR = (0.95, 0.90, 0.55, 1.0)
     FORCE_COLOUR = (0.20, 0.55, 0.95, 1.0)
     ARROW_LENGTH = 0.03  # m for 1 N
 
-    def __init__(self, frame_id: str, organ: Organ, n_tools: int) -> None:
+    def __init__(self, frame_id: str, organ: Organ, n_tools: int, coloured: bool = False) -> None:
         self._corners = organ.surface_triangles.ravel()
         self._bones = skeleton_lines(organ)
+        self._n_tools = n_tools
         surface = _marker(frame_id, "surface", 0, Marker.TRIANGLE_LIST, self.SURFACE_COLOUR, (1.0, 1.0, 1.0))
         skeleton = _marker(frame_id, "skeleton", 0, Marker.LINE_LIST, self.SKELETON_COLOUR, (0.001, 0.0, 0.0))
         arrows = [
             _marker(frame_id, "contacts", tool, Marker.ARROW, self.FORCE_COLOUR, (0.002, 0.004, 0.006))
             for tool in range(n_tools)
         ]
+        # A marker with an empty list is refused by RViz: an organ without bones has no skeleton.
         markers = [surface, *([skeleton] if len(self._bones) else []), *arrows]
-        blocks = [len(self._corners), *([len(self._bones)] if len(self._bones) else []), *([2] * n_tools)]
-        for marker, size in zip(markers, blocks, strict=True):
-            marker.points = [Point() for _ in range(size)]
-            marker.points[0].x = SENTINEL
-        for index, marker in enumerate(markers):
+        sizes = [len(self._corners), *([len(self._bones)] if len(self._bones) else []), *([2] * n_tools)]
+        for index, (marker, size) in enumerate(zip(markers, sizes, strict=True)):
+            marker.points = [Point(x=SENTINEL), *([Point()] * (size - 1))]
             marker.header.stamp = Time(sec=0x5EED, nanosec=0x5EED0000 + index)
             marker.action = 0x5EED000
-        raw = bytearray(serialize_message(MarkerArray(markers=markers)))
-        self._bytes = raw
-        self._blocks: list[Any] = []
-        self._stamps: list[int] = []
-        self._actions: list[int] = []
+        if coloured:
+            surface.colors = [ColorRGBA(r=COLOUR_SENTINEL), *([ColorRGBA()] * (len(self._corners) - 1))]
+        raw = serialize_message(MarkerArray(markers=markers))
+        self._bytes = _aligned(raw)
+        self._stamps, self._actions, self._blocks = [], [], []
+        self._colours: Any = None
         at = 0
-        for index, size in enumerate(blocks):
+        for index, size in enumerate(sizes):
             at = raw.find(struct.pack("<iI", 0x5EED, 0x5EED0000 + index), at)
             self._stamps.append(at)
             at = raw.find(struct.pack("<i", 0x5EED000), at)
             self._actions.append(at)
             at = raw.find(struct.pack("<d", SENTINEL), at)
-            self._blocks.append(np.frombuffer(raw, dtype="<f8", offset=at, count=3 * size).reshape(size, 3))
-            struct.pack_into("<i", raw, self._actions[-1], Marker.ADD)
-        self._n_tools = n_tools
+            self._blocks.append(self._bytes[at : at + 24 * size].view("<f8").reshape(size, 3))
+            at += 24 * size
+            if coloured and index == 0:
+                at = raw.find(struct.pack("<f", COLOUR_SENTINEL), at)
+                self._colours = self._bytes[at : at + 16 * size].view("<f4").reshape(size, 4)
+            struct.pack_into("<i", self._bytes, self._actions[-1], Marker.ADD)
 
-    def message(self, stamp: int, position: Floats, n_surface: int, centre: Floats, wrench: Floats) -> bytes:
+    def message(
+        self, stamp: int, position: Floats, n_surface: int, centre: Floats, wrench: Floats, colours: Any = None
+    ) -> bytes:
         """The message for positions (n, 3) m.
 
         centre (T, 3) m where each tool touches, wrench (T, 6) what it feels; a tool without force
-        has its arrow deleted.
+        has its arrow deleted. colours (n_surface, 4): red, green, blue, alpha of the nodes, where it is coloured.
         """
         for at in self._stamps:
             struct.pack_into("<iI", self._bytes, at, stamp // 1_000_000_000, stamp % 1_000_000_000)
-        np.take(position, self._corners, axis=0, out=self._blocks[0])
+        # mode: with the default one numpy takes into a buffer of its own first.
+        np.take(position, self._corners, axis=0, out=self._blocks[0], mode="clip")
+        if self._colours is not None:
+            np.take(colours, self._corners, axis=0, out=self._colours, mode="clip")
         if len(self._bones):
-            np.take(position[n_surface:], self._bones, axis=0, out=self._blocks[1])
+            np.take(position[n_surface:], self._bones, axis=0, out=self._blocks[1], mode="clip")
         for tool in range(self._n_tools):
             index = len(self._blocks) - self._n_tools + tool
             force = wrench[tool, :3]
@@ -131,13 +146,22 @@ class MarkersTemplate:
             struct.pack_into("<i", self._bytes, self._actions[index], Marker.ADD if felt else Marker.DELETE)
             self._blocks[index][0] = centre[tool]
             self._blocks[index][1] = centre[tool] + self.ARROW_LENGTH * force
-        return bytes(self._bytes)
+        return self._bytes.tobytes()
 
     def deletion(self) -> bytes:
         """The same markers, all deleted: for the shutdown."""
         for at in self._actions:
             struct.pack_into("<i", self._bytes, at, Marker.DELETE)
-        return bytes(self._bytes)
+        return self._bytes.tobytes()
+
+
+def _aligned(raw: bytes) -> NDArray[np.uint8]:
+    """A message's bytes in memory whose float64 lie where the processor wants them: CDR aligns behind its header."""
+    room = np.empty(len(raw) + 8, dtype=np.uint8)
+    start = (-CDR_HEADER - room.ctypes.data) % 8
+    aligned = room[start : start + len(raw)]
+    aligned[:] = np.frombuffer(raw, dtype=np.uint8)
+    return aligned
 
 
 def skeleton_lines(organ: Organ) -> Any:

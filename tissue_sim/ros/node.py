@@ -37,6 +37,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros import bag, degrade
 from tissue_sim.ros.contact_worker import ContactWorker
+from tissue_sim.ros.dds import use_shipped_profile
 from tissue_sim.ros.diagnostics import Diagnostics, physics_values, timing_warnings
 from tissue_sim.ros.ending import Ending, Interrupted
 from tissue_sim.ros.live_settings import LiveSettings
@@ -224,7 +225,7 @@ class TissueNode(Node):
                 rate = rate if self.physics.surface_sequence != seen else min(rate, IDLE_MARKER_RATE)
                 seen = self.physics.surface_sequence
                 next_marker = max(next_marker + 1.0 / rate, now)
-                self.presenter.present(self.parameters["record_markers"])
+                self.presenter.present(self.parameters["record_markers"], self.parameters["marker_colour"])
                 self.recorder.poll(self.physics)
             if now >= next_look:
                 next_look = max(next_look + degrade.LOOK_EVERY, now)
@@ -317,6 +318,7 @@ def main(arguments: list[str] | None = None, ending: Ending | None = None) -> in
         return 0
     # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
     sys.setswitchinterval(0.0005)
+    use_shipped_profile()
     node = None
     try:
         _start_rclpy(words)

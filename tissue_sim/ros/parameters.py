@@ -21,6 +21,7 @@ from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS
 from tissue_sim.model.state import Floats
 from tissue_sim.ros import bag
+from tissue_sim.ros.colours import MARKER_COLOURS
 from tissue_sim.ros.frames import IDENTITY, Frames, Transform, unit_quaternion
 from tissue_sim.ros.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 
@@ -51,6 +52,7 @@ NODE_SPECS = (
     Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
+    Spec("marker_colour", "none", "what colours the markers", live=True, choices=MARKER_COLOURS),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
     Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
     Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
@@ -65,7 +67,7 @@ NODE_SPECS = (
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting=st.DAMPING_SCALE),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made", live=True),
-    Spec("record_markers", False, "put the markers into the bag too (9 MB a second)", live=True),
+    Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
 )
 
 TOOL_SPECS = (

@@ -8,6 +8,7 @@ import time
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_sim.contact.finder import ContactSet
 from tissue_sim.jit import handle
@@ -18,6 +19,7 @@ from tissue_sim.model.state import Floats, Longs
 from tissue_sim.model.world import World
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
+BoolArray = NDArray[np.bool_]
 
 
 class Physics:
@@ -200,6 +202,31 @@ class Physics:
             tick = int(self.box.surface_tick[slot])
             if int(self.box.surface_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
                 return tick
+
+    # For colours: read beside the running loop, so that a tick may write in between. Nothing else may rest on them.
+    def contact_forces(self) -> Floats:
+        """Size of the contact force on each node, (n,) N, as the last substep had it."""
+        state = self.simulation.state
+        count = state.count
+        entries = int(count[st.ENTRIES])
+        pressed, held = state.contact_pressed[0, :entries], state.contact_held[0, :entries]
+        touching = np.flatnonzero(pressed > 0.0)
+        forces = np.zeros(len(state.position))
+        if count[st.TOUCHING] == 0 or len(touching) == 0:
+            return forces
+        impulse = np.sqrt(pressed[touching] ** 2 + np.einsum("ij,ij->i", held[touching], held[touching]))
+        shares = state.contact_weight[touching] * impulse[:, None]
+        np.add.at(forces, state.contact_node[touching], shares)
+        return forces * (self.simulation.rate * max(int(count[st.SUBSTEPS]), 1))
+
+    def moving(self) -> BoolArray:
+        """Which nodes the last tick integrated, (n,)."""
+        state = self.simulation.state
+        if state.count[st.ASLEEP]:
+            return np.zeros(len(state.position), dtype=bool)
+        if state.count[st.REGION] == st.WHOLE:
+            return np.ones(len(state.position), dtype=bool)
+        return np.asarray(state.region_hop >= 0)
 
     def snapshot(self, timeout: float = 1.0) -> tuple[Floats, Longs]:
         """The whole state after a tick: copies of the two buffers.

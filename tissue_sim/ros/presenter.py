@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
@@ -11,13 +14,16 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
+from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.colours import FULL_DISPLACEMENT, FULL_FORCE, MOVING, shades
 from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, rest_mesh
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.tool_port import ToolPort
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REPEAT_AFTER = 0.5  # s after which an organ that stands still is streamed again
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
@@ -39,29 +45,42 @@ class Presenter:
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, "~/surface", STREAM)
         self._skeleton = node.create_publisher(PointCloud2, "~/skeleton", STREAM)
-        self._marker_bytes = MarkersTemplate(frame_id, organ, len(ports))
+        self._new_markers = partial(MarkersTemplate, frame_id, organ, len(ports))
+        self._marker_bytes = self._new_markers()
+        self._coloured_bytes: MarkersTemplate | None = None  # made when it is wanted: it takes a while
         self._surface_bytes = CloudTemplate(frame_id, organ.n_surface, ("x", "y", "z"))
         self._skeleton_bytes = CloudTemplate(frame_id, organ.n_atoms, ("x", "y", "z", "radius", "parent"))
         self._skeleton_bytes.points[:, 3] = organ.atom_radius
         self._skeleton_bytes.points[:, 4] = organ.atom_parent
-        self._positions = organ.rest_positions
+        self._rest = organ.rest_positions
+        self._positions = self._rest.copy()
+        self._colour = ""  # of the markers last published
         self._sequence: dict[str, int] = {}
-        self._had_markers = self._had_surface = 0
+        self._had_markers = 0
+        self._surface_sent = -math.inf
         self.mesh_bytes = rest_mesh(organ)
         self.unchanged_skips = self.unseen_skips = self.published = 0
         self._mesh.publish(self.mesh_bytes)
 
-    def present(self, record_markers: bool) -> None:
-        """Publish what has subscribers (or is recorded) and has moved since it was last published."""
+    def present(self, record_markers: bool, colour: str) -> None:
+        """Publish what has subscribers (or is recorded) and has moved since it was last published.
+
+        colour: what the markers' surface is coloured by, one of MARKER_COLOURS.
+        """
         physics, recorder = self._physics, self._recorder()
         n_markers = self._markers.get_subscription_count()
         n_surface = self._surface.get_subscription_count() + self._skeleton.get_subscription_count()
         sequence = physics.surface_sequence
         # A viewer that has just come gets the organ even when nothing moves.
-        show_markers = n_markers > 0 and (self._moved("markers", sequence) or n_markers > self._had_markers)
-        show_surface = n_surface > 0 and (self._moved("surface", sequence) or n_surface > self._had_surface)
+        show_markers = n_markers > 0 and (
+            self._moved("markers", sequence) or n_markers > self._had_markers or colour != self._colour
+        )
+        # Best effort may lose the shape in which the organ comes to rest, or the first one of a viewer: say it again.
+        show_surface = n_surface > 0 and (
+            self._moved("surface", sequence) or time.monotonic() - self._surface_sent >= REPEAT_AFTER
+        )
         record = recorder.active and self._moved("bag", sequence)
-        self._had_markers, self._had_surface = n_markers, n_surface
+        self._had_markers = n_markers
         if not (show_markers or show_surface or record):
             if n_markers or n_surface:
                 self.unchanged_skips += 1
@@ -69,13 +88,15 @@ class Presenter:
                 self.unseen_skips += 1
             return
         tick = physics.positions(self._positions)
+        if not np.isfinite(self._positions).all():  # never seen, and RViz would drop the marker
+            return
         stamp = self._clock.now().nanoseconds
         markers = None
         if show_markers or (record and record_markers):
-            markers = self._marker_message(stamp)
+            markers = self._marker_message(stamp, colour)
         if show_markers and markers is not None:
             self._markers.publish(markers)
-            self._sequence["markers"] = sequence
+            self._sequence["markers"], self._colour = sequence, colour
         if show_surface or record:
             n = self._organ.n_surface
             self._surface_bytes.points[:] = self._positions[:n]
@@ -84,7 +105,7 @@ class Presenter:
             if show_surface:
                 self._surface.publish(surface)
                 self._skeleton.publish(skeleton)
-                self._sequence["surface"] = sequence
+                self._sequence["surface"], self._surface_sent = sequence, time.monotonic()
             if record:
                 recorder.surface(tick, surface, skeleton, markers if record_markers else None)
                 self._sequence["bag"] = sequence
@@ -97,7 +118,22 @@ class Presenter:
     def _moved(self, name: str, sequence: int) -> bool:
         return self._sequence.get(name) != sequence
 
-    def _marker_message(self, stamp: int) -> bytes:
+    def _marker_message(self, stamp: int, colour: str) -> bytes:
         _, wrenches = self._physics.wrenches()
         tips = np.array([port.newest[1][:3] for port in self._ports]).reshape(-1, 3)
-        return self._marker_bytes.message(stamp, self._positions, self._organ.n_surface, tips, wrenches)
+        n = self._organ.n_surface
+        if colour == "none":
+            return self._marker_bytes.message(stamp, self._positions, n, tips, wrenches)
+        if self._coloured_bytes is None:
+            self._coloured_bytes = self._new_markers(coloured=True)
+        colours = shades(self._share(colour)[:n])
+        return self._coloured_bytes.message(stamp, self._positions, n, tips, wrenches, colours)
+
+    def _share(self, colour: str) -> Floats:
+        """Where each node stands on the scale of colours, (n,), 0 to 1."""
+        if colour == "force":
+            return self._physics.contact_forces() / FULL_FORCE
+        if colour == "region":
+            return np.where(self._physics.moving(), MOVING, 0.0)
+        moved = self._positions - self._rest
+        return np.asarray(np.sqrt(np.einsum("ij,ij->i", moved, moved)) / FULL_DISPLACEMENT, dtype=np.float64)

@@ -17,7 +17,9 @@ from shape_msgs.msg import Mesh
 from tissue_sim.ros import client
 from tissue_sim.ros.cdr import parse_stamped
 from tissue_sim.ros.services import Services
-from tissue_sim.ros.view_panel import Panel
+from tissue_sim.ros.view_panel import Panel, headline
+from tissue_sim.ros.view_plot import ForcePlot
+from tissue_sim.ros.view_poke import Poke
 from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, ToolView, camera_for, light
 
 SILENT_AFTER = 3.0  # s without diagnostics
@@ -38,19 +40,27 @@ class Viewer:
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._services = Services(target)
         self._panel = Panel(server)
+        views = [ToolView(server, name, i, radius) for i, name in enumerate(tools)]
+        self._pokes = [Poke(server, node, views[i], name, i, radius) for i, name in enumerate(tools)]
+        self._plot = ForcePlot(server, tools)
         self._organ: OrganView | None = None
-        self._positions: Any = None
+        self._positions: Any = None  # not drawn yet
+        self._points: Any = None  # where the surface was last
+        self._frame_id = ""
         self._skeleton = SkeletonView(server)
-        self._tools = [_Tool(node, ToolView(server, name, i, radius), name) for i, name in enumerate(tools)]
+        self._tools = [_Tool(node, view, name) for view, name in zip(views, tools, strict=True)]
         self._values: dict[str, str] = {}
+        self._headline = ""
         self._heard = -np.inf
         server.scene.set_up_direction("+z")
         light(server)
         server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.near = 0.02
 
-    def update(self, watched: bool) -> None:
-        """Take what has come; draw it when somebody looks."""
+    def update(self) -> bool:
+        """Take what has come; draw it when somebody looks, which is what it returns."""
+        now, watchers = time.monotonic(), self._server.get_clients()
+        watched = bool(watchers)
         mesh = self._mesh.take()
         if mesh is not None:
             self._take_mesh(*client.mesh_arrays(mesh))
@@ -61,7 +71,8 @@ class Viewer:
             positions = client.cloud_array(surface)
             # Another number of nodes belongs to an organ whose mesh is still on its way.
             if positions.shape == self._organ.rest.shape and np.isfinite(positions).all():
-                self._positions = positions.astype(np.float64)
+                self._positions = self._points = positions.astype(np.float64)
+                self._frame_id = surface.header.frame_id
         with self._server.atomic():
             if watched and self._organ is not None and self._positions is not None:
                 self._organ.show(self._positions)
@@ -72,7 +83,16 @@ class Viewer:
             if self._organ is not None:
                 self._organ.set_opacity(self._panel.opacity.value)
             for tool in self._tools:
-                tool.update()
+                tool.update(now)
+            for poke in self._pokes:
+                poke.update(now, watchers, self._points, self._frame_id)
+            self._plot.update(now, {tool.name: tool.felt(now) for tool in self._tools}, watched)
+        return watched
+
+    def close(self) -> None:
+        """Let go of every tool."""
+        for poke in self._pokes:
+            poke.close()
 
     def _take_mesh(self, vertices: Any, triangles: Any) -> None:
         if self._organ is not None:
@@ -81,19 +101,20 @@ class Viewer:
             self._organ.remove()
             self._skeleton.remove()
         self._organ = OrganView(self._server, vertices, triangles)
-        self._positions = None
+        self._positions = self._points = None
         position, centre = camera_for(vertices)
         self._server.initial_camera.position, self._server.initial_camera.look_at = position, centre
         for watcher in self._server.get_clients().values():
             watcher.camera.position, watcher.camera.look_at = position, centre
 
     def _take_report(self) -> None:
-        values = client.physics_status(self._reports.take_all(), self._target)
+        status = client.newest_status(self._reports.take_all(), self._target)
         now = time.monotonic()
-        if values is not None:
-            self._values, self._heard = values, now
+        if status is not None:
+            self._values, self._heard = {item.key: item.value for item in status.values}, now
+            self._headline = headline(self._target, int.from_bytes(status.level, "little"), status.message)
         if now - self._heard < SILENT_AFTER:
-            self._panel.say(f"**/{self._target}**", self._values)
+            self._panel.say(self._headline, self._values)
         elif self._organ is None:
             self._panel.say(f"**Waiting for the mesh of /{self._target}.** Start `tissue_node`.", {})
         else:
@@ -109,16 +130,15 @@ class Viewer:
 class _Tool:
     """A tool's newest pose and wrench, and its place in the picture."""
 
-    def __init__(self, node: Node, view: Any, name: str) -> None:
-        self._view = view
+    def __init__(self, node: Node, view: ToolView, name: str) -> None:
+        self._view, self.name = view, name
         self._poses = client.Inbox(node, PoseStamped, f"{name}/measured_cp", client.stream_qos(), raw=True)
         self._wrenches = client.Inbox(node, WrenchStamped, f"{name}/servo_cf", client.stream_qos(), raw=True)
         self._position: Any = None
         self._force: Any = None
         self._posed = self._felt = -np.inf
 
-    def update(self) -> None:
-        now = time.monotonic()
+    def update(self, now: float) -> None:
         pose, wrench = _vector(self._poses.take(), 7), _vector(self._wrenches.take(), 6)
         if pose is not None:
             self._position, self._posed = pose, now
@@ -128,6 +148,10 @@ class _Tool:
             self._position if now - self._posed < POSE_LASTS else None,
             self._force if now - self._felt < FORCE_LASTS else None,
         )
+
+    def felt(self, now: float) -> float | None:
+        """N that the hand felt lately."""
+        return float(np.linalg.norm(self._force)) if now - self._felt < FORCE_LASTS else None
 
 
 def _vector(raw: bytes | None, n_values: int) -> Any:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import html
 import queue
 from collections.abc import Mapping
 from enum import Enum
 
 import viser
 
-from tissue_sim.ros.view_scene import BANDS, TISSUE, Colour
+from tissue_sim.ros.colours import BANDS, TISSUE, Colour
 
 NO_VALUE = "-"
+LAST = 1e9  # order in the panel: below everything that comes later
 
 
 class Wish(Enum):
@@ -37,7 +39,8 @@ def status_text(values: Mapping[str, str]) -> str:
         "Tick rate": value("tick_rate_hz", "Hz", 0),
         "Tick time p50": value("tick_p50_us", "µs", 0),
         "Tick time p99": value("tick_p99_us", "µs", 0),
-        "Overruns": value("overruns"),
+        "Late ticks": value("overruns"),
+        "Real-time factor": value("real_time_factor", digits=2),
         "Region": value("region"),
         "Active nodes": value("active_nodes"),
         "Contacts": value("contact_count"),
@@ -51,6 +54,15 @@ def status_text(values: Mapping[str, str]) -> str:
     if values.get("recording"):
         lines += ["", f"Recording to `{values['recording']}`"]
     return "\n".join(lines)
+
+
+def headline(target: str, level: int, message: str) -> str:
+    """Who it is and how it does (level and message of its DiagnosticStatus), as Markdown."""
+    if level == 0:
+        return f"**/{target}** {message}"
+    return (
+        f"**/{target}** <span style='color:#c92a2a'>{'warns' if level == 1 else 'fails'}: {html.escape(message)}</span>"
+    )
 
 
 def legend_html() -> str:
@@ -76,7 +88,7 @@ class Panel:
         self.wishes: queue.SimpleQueue[Wish] = queue.SimpleQueue()
         gui = server.gui
         self._headline = gui.add_markdown("")
-        self._status = gui.add_markdown("", visible=False)
+        self._status = gui.add_markdown("", visible=False, order=LAST)
         gui.add_html(legend_html())
         self.opacity = gui.add_slider(
             "Opacity", min=0.2, max=1.0, step=0.05, initial_value=0.8, hint="Of the tissue over the skeleton"

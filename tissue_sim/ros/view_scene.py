@@ -10,20 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from tissue_sim.ros.bands import Floats, Ints, cut_into_bands
+from tissue_sim.ros.colours import BANDS, TISSUE, Colour
 
-Colour = tuple[int, int, int]
-TISSUE: Colour = (146, 52, 46)
-# Where the surface has moved by more than so many mm, it has this colour.
-BANDS: tuple[tuple[float, Colour], ...] = (
-    (0.5, (176, 66, 48)),
-    (1.0, (201, 86, 48)),
-    (2.0, (222, 110, 49)),
-    (3.0, (237, 138, 54)),
-    (4.0, (246, 168, 66)),
-    (6.0, (250, 198, 88)),
-    (8.0, (252, 224, 122)),
-    (10.0, (255, 244, 178)),
-)
 SKELETON: Colour = (20, 30, 60)
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)
@@ -172,7 +160,7 @@ class ToolView:
     def __init__(self, server: viser.ViserServer, name: str, index: int, radius: float) -> None:
         self._name, self._radius = name, radius
         scene = server.scene
-        self._ball = scene.add_icosphere(
+        self.ball = scene.add_icosphere(
             f"/tools/{name}",
             radius=radius,
             color=TOOL_COLOURS[index % len(TOOL_COLOURS)],
@@ -195,12 +183,12 @@ class ToolView:
 
     def show(self, position: Floats | None, force: Floats | None) -> None:
         """Draw the tool at a position (3,) m with a force (3,) N; None for what is not known."""
-        self._ball.visible = position is not None
+        self.ball.visible = position is not None
         felt = position is not None and force is not None and float(np.linalg.norm(force)) > LEAST_FORCE
         self._arrow.visible = self._label.visible = felt
         if position is None:
             return
-        self._ball.position = position
+        self.ball.position = position
         if felt and force is not None:
             self._arrow.points = arrow(position, force, self._radius)
             self._label.position = self._arrow.points[0, 1]

@@ -8,6 +8,7 @@ import errno
 import io
 import os
 import socket
+import sys
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -47,11 +48,15 @@ def run(args: argparse.Namespace) -> int:
 
         print(f"open http://{shown_host(args.host)}:{args.port}", flush=True)
         viewer = Viewer(server, node, args.node, args.tools, args.tool_radius)
-        while not stop:
-            started = time.monotonic()
-            watched = bool(server.get_clients())
-            viewer.update(watched)
-            time.sleep(max(0.001, (FRAME_TIME if watched else IDLE_TIME) - (time.monotonic() - started)))
+        # Short turns at the GIL: the poses of a held tool must not wait for a picture.
+        sys.setswitchinterval(0.001)
+        try:
+            while not stop:
+                started = time.monotonic()
+                watched = viewer.update()
+                time.sleep(max(0.001, (FRAME_TIME if watched else IDLE_TIME) - (time.monotonic() - started)))
+        finally:
+            viewer.close()
     return 0
 
 
