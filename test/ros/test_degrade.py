@@ -94,18 +94,39 @@ def test_a_step_back_that_was_too_soon_is_tried_later_each_time():
 class Values(dict):
     """Stands for the node's parameters."""
 
+    tools = ("left", "right")
+
     def apply(self, settings):
         settings[st.REGION_FORCE] = self["region_force"]
+        settings[st.COUPLING_STIFFNESS] = self["coupling_stiffness"]
 
 
 def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     simulation = Simulation(ball(2), rate=rate, local_region=local_region, integrator=integrator)
     values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
+    values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
     posted = []
     made = LiveSettings(
-        simulation, Physics(simulation), Values(values), lambda sequence, one: posted.append((sequence, one))
+        simulation,
+        Physics(simulation),
+        Values(values),
+        lambda sequence, one: posted.append((sequence, one)),
+        lambda: [1e-3, 4e-3],
     )
     return made, posted
+
+
+def test_coupling_is_no_stiffer_than_the_devices_bear():
+    made, posted = live(coupling_stiffness=2000.0)
+    made.update()
+    assert posted[-1][1][st.COUPLING_STIFFNESS] == made.coupling_stiffness == 2000.0, "unknown damping: no bound"
+    made, posted = live(**{"coupling_stiffness": 2000.0, "left.device_damping": 2.0, "right.device_damping": 1.0})
+    made.update()
+    # Of the slower tool: half its period, the period until the next pose, and a tick.
+    assert made.coupling_stiffness == pytest.approx(1.0 / (0.5 * 4e-3 + 4e-3 + 1e-3))
+    made, _ = live(**{"coupling_stiffness": 100.0, "right.device_damping": 1.0})
+    made.update()
+    assert made.coupling_stiffness == 100.0
 
 
 def test_levels_become_settings_with_substeps_of_their_own():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from tissue_sim.model import state as st
+from tissue_sim.model.coupling import passive_stiffness
 from tissue_sim.model.simulation import LONGEST_STEP, Simulation
 from tissue_sim.model.stability import SAFETY, substeps_for
 from tissue_sim.model.state import Floats
@@ -21,12 +23,19 @@ WORTH = 0.9  # share of the substeps a second that half the rate may leave at th
 class LiveSettings:
     """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
 
-    post is told the sequence number and the settings (N_SETTINGS,) that were posted.
+    post is told the sequence number and the settings (N_SETTINGS,) that were posted; periods gives the s between two
+    poses of each tool.
     """
 
     def __init__(
-        self, simulation: Simulation, physics: Physics, parameters: Parameters, post: Callable[[int, Floats], None]
+        self,
+        simulation: Simulation,
+        physics: Physics,
+        parameters: Parameters,
+        post: Callable[[int, Floats], None],
+        periods: Callable[[], Sequence[float]],
     ) -> None:
+        self._periods = periods
         self._simulation, self._physics, self._parameters, self._post = simulation, physics, parameters, post
         self._lock = threading.Lock()
         self.level = degrade.NONE
@@ -39,12 +48,31 @@ class LiveSettings:
             before = settings.copy()
             self._parameters.apply(settings)
             settings[st.TICK_TIME] = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
+            settings[st.COUPLING_STIFFNESS] = min(
+                settings[st.COUPLING_STIFFNESS], self._passive(settings[st.TICK_TIME])
+            )
             if self.level >= degrade.REGION and self._parameters["local_region"] == "auto":
                 settings[st.REGION_FORCE] = ANY_FORCE
             if (settings != before).any():
                 self._simulation.set_substeps()
                 posted = settings.copy()
                 self._post(self._physics.post_settings(posted), posted)
+
+    def _passive(self, tick_time: float) -> float:
+        """Stiffest coupling, N/m, that the devices whose damping is known render passively.
+
+        A force answers the pose before the newest one, and a tick later.
+        """
+        bounds = [
+            passive_stiffness(self._parameters[f"{tool}.device_damping"], period, period + tick_time)
+            for tool, period in zip(self._parameters.tools, self._periods(), strict=True)
+        ]
+        return min(bounds, default=math.inf)
+
+    @property
+    def coupling_stiffness(self) -> float:
+        """N/m between hands and tools, as it is in use."""
+        return float(self._simulation.settings[st.COUPLING_STIFFNESS])
 
     def describe(self) -> str:
         """What is given up at the present level, or that nothing is."""

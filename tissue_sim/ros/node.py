@@ -99,7 +99,11 @@ class TissueNode(Node):
         self.presenter = Presenter(self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder)
         self.diagnostics = Diagnostics(self, self.organ.name)
         self.live = LiveSettings(
-            self.simulation, self.physics, values, lambda sequence, posted: self.recorder.settings(sequence, posted)
+            self.simulation,
+            self.physics,
+            values,
+            lambda sequence, posted: self.recorder.settings(sequence, posted),
+            lambda: [port.period for port in self.ports],
         )
         self.ladder = degrade.Ladder()
         self.namesakes = Namesakes(self)
@@ -113,6 +117,7 @@ class TissueNode(Node):
     def start(self) -> None:
         """Start the threads; returns when the loop runs."""
         self.finder.warm_up(self.organ.rest_positions)
+        self.live.update()
         self.physics.start()
         self._timing, self._load = TimingReader(self.physics.box), TimingReader(self.physics.box)
         self.contacts.start()
@@ -273,12 +278,21 @@ class TissueNode(Node):
         values["same_name_nodes"] = self.namesakes.look()
         if self.namesakes.count:
             warnings.append(f"another node is called {self.get_fully_qualified_name()} too")
+        if self.parameters["coupling_stiffness"] > 0.0:
+            self.live.update()  # poses may come at another rate now
+            if self.live.coupling_stiffness < self.parameters["coupling_stiffness"]:
+                warnings.append(
+                    f"coupling_stiffness is {self.live.coupling_stiffness:.0f} N/m: more is not passive with this"
+                    " device_damping and rate of poses"
+                )
         values["force_n"] = float(sum(port.force for port in self.ports))
         values["recording"] = str(self.recorder.path) if self.recorder.active else ""
         durations = self.contacts.durations[-250:]
         values["contact_p99_us"] = 1e6 * float(np.percentile(durations, 99)) if durations else 0.0
         counters = self.finder.counters
         values |= {
+            "coupling_stiffness": self.live.coupling_stiffness,
+            "slewed_ticks": int(count[st.SLEWED]),
             "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
             "turned_cells": int(count[st.TURNED]),
             "contact_sets": counters.sets,

@@ -61,6 +61,17 @@ NODE_SPECS = (
     Spec("region_force", 0.3, "N above which the local region is skipped", 0.0, 100.0, True, setting=st.REGION_FORCE),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting=st.FRICTION),
     Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting=st.FORCE_CLAMP),
+    Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting=st.FORCE_SLEW),
+    Spec(
+        "coupling_stiffness",
+        0.0,
+        "N/m between hand and tool, no more than each device_damping bears; 0: the tool is where the hand is",
+        0.0,
+        2e4,
+        True,
+        setting=st.COUPLING_STIFFNESS,
+    ),
+    Spec("coupling_damping", 1.0, "N s/m on a coupled tool", 0.1, 100.0, True, setting=st.COUPLING_DAMPING),
     Spec("stale_time", 0.05, "s without input after which it is stale", 0.005, 5.0, True, setting=st.STALE_TIME),
     Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting=st.RAMP_TIME),
     Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting=st.STIFFNESS_SCALE),
@@ -70,11 +81,14 @@ NODE_SPECS = (
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
 )
 
+SINGLE = tuple(name for name in SHAPE_NAMES if name != "gripper")  # shapes of one body
+
 TOOL_SPECS = (
-    Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
+    Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SINGLE),
     Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
     Spec("length", 0.05, "m, of a capsule between the centres of its caps, from the tip along -z", 0.0, 2.0),
-    Spec("mesh", "", "mesh file of the tool in metres; its convex hull is used"),
+    Spec("mesh", "", "mesh file of the tool in metres; closed where it is not convex"),
+    Spec("device_damping", 0.0, "N s/m of the haptic device, which bounds the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),

@@ -25,6 +25,8 @@ from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming, ToolTopics
 
 FARTHEST = 100.0  # m: a pose beyond it is in another unit
+LONGEST_PERIOD = 0.1  # s between two poses of a stream
+COARSE = 1.25  # step of the scale of periods, so that what depends on them changes seldom
 WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
 
 
@@ -65,6 +67,7 @@ class ToolPort:
         self.pose_clock = -math.inf  # monotonic s of the newest accepted pose
         self.force_clock = -math.inf
         self.force = 0.0  # N, magnitude last published
+        self._period = 1e-3  # s between two poses, on average
         self._log, self._clock = node.get_logger(), node.get_clock()
         self._physics, self._recorder, self._woken = physics, recorder, woken
         self._pose_stamp = self._force_stamp = 0
@@ -135,6 +138,8 @@ class ToolPort:
         if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
             raw = self._bag_pose.message(self._stamp(message), message.values)
         self.newest = (self._physics.post_pose(self.index, pose), pose, raw)
+        if now - self.pose_clock < LONGEST_PERIOD:
+            self._period += 0.02 * (now - self.pose_clock - self._period)
         self.pose_clock = now
         self.poses += 1
         self._recorder().received(self.bag_names["measured_cp"], raw)
@@ -251,6 +256,11 @@ class ToolPort:
             self._send(-1, np.zeros(6))
 
     # state -------------------------------------------------------------------------------------
+    @property
+    def period(self) -> float:
+        """Seconds between two poses, on average, to the next step of a coarse scale."""
+        return float(COARSE ** math.ceil(math.log(self._period, COARSE)))
+
     def state(self, settings: Floats, engaged: bool) -> str:
         """none, fresh, stale, or refused (held off until it leaves the organ)."""
         if self.poses == 0:
