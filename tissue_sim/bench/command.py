@@ -19,6 +19,7 @@ BENCHMARKS = {
         "tissue_sim.bench.tradeoff",
         "run time against error, beside finite elements, MuJoCo, XPBD, ChainMail",
     ),
+    "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
 }
 
