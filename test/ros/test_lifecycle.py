@@ -278,7 +278,7 @@ def test_bag_with_a_full_queue_is_closed_in_time(tmp_path, monkeypatch):
     simulation = Simulation(ball(2))
     physics = Physics(simulation)
     topics = {("left", topic): f"/left/{topic}" for topic in bag.TOOL_TOPICS}
-    recorder = Recorder("/tissue_sim", ["left"], topics, {"tools": ["left"]})
+    recorder = Recorder("/tissue_sim", 1, topics, {"tools": ["left"]})
     write = Writer.write
 
     def slowly(self, *words):

@@ -33,20 +33,23 @@ TOOL_TOPICS = {
     "measured_cf": "geometry_msgs/msg/WrenchStamped",
     "servo_cf": "geometry_msgs/msg/WrenchStamped",
 }
+GRIPPER_TOPICS = {
+    "measured_js": "std_msgs/msg/Float64MultiArray",  # rad between the jaws, one number for each measured_cp
+}
 
 
 class Row(IntEnum):
     """First number of a journal row."""
 
-    INPUT = 0  # tick, contact set, settings, resets, then pose and force of each tool: what it took up
-    CONTACT = 1  # contact set, surface's tick, engaged bits, pushing bits, then pose and margin (mm) per tool
+    INPUT = 0  # tick, contact set, settings, resets, then pose and force of each body: what it took up
+    CONTACT = 1  # contact set, surface's tick, engaged bits, pushing bits, then pose and margin (mm) per body
     WRENCH = 2  # tool, tick: one for each recorded servo_cf
     SURFACE = 3  # tick: one for each recorded surface
 
 
-def row_width(n_tools: int) -> int:
-    """Numbers in a journal row."""
-    return 5 + 2 * n_tools
+def row_width(n_bodies: int) -> int:
+    """Numbers in a journal row; a gripper has two bodies, other tools one."""
+    return 5 + 2 * n_bodies
 
 
 def pack(**arrays: NDArray) -> NDArray[np.uint8]:

@@ -42,7 +42,10 @@ class ContactWorker:
         self._recorder, self._woken, self._warn = recorder, woken, warn
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
-        n_tools = len(self._ports)
+        # The port of each body, and whether it is the port's first one.
+        self._port_of = [port for port in ports for _ in port.bodies]
+        self._is_first = [k == 0 for port in ports for k in range(len(port.bodies))]
+        n_tools = len(self._port_of)
         self._positions = np.zeros((len(physics.simulation.model.rest), 3))
         self._engaged = np.zeros(n_tools, dtype=np.int64)
         self._held_off = [False] * n_tools
@@ -86,15 +89,16 @@ class ContactWorker:
         settings = self._physics.settings()
         alive = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
         newest = [port.newest for port in self._ports]
-        sequences = [sequence for sequence, _, _ in newest]
-        poses = np.array([pose for _, pose, _ in newest])
+        sequences = [one.sequence for one in newest for _ in one.placed]
+        poses = np.concatenate([one.placed for one in newest])
         if self._physics.resets != self._last_resets:  # the organ has jumped back under the tools
             self._last_resets = self._physics.resets
             self._engaged[:] = 0
         # While the clock stands no tool touches, so that none bears on the organ at once when it goes on.
         standing = self._physics.standing
-        fresh = [now - port.pose_clock < alive and not standing for port in self._ports]
-        pushing = np.array([now - port.force_clock < alive for port in self._ports], dtype=np.int64)
+        fresh = [now - port.pose_clock < alive and not standing for port in self._port_of]
+        pushed = [now - port.force_clock < alive for port in self._port_of]
+        pushing = np.logical_and(pushed, self._is_first).astype(np.int64)
         if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
             self.unchanged_skips += 1
             self._idle = True
@@ -116,7 +120,7 @@ class ContactWorker:
             if not self._engaged[tool]:
                 if self._finder.is_inside(tool, self._positions, poses[tool]):
                     if not self._held_off[tool]:
-                        name = self._ports[tool].name
+                        name = self._port_of[tool].name
                         self._warn(f"tool '{name}' appeared inside the organ; move it out to engage it")
                     self._held_off[tool] = True
                     continue

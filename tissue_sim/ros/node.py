@@ -89,8 +89,10 @@ class TissueNode(Node):
         self.physics = Physics(self.simulation)
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken, self._stop = threading.Event(), threading.Event()
-        self.ports = [self._port(index, name) for index, name in enumerate(values.tools)]
-        self.recorder = Recorder(self.get_fully_qualified_name(), values.tools, self._tool_topics(), self._config())
+        self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
+        self.recorder = Recorder(
+            self.get_fully_qualified_name(), self.physics.n_tools, self._tool_topics(), self._config()
+        )
         finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
         self.contacts = ContactWorker(
             finder, self.physics, self.ports, lambda: self.recorder, self._woken, self.get_logger().warning
@@ -149,12 +151,13 @@ class TissueNode(Node):
             self.get_logger().info(f"bag closed: {path}{lost}")
 
     # wiring ------------------------------------------------------------------------------------
-    def _port(self, index: int, name: str) -> ToolPort:
+    def _port(self, index: int, name: str, tools: ToolSet) -> ToolPort:
         values = self.parameters
         return ToolPort(
             self,
             index,
             name,
+            tools,
             values.topics(name),
             values.frames(name, self._lookup),
             self.frame_id,
@@ -164,7 +167,7 @@ class TissueNode(Node):
         )
 
     def _tool_topics(self) -> dict[tuple[str, str], str]:
-        return {(port.name, topic): port.bag_names[topic] for port in self.ports for topic in bag.TOOL_TOPICS}
+        return {(port.name, topic): name for port in self.ports for topic, name in port.bag_names.items()}
 
     def _config(self) -> dict[str, Any]:
         return {
@@ -198,8 +201,10 @@ class TissueNode(Node):
     def _start_recording(self) -> Path:
         newest = {}
         for port in self.ports:
+            pose = port.newest
             for topic, (sequence, raw) in (
-                ("measured_cp", (port.newest[0], port.newest[2])),
+                ("measured_cp", (pose.sequence, pose.raw)),
+                ("measured_js", (pose.sequence, pose.angle)),
                 ("measured_cf", port.newest_force),
             ):
                 if raw:
@@ -310,7 +315,7 @@ class TissueNode(Node):
             "lost_bag_messages": self.recorder.lost,
         }
         for port in self.ports:
-            engaged = bool(tools[port.index, st.ENGAGED])
+            engaged = bool(tools[port.bodies[0], st.ENGAGED])
             values |= {
                 f"{port.name}.state": port.state(settings, engaged),
                 f"{port.name}.force_n": port.force,

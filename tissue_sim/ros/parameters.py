@@ -81,16 +81,15 @@ NODE_SPECS = (
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
 )
 
-SINGLE = tuple(name for name in SHAPE_NAMES if name != "gripper")  # shapes of one body
-
 TOOL_SPECS = (
-    Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SINGLE),
+    Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
     Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
-    Spec("length", 0.05, "m, of a capsule between the centres of its caps, from the tip along -z", 0.0, 2.0),
-    Spec("mesh", "", "mesh file of the tool in metres; closed where it is not convex"),
+    Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
+    Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
     Spec("device_damping", 0.0, "N s/m of the haptic device, which bounds the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
+    Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
     Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
     Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
     Spec("pose_type", "PoseStamped", "message type of measured_cp", choices=tuple(POSE_TYPES)),
@@ -144,7 +143,8 @@ class Parameters:
         """How the bridge of a tool speaks."""
         words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
         return ToolTopics(
-            names={topic: self[f"{tool}.{topic}"] or f"{tool}/{topic}" for topic in bag.TOOL_TOPICS},
+            names={topic: self[f"{tool}.{topic}"] or f"{tool}/{topic}" for topic in bag.TOOL_TOPICS}
+            | {"measured_js": self[f"{tool}.measured_js"] or f"{tool}/gripper/measured_js"},
             frame_id=self[f"{tool}.frame_id"] or self["frame_id"],
             wrench_rotation=unit_quaternion(self[f"{tool}.wrench_rotation"]),
             **{word: self[f"{tool}.{word}"] for word in words},

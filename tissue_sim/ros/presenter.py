@@ -119,8 +119,8 @@ class Presenter:
         return self._sequence.get(name) != sequence
 
     def _marker_message(self, stamp: int, colour: str) -> bytes:
-        _, wrenches = self._physics.wrenches()
-        tips = np.array([port.newest[1][:3] for port in self._ports]).reshape(-1, 3)
+        wrenches = np.array([port.felt()[1] for port in self._ports]).reshape(-1, 6)
+        tips = np.array([port.newest.pose[:3] for port in self._ports]).reshape(-1, 3)
         n = self._organ.n_surface
         if colour == "none":
             return self._marker_bytes.message(stamp, self._positions, n, tips, wrenches)

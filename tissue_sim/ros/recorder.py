@@ -31,14 +31,14 @@ LONGEST_QUEUE = 200_000  # messages; a disk that can't keep up loses the rest, a
 class Recorder:
     """Records while started. Messages may be written from any thread; they only go into a queue.
 
-    node_name absolute, like /tissue_sim; tool_topics maps (tool, topic of bag.TOOL_TOPICS) to names.
+    node_name absolute, like /tissue_sim; tool_topics maps (tool, topic of bag.TOOL_TOPICS or GRIPPER_TOPICS) to names.
     """
 
     def __init__(
-        self, node_name: str, tools: Sequence[str], tool_topics: dict[tuple[str, str], str], config: dict[str, Any]
+        self, node_name: str, n_bodies: int, tool_topics: dict[tuple[str, str], str], config: dict[str, Any]
     ) -> None:
         self._names = {name: f"{node_name}/{name}" for name in bag.PRIVATE_TOPICS}
-        self._tools = list(tools)
+        self._n_bodies = n_bodies
         self._tool_topics = tool_topics
         self._config = config
         self._store = get_typestore(Stores.ROS2_JAZZY)
@@ -78,7 +78,7 @@ class Recorder:
         except OSError as error:
             raise UserError(f"cannot record to {path}: {error.strerror}") from None
         types = {self._names[name]: kind for name, kind in bag.PRIVATE_TOPICS.items()}
-        types |= {name: bag.TOOL_TOPICS[topic] for (_, topic), name in self._tool_topics.items()}
+        types |= {name: (bag.TOOL_TOPICS | bag.GRIPPER_TOPICS)[topic] for (_, topic), name in self._tool_topics.items()}
         self._connections = {
             name: writer.add_connection(name, kind, typestore=self._store) for name, kind in types.items()
         }
@@ -125,7 +125,7 @@ class Recorder:
             floats, integers = physics.snapshot()
             self._typed("state", "data", bag.pack(floats=floats, integers=integers))
             self._state_tick = physics.simulation.buffer.tick_of(integers)
-        width = bag.row_width(len(self._tools))
+        width = bag.row_width(self._n_bodies)
         inputs = physics.journal()
         rows = np.zeros((len(inputs), width), dtype=np.int64)
         rows[:, 0] = bag.Row.INPUT

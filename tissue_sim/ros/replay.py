@@ -68,6 +68,7 @@ class Recording:
     contact_sets: dict[int, dict[str, np.ndarray]]
     journal: np.ndarray  # (k, row width)
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
+    angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
     forces: list[dict[int, Floats]] = field(default_factory=list)
     wrenches: list[list[Floats]] = field(default_factory=list)  # per tool
     surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32
@@ -92,7 +93,9 @@ class Recording:
             raise UserError(f"bag {path} has format {config['format']}, this package reads up to {bag.FORMAT}")
         if not data("state"):
             raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
-        width = bag.row_width(len(config["tools"]))
+        parameters = config["parameters"]
+        bodies = sum(2 if parameters[f"{tool}.shape"] == "gripper" else 1 for tool in config["tools"])
+        width = bag.row_width(bodies)
         rows = [np.asarray(values).reshape(-1, width) for values in data("journal")]
         sets = [bag.unpack(values) for values in data("contact_set")]
         recording = cls(
@@ -109,6 +112,10 @@ class Recording:
             poses = [unit_pose(np.array(parse_stamped(raw, 7).values)) for raw in messages[topics["measured_cp"]]]
             forces = [np.array(parse_stamped(raw, 6).values[:3]) for raw in messages[topics["measured_cf"]]]
             recording.poses.append(dict(enumerate(poses, start=first["measured_cp"])))
+            angles = messages[config["topics"].get(f"{tool}/measured_js", "")]
+            kind = bag.GRIPPER_TOPICS["measured_js"]
+            values = [float(store.deserialize_cdr(raw, kind).data[0]) for raw in angles]
+            recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))
             recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
         for raw in messages[f"{name}/surface"]:
@@ -171,6 +178,8 @@ class _Player:
             parameters.get("return_target", "rest"),
             parameters.get("integrator", "symplectic"),
         )
+        self.poses = self._body_poses()
+        self.forces = self._body_forces()
         self.simulation.restore(recording.state["floats"], recording.state["integers"])
         self.state = self.simulation.state
         self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
@@ -195,6 +204,29 @@ class _Player:
         self.taken = before[-1, 1:].copy() if len(before) else np.zeros(journal.shape[1] - 1, dtype=np.int64)
         if not len(before):
             self._taken_from_state()
+
+    def _body_poses(self) -> list[dict[int, Floats]]:
+        """Poses of each body by sequence: a tool's own, or those of a gripper's jaws."""
+        made: list[dict[int, Floats]] = []
+        for tool, bodies in enumerate(self.tools.bodies):
+            poses, angles = self.recording.poses[tool], self.recording.angles[tool]
+            placed = {n: self.tools.poses(tool, pose, angles.get(n, 0.0)) for n, pose in poses.items()}
+            made += [{n: at[k] for n, at in placed.items()} for k in range(len(bodies))]
+        return made
+
+    def _body_forces(self) -> list[dict[int, Floats]]:
+        """Forces at each body's tip by sequence: a tool's first body takes them."""
+        made: list[dict[int, Floats]] = []
+        for tool, bodies in enumerate(self.tools.bodies):
+            made += [self.recording.forces[tool], *({} for _ in bodies[1:])]
+        return made
+
+    def _wrench(self, tool: int, recorded: Floats) -> Floats:
+        """What a tool's hand feels, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
+        bodies = self.tools.bodies[tool]
+        if len(bodies) == 1:
+            return np.asarray(self.state.wrench[bodies[0]])
+        return np.concatenate([self.state.wrench[bodies, :3].sum(axis=0), recorded[3:]])
 
     def _taken_from_state(self) -> None:
         """Nothing was taken up between the bag's start and the state: the state's own numbers count."""
@@ -221,7 +253,8 @@ class _Player:
                 self.kept[tick] = self.simulation.positions.copy()
             for tool, index in self.wrench_at.get(tick, ()):
                 if index < len(self.recording.wrenches[tool]):
-                    result.compare_wrench(tick, self.recording.wrenches[tool][index], self.state.wrench[tool])
+                    recorded = self.recording.wrenches[tool][index]
+                    result.compare_wrench(tick, recorded, self._wrench(tool, recorded))
             index = self.surface_at.get(tick, -1)
             if 0 <= index < len(self.recording.surfaces):
                 recorded = self.recording.surfaces[index]
@@ -235,12 +268,12 @@ class _Player:
             self.simulation.reset()
         if settings != self.taken[2]:
             self.simulation.take_settings(self.recording.settings[settings])
-        for tool in range(len(self.recording.poses)):
-            pose, force = int(row[4 + 2 * tool]), int(row[5 + 2 * tool])
-            if pose != self.taken[4 + 2 * tool]:
-                take_pose(self.state, tool, self._input(self.recording.poses[tool], pose, "pose"), pose)
-            if force != self.taken[5 + 2 * tool]:
-                take_force(self.state, tool, self._input(self.recording.forces[tool], force, "force"), force)
+        for body in range(len(self.poses)):
+            pose, force = int(row[4 + 2 * body]), int(row[5 + 2 * body])
+            if pose != self.taken[4 + 2 * body]:
+                take_pose(self.state, body, self._input(self.poses[body], pose, "pose"), pose)
+            if force != self.taken[5 + 2 * body]:
+                take_force(self.state, body, self._input(self.forces[body], force, "force"), force)
         if contacts != self.taken[1]:
             found = self._contact_set(contacts)
             result.contact_sets += 1
@@ -260,16 +293,16 @@ class _Player:
         row = self.contact_rows.get(sequence)
         if row is None or int(row[1]) not in self.kept:
             raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
-        tools = range(len(self.recording.poses))
-        engaged = np.array([row[2] >> tool & 1 for tool in tools], dtype=np.int64)
-        pushing = np.array([row[3] >> tool & 1 for tool in tools], dtype=np.int64)
-        poses = np.zeros((len(tools), 7))
+        bodies = range(len(self.poses))
+        engaged = np.array([row[2] >> body & 1 for body in bodies], dtype=np.int64)
+        pushing = np.array([row[3] >> body & 1 for body in bodies], dtype=np.int64)
+        poses = np.zeros((len(bodies), 7))
         poses[:, 6] = 1.0
-        for tool in tools:
-            number = int(row[4 + 2 * tool])
+        for body in bodies:
+            number = int(row[4 + 2 * body])
             if number:
-                poses[tool] = self._input(self.recording.poses[tool], number, "pose")
-        margins = np.array([1e-3 * row[5 + 2 * tool] for tool in tools])
+                poses[body] = self._input(self.poses[body], number, "pose")
+        margins = np.array([1e-3 * row[5 + 2 * body] for body in bodies])
         return self.finder.find(self.kept[int(row[1])], poses, margins, engaged, pushing)
 
 

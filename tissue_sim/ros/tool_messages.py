@@ -45,7 +45,7 @@ WRENCH_FRAMES = ("base", "body")
 class ToolTopics:
     """How a bridge speaks: names, types, QoS, frame, and the axes that it takes a wrench along."""
 
-    names: dict[str, str]  # by the topics of bag.TOOL_TOPICS
+    names: dict[str, str]  # by the topics of bag.TOOL_TOPICS and GRIPPER_TOPICS
     frame_id: str
     pose_type: str = "PoseStamped"
     force_type: str = "WrenchStamped"

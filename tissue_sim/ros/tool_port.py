@@ -7,13 +7,17 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
+from tissue_sim.contact.gripper import about
+from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model import state as st
 from tissue_sim.model.state import Floats
 from tissue_sim.ros import bag
@@ -38,6 +42,16 @@ class Refused(Exception):
         self.name = name
 
 
+class NewestPose(NamedTuple):
+    """A pose that was taken up, and what a bag holds of it."""
+
+    sequence: int
+    pose: Floats  # (7,)
+    placed: Floats  # (b, 7) of the tool's bodies
+    raw: bytes
+    angle: bytes  # of a gripper
+
+
 class ToolPort:
     """Subscribes a tool's measured_cp and measured_cf, publishes its servo_cf, in the types and axes of its bridge.
 
@@ -51,6 +65,7 @@ class ToolPort:
         node: Node,
         index: int,
         name: str,
+        tools: ToolSet,
         topics: ToolTopics,
         frames: Frames,
         organ_frame: str,
@@ -59,10 +74,15 @@ class ToolPort:
         woken: threading.Event,
     ) -> None:
         self.index, self.name, self.topics = index, name, topics
+        self.bodies = tools.bodies[index]
+        self._tools = tools
+        self.angle = 0.0  # rad between a gripper's jaws
         self.refused: Counter[str] = Counter()
         self.poses = self.forces = 0
-        # Sequence, pose (7,) and bytes of the newest pose, replaced as one so that they belong together.
-        self.newest: tuple[int, Floats, bytes] = (0, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), b"")
+        # Sequence, pose (7,), poses of the bodies (b, 7), bytes of the newest pose, and those of a gripper's angle;
+        # replaced as one so that they belong together.
+        nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        self.newest = NewestPose(0, nowhere, np.tile(nowhere, (len(self.bodies), 1)), b"", b"")
         self.newest_force: tuple[int, bytes] = (0, b"")
         self.pose_clock = -math.inf  # monotonic s of the newest accepted pose
         self.force_clock = -math.inf
@@ -88,6 +108,7 @@ class ToolPort:
         self._bag_pose = NumbersTemplate(PoseStamped(), N_POSE, organ_frame)
         self._bag_force = NumbersTemplate(WrenchStamped(), N_WRENCH, organ_frame)
         self._bag_wrench = NumbersTemplate(WrenchStamped(), N_WRENCH, organ_frame)
+        self._bag_angle = NumbersTemplate(Float64MultiArray(data=[0.0]), 1)
         self._lock = threading.Lock()
         self._published = -math.inf
         qos = QoSProfile(
@@ -102,6 +123,8 @@ class ToolPort:
             node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True),
             node.create_subscription(self._force_type.message, names["measured_cf"], self._on_force, qos, raw=True),
         ]
+        if self.is_gripper:
+            self._jaws = node.create_subscription(JointState, names["measured_js"], self._on_angle, qos)
         self.names = {"servo_cf": self._servo.topic_name} | {
             topic: subscription.topic_name
             for topic, subscription in zip(("measured_cp", "measured_cf"), self._subscriptions, strict=True)
@@ -111,7 +134,14 @@ class ToolPort:
         self.bag_names = {
             topic: self.names[topic] if as_bagged[topic] else f"{own}/{name}/{topic}" for topic in bag.TOOL_TOPICS
         }
+        if self.is_gripper:
+            self.bag_names["measured_js"] = f"{own}/{name}/measured_js"
         self._wrench_as_bagged = as_bagged["servo_cf"]
+
+    @property
+    def is_gripper(self) -> bool:
+        """True for a tool of two jaws."""
+        return len(self.bodies) > 1
 
     # in ----------------------------------------------------------------------------------------
     def _on_pose(self, raw: bytes) -> None:
@@ -137,14 +167,32 @@ class ToolPort:
         self._to_organ = to_organ
         if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
             raw = self._bag_pose.message(self._stamp(message), message.values)
-        self.newest = (self._physics.post_pose(self.index, pose), pose, raw)
+        angle = self._bag_angle.message(0, [self.angle]) if self.is_gripper else b""
+        placed = self._tools.poses(self.index, pose, self.angle)
+        for body, at in zip(self.bodies, placed, strict=True):
+            sequence = self._physics.post_pose(body, at)
+        self.newest = NewestPose(sequence, pose, placed, raw, angle)
         if now - self.pose_clock < LONGEST_PERIOD:
             self._period += 0.02 * (now - self.pose_clock - self._period)
         self.pose_clock = now
         self.poses += 1
         self._recorder().received(self.bag_names["measured_cp"], raw)
+        if self.is_gripper:
+            self._recorder().received(self.bag_names["measured_js"], angle)
         self._publish()
         self._woken.set()
+
+    def _on_angle(self, message: JointState) -> None:
+        """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""
+        try:
+            if not message.position:
+                raise Refused("no_angle", "it holds no position")
+            if not math.isfinite(message.position[0]):
+                raise Refused("nan_angle", "it holds a value that is not finite")
+        except Refused as refused:
+            self._refuse("angle", refused)
+            return
+        self.angle = float(message.position[0])
 
     def _on_force(self, raw: bytes) -> None:
         settings = self._physics.settings()
@@ -162,7 +210,7 @@ class ToolPort:
         if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
             message = message._replace(values=_turned(message.values, lambda v: rotate(to_organ.rotation, v)))
             raw = self._bag_force.message(self._stamp(message), message.values)
-        self.newest_force = (self._physics.post_force(self.index, np.array(message.values[:3])), raw)
+        self.newest_force = (self._physics.post_force(self.bodies[0], np.array(message.values[:3])), raw)
         self.forces += 1
         self._recorder().received(self.bag_names["measured_cf"], raw)
         self._woken.set()
@@ -210,8 +258,15 @@ class ToolPort:
     # out ---------------------------------------------------------------------------------------
     def _publish(self) -> None:
         with self._lock:
-            tick, wrenches = self._physics.wrenches()
-            self._send(tick, wrenches[self.index])
+            self._send(*self.felt())
+
+    def felt(self) -> tuple[int, Floats]:
+        """The newest tick, and what the hand feels, (6,) N and N m about the tool's origin, in the organ's axes."""
+        tick, wrenches = self._physics.wrenches()
+        if not self.is_gripper:
+            return tick, wrenches[self.bodies[0]]
+        newest = self.newest
+        return tick, about(newest.pose[:3], wrenches[self.bodies], newest.placed[:, :3])
 
     def _send(self, tick: int, wrench: Floats) -> None:
         if not np.all(np.isfinite(wrench)):  # never seen, and never to be felt
@@ -233,7 +288,7 @@ class ToolPort:
         to_organ, topics = self._to_organ, self.topics
         if to_organ.is_identity and not topics.turns_wrench:
             return wrench
-        x, y, z, w = self.newest[1].tolist()[3:] if topics.wrench_frame == "body" else to_organ.rotation
+        x, y, z, w = self.newest.pose.tolist()[3:] if topics.wrench_frame == "body" else to_organ.rotation
         turn = topics.wrench_rotation
         return _turned(wrench.tolist(), lambda v: rotate_back(turn, rotate_back((x, y, z, w), v)))
 
@@ -246,8 +301,7 @@ class ToolPort:
             if self.force == 0.0:
                 return False
             if time.monotonic() - self._published >= silence:
-                tick, wrenches = self._physics.wrenches()
-                self._send(tick, wrenches[self.index])
+                self._send(*self.felt())
             return self.force != 0.0
 
     def publish_zero(self) -> None:

@@ -1,0 +1,85 @@
+"""A gripper over ROS: its angle opens the jaws, its hand feels their sum, and a bag of it replays."""
+
+import time
+
+import numpy as np
+import pytest
+from client import Client
+from processes import poke_path, shipped, start_node
+from rclpy.qos import qos_profile_sensor_data
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+
+from tissue_sim.cli import main
+
+RADIUS = 0.003
+
+
+class Gripper:
+    """A client that moves a gripper of the node."""
+
+    def __init__(self, client):
+        self.client = client
+        self.joint = client.node.create_publisher(JointState, "left/gripper/measured_js", qos_profile_sensor_data)
+        self.touch, self.inward = poke_path(shipped(), RADIUS)
+        self.turn = Rotation.align_vectors([self.inward], [[0.0, 0.0, 1.0]])[0].as_quat()
+
+    def is_heard(self):
+        return self.joint.get_subscription_count() > 0 and self.client.pose.get_subscription_count() > 0
+
+    def hold(self, depth, angle, seconds):
+        """Poses and angles at some 250 Hz; the mean force of the last half, (3,) N."""
+        self.client.wrenches.clear()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            message = JointState(name=["jaw"], position=[float(angle)])
+            message.header.stamp = self.client.stamp(None)
+            self.joint.publish(message)
+            self.client.send_pose(self.touch + depth * self.inward, self.turn)
+            self.client.spin(0.004)
+        forces = [wrench[:3] for _, wrench in self.client.wrenches]
+        return np.mean(forces[len(forces) // 2 :], axis=0) if forces else None
+
+
+@pytest.fixture
+def client():
+    made = Client()
+    yield made
+    made.close()
+
+
+def test_jaws_that_open_are_felt_and_a_bag_of_it_replays(tmp_path, client):
+    parameters = ("left.shape:=gripper", f"left.radius:={RADIUS}", "left.length:=0.03", f"record_folder:={tmp_path}")
+    node = start_node(tmp_path, *parameters, "record:=true", "stale_time:=0.3")  # a slow machine is no stale hand
+    gripper = Gripper(client)
+    assert client.spin_until(gripper.is_heard, 10.0)
+    for depth in np.linspace(-0.015, 0.004, 60):
+        gripper.hold(depth, 0.0, 0.015)
+    closed = gripper.hold(0.004, 0.0, 1.0)
+    opened = gripper.hold(0.004, 0.5, 1.0)
+    assert closed @ gripper.inward < -0.05
+    assert np.linalg.norm(opened - closed) > 0.02
+    assert client.set_parameter("force_clamp", 0.04).successful
+    assert np.linalg.norm(gripper.hold(0.004, 0.5, 0.3)) < 0.04 + 1e-6
+    # An angle alone doesn't keep a tool in touch whose poses have stopped.
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        gripper.joint.publish(JointState(position=[0.1]))
+        client.spin(0.01)
+    assert np.abs(client.wrenches[-1][1]).max() == 0.0
+    assert node.stop() == 0
+    assert main(["replay", str(next(tmp_path.glob("tissue_sim-*")))]) == 0
+
+
+def test_angle_that_is_none_is_refused_and_counted(tmp_path, client):
+    node = start_node(tmp_path, "left.shape:=gripper")
+    gripper = Gripper(client)
+    assert client.spin_until(gripper.is_heard, 10.0)
+    for _ in range(5):
+        gripper.joint.publish(JointState(position=[float("nan")]))
+        gripper.joint.publish(JointState())
+        client.spin(0.02)
+    assert client.spin_until(lambda: int(client.diagnostics.get("left.refused.no_angle", "0")) > 0, 5.0)
+    assert int(client.diagnostics["left.refused.nan_angle"]) > 0
+    assert "tool 'left': angle refused" in node.text()
+    assert node.stop() == 0
