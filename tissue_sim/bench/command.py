@@ -20,6 +20,7 @@ BENCHMARKS = {
         "run time against error, beside finite elements, MuJoCo, XPBD, ChainMail",
     ),
     "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
+    "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
 }
 

@@ -9,7 +9,6 @@ from typing import Any
 import fcl
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from tissue_sim.contact.broad_phase import holds_node, nearest_node, points_near, surface_box, triangles_in_box
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
@@ -22,7 +21,6 @@ from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
-AROUND = 0.003  # m around the triangles near a body, from which FCL gets triangles too
 MOST_FOUND = 4 * MAX_ENTRIES  # points of one body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
@@ -69,29 +67,6 @@ class FinderCounters:
     narrow_phases: int = 0  # times that FCL was asked
 
 
-@dataclass(frozen=True)
-class _Patch:
-    """Triangles as FCL has them: which of all (t,) they are, their nodes, where these were."""
-
-    holds: NDArray[np.bool_]
-    nodes: NDArray[Any]
-    placed: Floats
-    model: Any
-
-    @staticmethod
-    def of(position: Floats, triangles: Ints, chosen: Longs) -> _Patch:
-        """Those of triangles (t, 3) that are chosen (c,), at positions (n, 3) m."""
-        holds = np.zeros(len(triangles), dtype=bool)
-        holds[chosen] = True
-        nodes = np.unique(triangles[chosen])
-        return _Patch(holds, nodes, position[nodes], fcl.CollisionObject(_fcl_model(position, triangles[chosen])))
-
-    def still_holds(self, position: Floats, near: Longs) -> bool:
-        """Whether the triangles near (k,) are here, and none has moved by SLACK."""
-        moved = np.abs(position[self.nodes] - self.placed).max()  # along one axis
-        return bool(self.holds[near].all()) and float(moved) < SLACK / math.sqrt(3.0)
-
-
 def _fcl_model(position: Floats, near: Ints) -> Any:
     local, inverse = np.unique(near, return_inverse=True)
     model = fcl.BVHModel()
@@ -102,7 +77,7 @@ def _fcl_model(position: Floats, near: Ints) -> Any:
 
 
 class ContactFinder:
-    """Finds contact sets. A pure function of poses and surface, but for room and what spares FCL work.
+    """Finds contact sets. A pure function of poses and surface, but for room.
 
     rest (n, 3) m, surface first, at rest; triangles (t, 3) of the surface; tools the scene's tools.
     """
@@ -118,7 +93,8 @@ class ContactFinder:
         self._normal, self._seen = np.zeros((n_surface, 3)), np.zeros(n_surface, dtype=np.int64)
         self._node = np.zeros((MOST_FOUND, 3), dtype=np.int64)
         self._weight, self._outward = np.zeros((MOST_FOUND, 3)), np.zeros((MOST_FOUND, 3))
-        self._patches: list[_Patch | None] = [None] * len(tools.grown)
+        self._rest = np.array(rest)
+        self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
@@ -237,20 +213,17 @@ class ContactFinder:
         return self._matrix.reshape(3, 3).copy()
 
     def _may_touch(self, body: int, position: Floats, near: Longs, rotation: Floats, origin: Floats) -> bool:
-        """FCL's word on whether a body comes within MARGIN of the triangles near (t,) it; it may say so too often.
+        """FCL's word on whether a body comes within MARGIN of the surface; it may say so too often.
 
-        FCL gets them with those around them, and keeps them until others are near or one has moved by SLACK: to build
-        what it collides takes longer than all else here.
+        FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
+        near (t,) the body have moved by SLACK, it isn't asked.
         """
-        patch = self._patches[body]
-        if patch is None or not patch.still_holds(position, near):
-            corners = position[self.triangles[near]]
-            low, high = corners.min(axis=(0, 1)) - AROUND, corners.max(axis=(0, 1)) + AROUND
-            around = np.zeros(len(self.triangles), dtype=np.int64)
-            count = triangles_in_box(position, self.triangles, low, high, around)
-            patch = self._patches[body] = _Patch.of(position, self.triangles, around[:count])
+        nodes = self.triangles[near].ravel()
+        moved = np.abs(position[nodes] - self._rest[nodes]).max()  # along one axis
+        if moved >= SLACK / math.sqrt(3.0):
+            return True
         self.counters.narrow_phases += 1
-        return bool(fcl.collide(patch.model, self._placed(body, rotation, origin), _ANY, fcl.CollisionResult()))
+        return bool(fcl.collide(self._model, self._placed(body, rotation, origin), _ANY, fcl.CollisionResult()))
 
     def _placed(self, body: int, rotation: Floats, origin: Floats) -> Any:
         at = fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body])

@@ -21,7 +21,7 @@ from tissue_sim.organ.organ import Floats
 SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh")
 MOST_PLANES = 256
 MARGIN = 0.003  # m around a tool: what it may cover before the next contact set
-SLACK = 0.001  # m that the surface may move before FCL gets it anew
+SLACK = 0.003  # m that the surface may have moved from rest where FCL is asked
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,139 @@
+"""`tissue_sim bench contact`: time of a contact set with two tools in touch, as they press and draw."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+from tqdm import tqdm
+
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.report import aligned, emit, figure, noise_lines
+from tissue_sim.bench.timing import in_one_thread, noise_burst
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+DEPTH, SPEED, DRAWN = 0.004, 0.04, 0.01  # m, m/s, m: how deep, how fast, how far along the surface
+MOST = 4e-4  # s, bound of the p99 with two spheres of 5 mm
+
+
+class Measured(NamedTuple):
+    """Two tools: seconds of processor time of every set, most points in one, and how often FCL was asked and built."""
+
+    name: str
+    seconds: Floats
+    points: int
+    asked: int
+    sets: int
+    force: float  # N, largest
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser)
+    parser.add_argument("--check", action="store_true", help="exit with 1 when the bound is missed")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns 0, or with --check 1 when the bound is missed."""
+    check_shared(args)
+    found = in_one_thread(measure, Organ.load(args.organ or shipped_organ()))
+    emit(found, text(found), args.json)
+    return 1 if args.check and not found["met"] else 0
+
+
+def measure(organ: Organ) -> dict[str, Any]:
+    """Figures of every pair of tools; meant for a process of one thread."""
+    with tempfile.TemporaryDirectory() as folder:
+        measured = [pressed(organ, name, tools) for name, tools in tqdm(pairs(Path(folder)), desc="tools", unit="pair")]
+    bursts = noise_burst(2000)
+    rows: list[dict[str, Any]] = [
+        {
+            "tools": one.name,
+            "p50_us": 1e6 * float(np.percentile(one.seconds, 50)),
+            "p99_us": 1e6 * float(np.percentile(one.seconds, 99)),
+            "points": one.points,
+            "sets": one.sets,
+            "fcl_asked": one.asked,
+            "largest_force_n": one.force,
+        }
+        for one in measured
+    ]
+    noise = float(np.percentile(bursts, 99) / np.median(bursts))
+    return {"rows": rows, "limit_us": 1e6 * MOST, "met": bool(rows[0]["p99_us"] <= 1e6 * MOST), "noise": noise}
+
+
+def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
+    """Names and tools of what is measured; mesh files go into a folder."""
+    box = trimesh.creation.box((0.006, 0.006, 0.03))
+    box.apply_translation([0.0, 0.0, -0.015])
+    box.export(folder / "box.stl")
+    trimesh.creation.torus(0.01, 0.003).export(folder / "ring.stl")
+
+    def both(**given: Any) -> list[Tool]:
+        return [Tool("left", **given), Tool("right", **given)]
+
+    return [
+        ("two spheres of 5 mm", both(radius=0.005)),
+        ("two spheres of 2 mm", both(radius=0.002)),
+        ("two capsules of 3 mm", both(shape="capsule", radius=0.003, length=0.04)),
+        ("two grippers of 3 mm", both(shape="gripper", radius=0.003, length=0.03)),
+        ("two boxes", both(shape="mesh", mesh=str(folder / "box.stl"))),
+        ("two rings (not convex)", both(shape="mesh", mesh=str(folder / "ring.stl"))),
+    ]
+
+
+def pressed(organ: Organ, name: str, tools: list[Tool]) -> Measured:
+    """Press both tools into the front and the side of an organ, and draw them along it."""
+    scene = Scene(organ, tools, ticks_a_set=4)
+    find, seconds, points = scene.finder.find, [], [0]
+    scene.finder.warm_up(organ.rest_positions)
+
+    def timed(*given: Any) -> Any:
+        start = time.thread_time()
+        found = find(*given)
+        seconds.append(time.thread_time() - start)
+        points[0] = max(points[0], len(found.tool))
+        return found
+
+    scene.finder.find = timed  # type: ignore[method-assign, assignment]
+    surface, force = organ.surface_positions, 0.0
+    ways = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    places = [surface[np.argmin(surface @ way)] - 0.006 * way for way in ways]
+    turns = [Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])[0].as_quat() for way in ways]
+    press, draw = round(1e3 * (DEPTH + 0.006) / SPEED), round(1e3 * DRAWN / SPEED)
+    for tick in range(press + draw):
+        deep = min(tick / press, 1.0) * (DEPTH + 0.006)
+        along = max(0, tick - press) / draw * DRAWN
+        for tool in range(2):
+            scene.move(tool, places[tool] + deep * ways[tool] + [0.0, 0.0, along], turns[tool])
+        scene.step()
+        force = max(force, float(np.linalg.norm(scene.wrenches[:, :3], axis=1).max()))
+    touching = np.array(seconds[press // 8 :])
+    return Measured(name, touching, points[0], scene.finder.counters.narrow_phases, scene.finder.counters.sets, force)
+
+
+def text(found: dict[str, Any]) -> str:
+    """The figures as a table."""
+    table = [["", "p50 us", "p99 us", "points", "sets", "FCL asked", "force N"]]
+    for row in found["rows"]:
+        cells = [figure(row[key]) for key in ("p50_us", "p99_us", "points", "sets", "fcl_asked")]
+        table.append([row["tools"], *cells, f"{row['largest_force_n']:.2f}"])
+    verdict = "ok" if found["met"] else "missed"
+    lines = [
+        "a contact set for every fourth tick of 1 ms; processor time of one thread",
+        "",
+        *aligned(table),
+        "",
+        f"two spheres of 5 mm, p99: {found['rows'][0]['p99_us']:.0f} us (<= {found['limit_us']:.0f} us) {verdict}",
+        *noise_lines(found["noise"]),
+    ]
+    return "\n".join(lines)
