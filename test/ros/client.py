@@ -28,6 +28,7 @@ class Client:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.wrenches: list[tuple[float, np.ndarray]] = []
+        self.stamps: list[float] = []  # s, when the node published each of them
         self.surfaces: list[np.ndarray] = []
         self.markers: list[MarkerArray] = []
         self.diagnostics: dict[str, str] = {}
@@ -104,6 +105,7 @@ class Client:
         force, torque = message.wrench.force, message.wrench.torque
         values = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
         self.wrenches.append((time.monotonic(), values))
+        self.stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
