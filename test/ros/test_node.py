@@ -180,8 +180,10 @@ def test_recording_on_demand_replays_bit_for_bit(client, tmp_path, capsys):
     assert topics["/left/measured_cp"] > 300
     assert topics["/left/servo_cf"] >= topics["/left/measured_cp"] - 1, "a wrench for each pose that arrives"
     assert topics["/tissue_sim/surface"] > 10
-    assert main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
-    assert "repeats" in capsys.readouterr().out
+    code = main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"])
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    assert "repeats" in said.out
     assert not client.record(False).success
 
 

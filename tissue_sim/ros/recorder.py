@@ -47,6 +47,7 @@ class Recorder:
         self._connections: dict[str, Any] = {}
         self._rows: list[list[int]] = []
         self._rows_lock = threading.Lock()
+        self._newest_set: tuple[int, ContactSet] | None = None
         self._state_tick = -1
         self._started = 0.0
         self._epoch = 0
@@ -95,6 +96,9 @@ class Recorder:
         self._raw(self._names["mesh"], mesh)
         for name, (_, raw) in newest.items():
             self._raw(name, raw)
+        # The newest of every input: the loop may take it up only after the state, when the machine is busy.
+        if self._newest_set is not None:
+            self._whole_set(*self._newest_set)
         self.active = True
         self.settings(int(physics.box.settings_sequence[0]), physics.settings())
         return path
@@ -166,16 +170,20 @@ class Recorder:
 
     def contacts(self, sequence: int, surface_tick: int, found: ContactSet, pushing: int, pairs: Sequence[int]) -> None:
         """A contact set: what it was found from, or all of it while its surface may not be in the bag."""
+        self._newest_set = sequence, found
         if not self.active:
             return
         engaged = sum(int(flag) << tool for tool, flag in enumerate(found.engaged))
         self._note([bag.Row.CONTACT, sequence, surface_tick, engaged, pushing, *pairs])
         if self._state_tick < 0 or surface_tick <= self._state_tick:
-            whole = {name: getattr(found, name) for name in WHOLE_SET}
-            data = bag.pack(sequence=np.array([sequence]), engaged=found.engaged, **whole)
-            self._typed("contact_set", "data", data)
+            self._whole_set(sequence, found)
 
     # inside ------------------------------------------------------------------------------------
+    def _whole_set(self, sequence: int, found: ContactSet) -> None:
+        whole = {name: getattr(found, name) for name in WHOLE_SET}
+        data = bag.pack(sequence=np.array([sequence]), engaged=found.engaged, **whole)
+        self._typed("contact_set", "data", data)
+
     def _note(self, row: list[int]) -> None:
         with self._rows_lock:
             self._rows.append([int(value) for value in row])
