@@ -74,7 +74,7 @@ class TissueNode(Node):
         self._organ_bytes = self.organ_path.read_bytes()
         tools = ToolSet([values.tool(name) for name in values.tools])
         if not is_compiled():
-            self.get_logger().info("compiling the kernels, once for this machine: up to 30 s")
+            self.get_logger().info("compiling the kernels, once for this machine: a minute or so")
         self.simulation = Simulation(
             self.organ,
             values["model"],
