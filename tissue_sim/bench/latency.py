@@ -8,12 +8,13 @@ what else the machine does falls on all of them.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -26,25 +27,14 @@ from tissue_sim.model.realtime import now, sleep_until
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-RATE = 1000.0  # Hz, of ticks and poses
+if TYPE_CHECKING:
+    from tissue_sim.ros.latency_probe import Probe, Trip
+
 TURN = 5.0  # s that each of them is measured for before the next one's turn
-PATIENCE = 0.05  # s for an answer, after which it counts as lost
-RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: the tool, how deep it is, by how much it moves
+RATE = 1000.0  # Hz, of ticks and poses
 START_TIME = 240.0  # s for the node to be there, with kernels to compile
 MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the node's p99: so many times the echo's, and so many ticks
 MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and percentage points
-
-
-class Trip(NamedTuple):
-    """Round trips: their times in s, and how many were not answered."""
-
-    seconds: Floats
-    lost: int
-
-    def as_json(self) -> dict[str, float]:
-        """Percentiles in us."""
-        p50, p99, p999 = 1e6 * np.percentile(self.seconds, [50.0, 99.0, 99.9])
-        return {"p50_us": p50, "p99_us": p99, "p99_9_us": p999, "trips": len(self.seconds), "lost": self.lost}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,10 +62,10 @@ def measure(organ_file: str | None, seconds: float) -> dict[str, Any]:
 
     Raises UserError when rclpy is not installed or the node doesn't start.
     """
-    try:
-        import rclpy  # noqa: F401
-    except ImportError:
-        raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2") from None
+    if importlib.util.find_spec("rclpy") is None:
+        raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
+    from tissue_sim.ros.latency_probe import together
+
     organ = Organ.load(organ_file or shipped_organ())
     with children(organ_file or str(shipped_organ())) as probe_of:
         probe = probe_of(organ)
@@ -94,11 +84,6 @@ def measure(organ_file: str | None, seconds: float) -> dict[str, Any]:
             echo.append(probe.echoes(seconds / turns))
             bare_late.append(bare(seconds / turns, 1e-6 * busy))
         return as_json(seconds, together(node), together(echo), ticks, late, np.concatenate(bare_late), busy)
-
-
-def together(trips: list[Trip]) -> Trip:
-    """Trips of all turns as one."""
-    return Trip(np.concatenate([trip.seconds for trip in trips]), sum(trip.lost for trip in trips))
 
 
 def bare(seconds: float, busy: float) -> Floats:
@@ -127,6 +112,7 @@ def children(organ_file: str) -> Iterator[Callable[[Organ], Probe]]:
     from tissue_sim.ros.children import Child, stop_all
     from tissue_sim.ros.dds import use_shipped_profile
     from tissue_sim.ros.demo import free_domain
+    from tissue_sim.ros.latency_probe import RADIUS, Probe
 
     os.environ |= {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     use_shipped_profile()
@@ -135,13 +121,13 @@ def children(organ_file: str) -> Iterator[Callable[[Organ], Probe]]:
     words = [word for parameter in parameters for word in ("-p", parameter)]
     started = [
         Child("tissue_node", [*python, "tissue_sim.ros.node", "--ros-args", *words], os.environ),
-        Child("echo", [*python, "tissue_sim.bench.echo"], os.environ),
-        Child("listener", [*python, "tissue_sim.bench.echo", "/tissue_sim/markers"], os.environ),
+        Child("echo", [*python, "tissue_sim.ros.echo"], os.environ),
+        Child("listener", [*python, "tissue_sim.ros.echo", "/tissue_sim/markers"], os.environ),
     ]
     probes: list[Probe] = []
 
     def probe_of(organ: Organ) -> Probe:
-        probes.append(Probe(organ))
+        probes.append(Probe(organ, RATE))
         return probes[-1]
 
     try:
@@ -155,117 +141,6 @@ def children(organ_file: str) -> Iterator[Callable[[Organ], Probe]]:
         for probe in probes:
             probe.close()
         stop_all(started)
-
-
-class Probe:
-    """Sends poses at RATE, each when the last was answered, and takes the times."""
-
-    def __init__(self, organ: Organ) -> None:
-        import rclpy
-        from diagnostic_msgs.msg import DiagnosticArray
-        from geometry_msgs.msg import PoseStamped, WrenchStamped
-        from rclpy.experimental import EventsExecutor
-        from rclpy.signals import SignalHandlerOptions
-
-        from tissue_sim.bench.echo import IN, NEWEST, OUT
-
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("latency_probe", start_parameter_services=False)
-        self._answered, self._answer_clock = 0, 0.0
-        self._report: dict[str, str] = {}
-        node = self._node
-        self._to_node = node.create_publisher(PoseStamped, "left/measured_cp", NEWEST)
-        self._to_echo = node.create_publisher(PoseStamped, IN, NEWEST)
-        node.create_subscription(WrenchStamped, "left/servo_cf", self._on_answer, NEWEST, raw=True)
-        node.create_subscription(PoseStamped, OUT, self._on_answer, NEWEST, raw=True)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 10)
-        self._executor = EventsExecutor()
-        self._executor.add_node(node)
-        self._message = PoseStamped()
-        self._message.header.frame_id = "organ"
-        points = organ.surface_positions
-        self._way = np.array([-1.0, 0.0, 0.0])
-        self._touch = points[np.argmax(points[:, 0])] - RADIUS * self._way
-
-    def close(self) -> None:
-        """Leave the graph."""
-        import rclpy
-
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
-
-    def meet(self) -> None:
-        """Wait until everybody hears everybody."""
-        end = time.monotonic() + 20.0
-        while not (self._to_node.get_subscription_count() and self._to_echo.get_subscription_count()):
-            if time.monotonic() > end:
-                raise UserError("the node or the echo was not found over DDS within 20 s")
-            self._executor.spin_once(timeout_sec=0.1)
-
-    def approach(self) -> None:
-        """Lead the tool from outside into contact: one that appears inside would be held off."""
-        for depth in np.linspace(-0.02, DEPTH, 400):
-            self._send(self._to_node, depth)
-            self._spin(1.0 / RATE)
-
-    def trips(self, seconds: float) -> Trip:
-        """Pose to wrench, with the tool in contact."""
-        return self._exchange(self._to_node, seconds)
-
-    def echoes(self, seconds: float) -> Trip:
-        """Pose to the same bytes from the echo; the node gets no poses, and lets its force fade."""
-        return self._exchange(self._to_echo, seconds)
-
-    def report(self) -> dict[str, float]:
-        """The node's newest figures: ticks, late ones, and the median time of a tick, us; poses go on meanwhile."""
-        self._report = {}
-        end = time.monotonic() + 5.0
-        while not self._report:
-            if time.monotonic() > end:
-                raise UserError("the node sent no diagnostics for 5 s")
-            self._send(self._to_node, DEPTH)
-            self._spin(1.0 / RATE)
-        return {name: float(self._report[name]) for name in ("tick", "overruns", "tick_p50_us")}
-
-    def _exchange(self, publisher: Any, seconds: float) -> Trip:
-        took, lost = [], 0
-        start = deadline = time.monotonic()
-        while deadline - start < seconds:
-            deadline += 1.0 / RATE
-            self._spin(deadline - time.monotonic())
-            self._answered = 0
-            sent = time.monotonic()
-            self._send(publisher, DEPTH + SWING * np.sin(2.0 * np.pi * 5.0 * (sent - start)))
-            while not self._answered and time.monotonic() - sent < PATIENCE:
-                self._executor.spin_once(timeout_sec=PATIENCE)
-            if self._answered:
-                took.append(self._answer_clock - sent)
-            else:
-                lost += 1
-            deadline = max(deadline, time.monotonic() - 1.0 / RATE)
-        return Trip(np.array(took if took else [PATIENCE]), lost)
-
-    def _spin(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-
-    def _send(self, publisher: Any, depth: float) -> None:
-        message = self._message
-        position = message.pose.position
-        position.x, position.y, position.z = map(float, self._touch + depth * self._way)
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        publisher.publish(message)
-
-    def _on_answer(self, _: bytes) -> None:
-        self._answer_clock = time.monotonic()
-        self._answered += 1
-
-    def _on_report(self, message: Any) -> None:
-        for status in message.status:
-            if status.name == "tissue_sim: physics":
-                self._report = {item.key: item.value for item in status.values}
 
 
 # telling -------------------------------------------------------------------------------------------

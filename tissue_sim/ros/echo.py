@@ -1,4 +1,4 @@
-"""`python -m tissue_sim.bench.echo`: a node that sends poses back as they came, or one that only listens to markers.
+"""`python -m tissue_sim.ros.echo`: a node that sends poses back as they came, or one that only listens to markers.
 
 What a round trip over this middleware and executor takes at least, to hold the node's against.
 """
