@@ -18,5 +18,9 @@ def run() -> NoReturn:
         code = main(ending=ending)
     except Interrupted:
         pass
+    except Exception:
+        # A library that was being loaded may have turned Interrupted into an error of its own.
+        if not ending.asked.is_set():
+            raise
     sys.stdout.flush()
     os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise
