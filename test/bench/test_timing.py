@@ -1,6 +1,10 @@
 """Timing in turns, in one thread, of ticks alone."""
 
 import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,3 +112,25 @@ def test_child_process_uses_one_thread_and_leaves_the_environment_alone():
 def test_mistakes_in_the_child_process_are_told_here():
     with pytest.raises(UserError, match=r"missing\.npz"):
         in_one_thread(Organ.load, "missing.npz")
+
+
+def test_process_that_measures_ends_with_the_one_that_asked():
+    """A benchmark that is killed leaves nothing behind that keeps a core busy."""
+    program = "import time; from tissue_sim.bench.timing import in_one_thread; in_one_thread(time.sleep, 300)"
+    asked = subprocess.Popen([sys.executable, "-c", program])
+
+    def children():
+        return [int(word) for word in Path(f"/proc/{asked.pid}/task/{asked.pid}/children").read_text().split()]
+
+    end = time.monotonic() + 60.0
+    try:
+        while not children() and time.monotonic() < end:
+            time.sleep(0.1)
+        started = children()
+        assert started
+    finally:
+        asked.kill()
+        asked.wait()
+    while any(Path(f"/proc/{process}").exists() for process in started) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not any(Path(f"/proc/{process}").exists() for process in started)

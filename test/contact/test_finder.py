@@ -5,8 +5,9 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points, nearest_weights
+from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
+from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.state import MAX_ENTRIES
 
 from ..scenes import RADIUS, ball, kidney

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tissue_sim.jit import handle
+from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model import state as st
 from tissue_sim.model.inputs import take_contacts, take_force, take_pose
@@ -30,7 +31,7 @@ class Loop:
 
     def __init__(self):
         self.simulation = make_simulation()
-        self.box = rt.make_mailboxes(self.simulation.buffer)
+        self.box = mb.make_mailboxes(self.simulation.buffer)
         self.poses, self.forces, self.contacts, self.settings = {}, {}, {}, {}
         self.thread = threading.Thread(target=self._run, daemon=True)
 
@@ -42,18 +43,18 @@ class Loop:
     def __enter__(self):
         self.thread.start()
         deadline = time.monotonic() + 180.0
-        while self.box.control[rt.LOOP_TICKS] == 0:
+        while self.box.control[mb.LOOP_TICKS] == 0:
             assert time.monotonic() < deadline
             time.sleep(0.01)
         return self
 
     def __exit__(self, *_):
-        self.box.control[rt.STOP] = 1
+        self.box.control[mb.STOP] = 1
         self.thread.join(timeout=10.0)
         assert not self.thread.is_alive()
 
     def ticks(self):
-        return int(self.box.control[rt.LOOP_TICKS])
+        return int(self.box.control[mb.LOOP_TICKS])
 
     def wait(self, ticks):
         """Until the loop has done some more ticks."""
@@ -65,18 +66,18 @@ class Loop:
     def post_pose(self, pose):
         sequence = int(self.box.pose_sequence[0]) + 1
         self.poses[sequence] = np.array(pose)
-        self.box.pose[sequence % rt.IN_SLOTS, 0] = pose
+        self.box.pose[sequence % mb.IN_SLOTS, 0] = pose
         self.box.pose_sequence[0] = sequence
 
     def post_force(self, force):
         sequence = int(self.box.force_sequence[0]) + 1
         self.forces[sequence] = np.array(force)
-        self.box.force[sequence % rt.IN_SLOTS, 0] = force
+        self.box.force[sequence % mb.IN_SLOTS, 0] = force
         self.box.force_sequence[0] = sequence
 
     def post_contacts(self, tool, node, weight, normal, tip_node, tip_weight, engaged):
         box, sequence = self.box, int(self.box.contact_sequence[0]) + 1
-        slot, entries = sequence % rt.IN_SLOTS, len(tool)
+        slot, entries = sequence % mb.IN_SLOTS, len(tool)
         self.contacts[sequence] = (entries, tool, node, weight, normal, tip_node, tip_weight, engaged)
         box.contact_entries[slot] = entries
         box.contact_tool[slot, :entries] = tool
@@ -89,13 +90,13 @@ class Loop:
     def post_settings(self, settings):
         sequence = int(self.box.settings_sequence[0]) + 1
         self.settings[sequence] = np.array(settings)
-        self.box.settings[sequence % rt.IN_SLOTS] = settings
+        self.box.settings[sequence % mb.IN_SLOTS] = settings
         self.box.settings_sequence[0] = sequence
 
     def snapshot(self):
-        self.box.control[rt.SNAPSHOT_ASKED] += 1
+        self.box.control[mb.SNAPSHOT_ASKED] += 1
         deadline = time.monotonic() + 10.0
-        while self.box.control[rt.SNAPSHOT_DONE] != self.box.control[rt.SNAPSHOT_ASKED]:
+        while self.box.control[mb.SNAPSHOT_DONE] != self.box.control[mb.SNAPSHOT_ASKED]:
             assert time.monotonic() < deadline
             time.sleep(0.001)
         return self.box.snapshot_floats.copy(), self.box.snapshot_integers.copy()
@@ -123,10 +124,10 @@ def all_nodes():
 
 def test_loop_keeps_its_rate_and_accounts_for_every_tick():
     with Loop() as loop:
-        begin, before = time.monotonic(), loop.ticks() + int(loop.box.control[rt.DROPPED])
+        begin, before = time.monotonic(), loop.ticks() + int(loop.box.control[mb.DROPPED])
         time.sleep(0.5)
         elapsed = time.monotonic() - begin
-        due = loop.ticks() + int(loop.box.control[rt.DROPPED]) - before
+        due = loop.ticks() + int(loop.box.control[mb.DROPPED]) - before
     # The loop may be behind by what it is allowed to catch up.
     assert due == pytest.approx(elapsed * RATE, abs=60)
     assert loop.ticks() > 0.5 * elapsed * RATE
@@ -156,8 +157,8 @@ def test_rest_shape_is_handed_out_once_and_nothing_more_while_asleep():
     with Loop() as loop:
         loop.wait(20)
         assert loop.box.surface_sequence[0] == 1
-        np.testing.assert_array_equal(loop.box.surface[1 % rt.OUT_SLOTS], ball(2).rest_positions)
-        newest = int(loop.box.out_sequence[0]) % rt.OUT_SLOTS
+        np.testing.assert_array_equal(loop.box.surface[1 % mb.OUT_SLOTS], ball(2).rest_positions)
+        newest = int(loop.box.out_sequence[0]) % mb.OUT_SLOTS
         assert loop.box.out_count[newest, st.TICK] >= 16, "a nap is a few ticks long"
         assert len(loop.journal()) == 0
 
@@ -170,9 +171,9 @@ def test_journal_tells_which_tick_took_a_pose():
         loop.wait(10)
         rows = loop.journal()
     assert len(rows) == 1
-    assert rows[0, rt.ROW_TOOLS] == 1
-    assert rows[0, rt.ROW_TOOLS + 1] == rows[0, rt.ROW_CONTACTS] == rows[0, rt.ROW_SETTINGS] == 0
-    assert before < rows[0, rt.ROW_TICK] <= before + 10
+    assert rows[0, mb.ROW_TOOLS] == 1
+    assert rows[0, mb.ROW_TOOLS + 1] == rows[0, mb.ROW_CONTACTS] == rows[0, mb.ROW_SETTINGS] == 0
+    assert before < rows[0, mb.ROW_TICK] <= before + 10
     assert loop.simulation.state.tool_count[0, st.POSE_SEQUENCE] == 1
     np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], above(0.05))
 
@@ -180,20 +181,20 @@ def test_journal_tells_which_tick_took_a_pose():
 def by_hand(loop, ticks):
     """The journal's inputs fed to a simulation of its own, tick by tick."""
     simulation = make_simulation()
-    rows = {int(row[rt.ROW_TICK]): row for row in loop.journal()}
-    last = np.zeros(rt.ROW_TOOLS + 2, dtype=np.int64)
+    rows = {int(row[mb.ROW_TICK]): row for row in loop.journal()}
+    last = np.zeros(mb.ROW_TOOLS + 2, dtype=np.int64)
     for tick in range(1, ticks + 1):
         row = rows.get(tick, last)
-        if row[rt.ROW_RESETS] != last[rt.ROW_RESETS]:
+        if row[mb.ROW_RESETS] != last[mb.ROW_RESETS]:
             simulation.reset()
-        if row[rt.ROW_SETTINGS] != last[rt.ROW_SETTINGS]:
-            simulation.settings[:] = loop.settings[row[rt.ROW_SETTINGS]]
-        if row[rt.ROW_TOOLS] != last[rt.ROW_TOOLS]:
-            take_pose(simulation.state, 0, loop.poses[row[rt.ROW_TOOLS]], row[rt.ROW_TOOLS])
-        if row[rt.ROW_TOOLS + 1] != last[rt.ROW_TOOLS + 1]:
-            take_force(simulation.state, 0, loop.forces[row[rt.ROW_TOOLS + 1]], row[rt.ROW_TOOLS + 1])
-        if row[rt.ROW_CONTACTS] != last[rt.ROW_CONTACTS]:
-            take_contacts(simulation.state, *loop.contacts[row[rt.ROW_CONTACTS]], row[rt.ROW_CONTACTS])
+        if row[mb.ROW_SETTINGS] != last[mb.ROW_SETTINGS]:
+            simulation.settings[:] = loop.settings[row[mb.ROW_SETTINGS]]
+        if row[mb.ROW_TOOLS] != last[mb.ROW_TOOLS]:
+            take_pose(simulation.state, 0, loop.poses[row[mb.ROW_TOOLS]], row[mb.ROW_TOOLS])
+        if row[mb.ROW_TOOLS + 1] != last[mb.ROW_TOOLS + 1]:
+            take_force(simulation.state, 0, loop.forces[row[mb.ROW_TOOLS + 1]], row[mb.ROW_TOOLS + 1])
+        if row[mb.ROW_CONTACTS] != last[mb.ROW_CONTACTS]:
+            take_contacts(simulation.state, *loop.contacts[row[mb.ROW_CONTACTS]], row[mb.ROW_CONTACTS])
         last = row
         simulation.step()
     return simulation
@@ -213,13 +214,13 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
             if step == 50:
                 loop.post_force([0.0, 0.2, 0.0])
             if step == 60:
-                loop.box.control[rt.RESETS] += 1
+                loop.box.control[mb.RESETS] += 1
             if step == 65:
                 loop.post_contacts(*all_nodes())
             time.sleep(0.003)
         floats, integers = loop.snapshot()
         newest = int(loop.box.out_sequence[0])
-        wrench = loop.box.out_wrench[newest % rt.OUT_SLOTS].copy()
+        wrench = loop.box.out_wrench[newest % mb.OUT_SLOTS].copy()
     assert len(loop.journal()) > 50
     simulation = by_hand(loop, loop.simulation.buffer.tick_of(integers))
     moved = np.abs(simulation.positions - simulation.model.rest).max()
@@ -240,25 +241,25 @@ def test_results_are_those_of_the_newest_tick():
             time.sleep(0.002)
         assert loop.box.surface_sequence[0] > 10
     box, state = loop.box, loop.simulation.state
-    newest = int(box.out_sequence[0]) % rt.OUT_SLOTS
+    newest = int(box.out_sequence[0]) % mb.OUT_SLOTS
     np.testing.assert_array_equal(box.out_wrench[newest], state.wrench)
     np.testing.assert_array_equal(box.out_count[newest], state.count)
     np.testing.assert_array_equal(box.out_tool_count[newest], state.tool_count)
-    surface = int(box.surface_sequence[0]) % rt.OUT_SLOTS
+    surface = int(box.surface_sequence[0]) % mb.OUT_SLOTS
     np.testing.assert_array_equal(box.surface[surface], state.position)
-    assert box.surface_tick[surface] == state.count[st.TICK] == box.control[rt.AWAKE_TICK]
+    assert box.surface_tick[surface] == state.count[st.TICK] == box.control[mb.AWAKE_TICK]
     assert np.linalg.norm(state.wrench) > 0.0
 
 
 def test_reset_while_asleep_hands_out_the_surface_again():
     with Loop() as loop:
         loop.wait(5)
-        loop.box.control[rt.RESETS] += 1
+        loop.box.control[mb.RESETS] += 1
         loop.wait(5)
         assert loop.box.surface_sequence[0] == 2
         rows = loop.journal()
     assert len(rows) == 1
-    assert rows[0, rt.ROW_RESETS] == 1
+    assert rows[0, mb.ROW_RESETS] == 1
 
 
 def test_only_the_newest_of_several_poses_is_taken():
@@ -268,7 +269,7 @@ def test_only_the_newest_of_several_poses_is_taken():
         for height in np.linspace(0.01, 0.1, 500):
             loop.post_pose(above(height))
         loop.wait(3)
-    taken = [int(row[rt.ROW_TOOLS]) for row in loop.journal()]
+    taken = [int(row[mb.ROW_TOOLS]) for row in loop.journal()]
     assert taken == sorted(set(taken))
     assert taken[-1] == 500
     np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], loop.poses[500])
@@ -283,17 +284,17 @@ def test_pose_ends_a_nap():
         for turn in range(12):
             loop.wait(80)  # until the last pose is stale
             deadline = time.monotonic() + 10.0
-            while not loop.box.control[rt.NAPPING]:
+            while not loop.box.control[mb.NAPPING]:
                 assert time.monotonic() < deadline, "an idle loop naps"
             before = time.monotonic()
             loop.post_pose(above(0.05 + 0.001 * turn))
             libc.sem_post(bell)
-            while loop.box.row[rt.ROW_TOOLS] != turn + 1:
+            while loop.box.row[mb.ROW_TOOLS] != turn + 1:
                 assert time.monotonic() < deadline
             latencies.append(time.monotonic() - before)
         assert loop.simulation.state.count[st.TICK] == pytest.approx(loop.ticks(), abs=8)
     assert min(latencies) < 0.002
-    assert all(np.diff([int(row[rt.ROW_TICK]) for row in loop.journal()]) >= 70)
+    assert all(np.diff([int(row[mb.ROW_TICK]) for row in loop.journal()]) >= 70)
     simulation = by_hand(loop, loop.ticks())
     np.testing.assert_array_equal(simulation.buffer.integers, loop.simulation.buffer.integers)
     np.testing.assert_array_equal(simulation.buffer.floats, loop.simulation.buffer.floats)
@@ -303,37 +304,37 @@ def test_ticks_follow_posted_times():
     """None without a time, as many as it moves, none while it stands; a jump back is taken up, a long one dropped."""
     loop = Loop()
     control = loop.box.control
-    control[rt.SIM_TIME] = 1
+    control[mb.SIM_TIME] = 1
 
     def post(seconds, wait):
-        control[rt.POSTED_TIME] = round(1e9 * seconds)
+        control[mb.POSTED_TIME] = round(1e9 * seconds)
         time.sleep(wait)
         return loop.ticks()
 
     loop.thread.start()
     deadline = time.monotonic() + 100.0
-    while control[rt.STARTED] == 0:
+    while control[mb.STARTED] == 0:
         assert time.monotonic() < deadline
         time.sleep(0.01)
     time.sleep(0.2)
     assert loop.ticks() == 0
-    assert control[rt.STANDING] == 1
+    assert control[mb.STANDING] == 1
     assert loop.box.surface_sequence[0] == 1, "the rest shape is there all the same"
     assert post(5.0, 0.3) == 0, "the first time is where it begins"
     assert post(5.1, 0.3) == 100
-    assert control[rt.STANDING] == 0
-    assert control[rt.DUE] == 5_100_000_000
+    assert control[mb.STANDING] == 0
+    assert control[mb.DUE] == 5_100_000_000
     time.sleep(0.6)
-    assert control[rt.STANDING] == 1
+    assert control[mb.STANDING] == 1
     assert loop.ticks() == 100
     floats, _ = loop.snapshot()
     assert len(floats), "a clock that stands keeps nobody waiting"
     assert post(2.0, 0.3) == 100
     assert post(2.05, 0.3) == 150
-    assert control[rt.DROPPED] == 0
+    assert control[mb.DROPPED] == 0
     assert post(9.05, 0.3) == 151
-    assert control[rt.DROPPED] == pytest.approx(7000, abs=1)
-    control[rt.SIM_TIME] = 0
+    assert control[mb.DROPPED] == pytest.approx(7000, abs=1)
+    control[mb.SIM_TIME] = 0
     time.sleep(0.3)
     assert loop.ticks() > 250
     loop.__exit__()
@@ -346,11 +347,11 @@ def test_tick_time_is_a_setting_that_may_change():
         slower[st.TICK_TIME] = 0.01
         loop.post_settings(slower)
         time.sleep(0.1)
-        ticks, simulated, begin = loop.ticks(), int(loop.box.control[rt.SIMULATED]), time.monotonic()
+        ticks, simulated, begin = loop.ticks(), int(loop.box.control[mb.SIMULATED]), time.monotonic()
         time.sleep(0.5)
         elapsed = time.monotonic() - begin
         assert loop.ticks() - ticks == pytest.approx(100.0 * elapsed, abs=8)
-        assert 1e-9 * (int(loop.box.control[rt.SIMULATED]) - simulated) == pytest.approx(elapsed, abs=0.08)
+        assert 1e-9 * (int(loop.box.control[mb.SIMULATED]) - simulated) == pytest.approx(elapsed, abs=0.08)
 
 
 def test_now_is_the_monotonic_clock():

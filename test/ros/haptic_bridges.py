@@ -1,16 +1,11 @@
 """Stand-ins for haptic bridges: each speaks the topics, types, QoS, frame and axes of a real one."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from participant import Participant
 from rclpy.qos import QoSProfile, qos_profile_system_default
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Float64MultiArray
@@ -72,29 +67,18 @@ BRIDGES = {
 }
 
 
-class StandIn:
+class StandIn(Participant):
     """Runs a bridge in this process: publishes poses and keeps the forces that come back."""
 
     def __init__(self, bridge: Bridge) -> None:
         self.bridge = bridge
-        self.context = rclpy.Context()
-        self.context.init()
-        self.node = rclpy.create_node("haptic_bridge", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("haptic_bridge")
         self.forces: list[np.ndarray] = []  # N along the axes of frame_id
         self.messages: list[object] = []
-        self.diagnostics: dict[str, str] = {}
         self.poses = self.node.create_publisher(bridge.pose_type, bridge.pose_topic, bridge.publishes)
         self.wrenches = self.node.create_subscription(
             bridge.wrench_type, bridge.wrench_topic, self._on_wrench, bridge.subscribes
         )
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
     def connected(self) -> bool:
         """Both ways; DDS matches only what has the same type and a QoS that fits."""
@@ -106,35 +90,12 @@ class StandIn:
         message = PoseStamped()
         message.header.frame_id = self.bridge.frame_id
         if valid:
-            message.header.stamp = self.node.get_clock().now().to_msg()
+            message.header.stamp = self.stamp()
         pose, turn = message.pose, self.bridge.orientation.as_quat()
         pose.position.x, pose.position.y, pose.position.z = map(float, position)
         pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, turn)
         self.poses.publish(message)
 
-    def set_parameter(self, name: str, value: object) -> None:
-        """Change a parameter of the node."""
-        client = self.node.create_client(SetParameters, "/tissue_sim/set_parameters")
-        assert client.wait_for_service(10.0)
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        future = client.call_async(request)
-        assert self.spin_until(future.done, 10.0)
-        assert future.result().results[0].successful
-
-    def spin(self, seconds: float) -> None:
-        self.spin_until(lambda: False, seconds)
-
-    def spin_until(self, done: Callable[[], bool], timeout: float) -> bool:
-        end = time.monotonic() + timeout
-        while not done() and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.004)
-        return done()
-
     def _on_wrench(self, message: object) -> None:
         self.messages.append(message)
         self.forces.append(self.bridge.force(message, self.bridge.orientation))
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == "tissue_sim: physics":
-                self.diagnostics = {item.key: item.value for item in status.values}

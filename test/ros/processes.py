@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,6 +73,15 @@ def start_node(
     if wait:
         process.wait_for(READY)
     return process
+
+
+@contextmanager
+def running_node(folder: Path, *parameters: str, **environment: str) -> Iterator[Process]:
+    """A node that ticks; at the end it has to go without an error."""
+    process = start_node(folder, *parameters, **environment)
+    yield process
+    assert process.stop() == 0, process.text()
+    assert "Traceback" not in process.text()
 
 
 def start_publisher(folder: Path, *, depth: float, seconds: float, hold: bool = False) -> Process:

@@ -11,7 +11,7 @@ import rclpy
 from client import Client
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from processes import poke_path, press_until_felt, shipped, start_node, start_publisher
+from processes import poke_path, press_until_felt, running_node, shipped, start_publisher
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.rosbag2 import Reader, Writer
 
@@ -31,10 +31,8 @@ AWAY = (1.0, 0.0, 0.0)  # m, far from the organ
 def node(tmp_path_factory):
     """A node whose small loads move a local region."""
     folder = tmp_path_factory.mktemp("lifecycle")
-    process = start_node(folder, "local_region:=frozen", f"record_folder:={folder / 'bags'}")
-    yield process
-    assert process.stop() == 0, process.text()
-    assert "Traceback" not in process.text()
+    with running_node(folder, "local_region:=frozen", f"record_folder:={folder / 'bags'}") as process:
+        yield process
 
 
 @pytest.fixture
@@ -43,20 +41,6 @@ def client(node):
     assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics, 20.0)
     yield client
     client.close()
-
-
-@pytest.fixture
-def start():
-    """start_node, for nodes that end with the test at the latest, whatever comes of it."""
-    started = []
-
-    def one(*words, **named):
-        started.append(start_node(*words, **named))
-        return started[-1]
-
-    yield one
-    for process in started:
-        process.child.kill()
 
 
 def counter(client, name):

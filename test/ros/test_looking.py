@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from client import LATCHED, Client
-from processes import poke_path, shipped, start_node, start_publisher
+from processes import poke_path, running_node, shipped, start_publisher
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
@@ -27,10 +27,8 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
-    process = start_node(tmp_path_factory.mktemp("node"))
-    yield process
-    assert process.stop() == 0, process.text()
-    assert "Traceback" not in process.text()
+    with running_node(tmp_path_factory.mktemp("node")) as process:
+        yield process
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 from client import Client
-from processes import Process, poke_path, shipped, start_node, start_publisher
+from processes import Process, poke_path, running_node, shipped, start_node, start_publisher
 from rosbags.rosbag2 import Reader
 from visualization_msgs.msg import Marker
 
@@ -17,10 +17,8 @@ from tissue_sim.cli import main
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
-    process = start_node(folder, "marker_rate:=30.0", f"record_folder:={folder / 'bags'}")
-    yield process
-    assert process.stop() == 0, process.text()
-    assert "Traceback" not in process.text()
+    with running_node(folder, "marker_rate:=30.0", f"record_folder:={folder / 'bags'}") as process:
+        yield process
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 import rclpy
 from client import Client
 from geometry_msgs.msg import PoseStamped
+from participant import Participant
 from processes import Process, shipped, start_node
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
@@ -60,28 +61,18 @@ def graph():
 
 
 def test_a_held_tool_publishes_until_it_is_released(graph):
-    context = rclpy.Context()
-    context.init()
-    listener = rclpy.create_node("listener", context=context)
-    executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    executor.add_node(listener)
+    listener = Participant("listener")
     heard = []
-
-    def hear(seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            executor.spin_once(timeout_sec=0.01)
-
-    listener.create_subscription(
+    listener.node.create_subscription(
         PoseStamped, "left/measured_cp", lambda m: heard.append((time.monotonic(), m)), qos_profile_sensor_data
     )
     tool = HeldTool(graph, "left")
     assert not tool.held
     tool.take(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.0, 0.8]), "theatre")
-    hear(0.7)
+    listener.spin(0.7)
     tool.goal = np.array([0.2, 0.2, 0.3])
     del heard[:-1]
-    hear(1.0)
+    listener.spin(1.0)
     assert len(heard) > 100, "poses a second"
     assert tool.rivals() == 0
     message = heard[-1][1]
@@ -92,20 +83,14 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     assert (np.diff(stamps) > 0.0).all()
     assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
     assert 0.15 < x[-1] <= 0.2002
-    other = listener.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
-    end = time.monotonic() + 5.0
-    while tool.rivals() == 0 and time.monotonic() < end:
-        hear(0.05)
-    assert tool.rivals() == 1
+    listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
+    assert listener.spin_until(lambda: tool.rivals() == 1, 5.0)
     tool.release()
-    hear(0.1)
+    listener.spin(0.1)
     heard.clear()
-    hear(0.3)
+    listener.spin(0.3)
     assert not heard
-    listener.destroy_publisher(other)
-    executor.shutdown()
-    listener.destroy_node()
-    context.try_shutdown()
+    listener.close()
 
 
 # the page --------------------------------------------------------------------------------------

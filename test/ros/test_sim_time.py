@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from client import Client
-from processes import poke_path, press_until_felt, shipped, start_node
+from processes import poke_path, press_until_felt, running_node, shipped
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
@@ -39,10 +39,9 @@ class Simulator:
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
-    process = start_node(tmp_path_factory.mktemp("sim_time"), "use_sim_time:=true", "tools:=[left]", "marker_rate:=5.0")
-    yield process
-    assert process.stop() == 0, process.text()
-    assert "Traceback" not in process.text()
+    parameters = ("use_sim_time:=true", "tools:=[left]", "marker_rate:=5.0")
+    with running_node(tmp_path_factory.mktemp("sim_time"), *parameters) as process:
+        yield process
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,13 @@
 import os
 import time
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
 from client import LATCHED, Client
 from geometry_msgs.msg import Pose, PoseStamped, TransformStamped, Wrench, WrenchStamped
 from nav_msgs.msg import Odometry
-from processes import poke_path, shipped, start_node
+from processes import poke_path, running_node, shipped
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -74,7 +73,7 @@ class Tools(Client):
 
     def send(self, tool: str, place: np.ndarray, turn: Rotation, frame: str = "") -> None:
         """Publish a pose in a tool's own frame."""
-        stamp = self.stamp(None)
+        stamp = self.stamp()
         pose = Pose()
         pose.position.x, pose.position.y, pose.position.z = map(float, place)
         rotation = pose.orientation
@@ -98,10 +97,14 @@ class Tools(Client):
         self.poses[tool].publish(message)
 
     def press(self, tool: str, to_device, turn: Rotation, frame: str = "", force=None) -> np.ndarray:
-        """Press with a tool from outside to DEPTH; to_device takes m in the organ's frame to the device's own."""
+        """Press with a tool from outside to DEPTH, into an organ that rests; the mean of the last ten wrenches, (6,).
+
+        to_device takes m in the organ's frame to the device's own.
+        """
+        self.reset()
         touch, inward = poke_path(shipped())
         start, held = time.monotonic(), 0
-        while (held < 40 or not np.any(self.felt[tool][-1:])) and time.monotonic() < start + 8.0:
+        while (held < 120 or not np.any(self.felt[tool][-1:])) and time.monotonic() < start + 8.0:
             depth = -0.008 + (DEPTH + 0.008) * min(1.0, max(0.0, time.monotonic() - start - 0.2))
             self.send(tool, to_device(touch + depth * inward), turn, frame)
             if force is not None:
@@ -119,11 +122,8 @@ class Tools(Client):
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("types")
     path = os.pathsep.join(filter(None, [str(Path(__file__).with_name("fake_tf")), os.environ.get("PYTHONPATH")]))
-    with mock.patch.dict(os.environ, PYTHONPATH=path):
-        process = start_node(folder, *PARAMETERS, f"record_folder:={folder}")
-    yield process
-    assert process.stop() == 0, process.text()
-    assert "Traceback" not in process.text()
+    with running_node(folder, *PARAMETERS, f"record_folder:={folder}", PYTHONPATH=path) as process:
+        yield process
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import importlib.util
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.report import aligned, emit
+from tissue_sim.bench.report import Bound, aligned, bound_lines, emit
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.model.realtime import now, sleep_until
@@ -28,8 +28,9 @@ from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 if TYPE_CHECKING:
-    from tissue_sim.ros.latency_probe import Probe, Trip
+    from tissue_sim.ros.latency_probe import Trip
 
+NODE = "tissue_sim"
 TURN = 5.0  # s that each of them is measured for before the next one's turn
 RATE = 1000.0  # Hz, of ticks and poses
 START_TIME = 240.0  # s for the node to be there, with kernels to compile
@@ -64,11 +65,13 @@ def measure(organ_file: str | None, seconds: float) -> dict[str, Any]:
     """
     if importlib.util.find_spec("rclpy") is None:
         raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
-    from tissue_sim.ros.latency_probe import together
+    from tissue_sim.ros.client import client_node
+    from tissue_sim.ros.latency_probe import Probe, together
 
-    organ = Organ.load(organ_file or shipped_organ())
-    with children(organ_file or str(shipped_organ())) as probe_of:
-        probe = probe_of(organ)
+    path = organ_file or str(shipped_organ())
+    organ = Organ.load(path)
+    with children(path), client_node("latency_probe", NODE) as own:
+        probe = Probe(own, NODE, organ, RATE)
         probe.meet()
         turns = max(1, round(seconds / TURN))
         node, echo, ticks, late = [], [], [], []
@@ -107,39 +110,29 @@ def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
 
 
 @contextmanager
-def children(organ_file: str) -> Iterator[Callable[[Organ], Probe]]:
-    """The node, the echo and a listener in a ROS graph of their own, and a probe that talks to them."""
+def children(organ_file: str) -> Iterator[None]:
+    """The node, the echo and a listener in a ROS graph of their own."""
     from tissue_sim.ros.children import Child, stop_all
-    from tissue_sim.ros.dds import use_shipped_profile
     from tissue_sim.ros.demo import free_domain
-    from tissue_sim.ros.latency_probe import RADIUS, Probe
+    from tissue_sim.ros.latency_probe import RADIUS
 
     os.environ |= {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    use_shipped_profile()
     python = [sys.executable, "-m"]
     parameters = [f"organ_file:={organ_file}", f"rate:={RATE}", "marker_rate:=60.0", f"left.radius:={RADIUS}"]
     words = [word for parameter in parameters for word in ("-p", parameter)]
     started = [
         Child("tissue_node", [*python, "tissue_sim.ros.node", "--ros-args", *words], os.environ),
         Child("echo", [*python, "tissue_sim.ros.echo"], os.environ),
-        Child("listener", [*python, "tissue_sim.ros.echo", "/tissue_sim/markers"], os.environ),
+        Child("listener", [*python, "tissue_sim.ros.echo", f"/{NODE}/markers"], os.environ),
     ]
-    probes: list[Probe] = []
-
-    def probe_of(organ: Organ) -> Probe:
-        probes.append(Probe(organ, RATE))
-        return probes[-1]
-
     try:
         end = time.monotonic() + START_TIME
         while not any("surface nodes" in line for line in (*started[0].output, *started[0].errors)):
             if started[0].exit_code is not None or time.monotonic() > end:
                 raise UserError(f"the node did not start: {started[0].last_words()}")
             time.sleep(0.1)
-        yield probe_of
+        yield
     finally:
-        for probe in probes:
-            probe.close()
         stop_all(started)
 
 
@@ -163,14 +156,10 @@ def as_json(
         "round_trips": trips,
         "late": {"node_percent": shares[0], "bare_percent": shares[1], "ticks": sum(ticks), "busy_us": busy},
         "bounds": [
-            _bound("round trip of the node, p99", trips["node"]["p99_us"], limits[0], "us"),
-            _bound("ticks late by more than a period", shares[0], limits[1], "%"),
+            Bound("round trip of the node, p99", trips["node"]["p99_us"], limits[0], "us").as_json(),
+            Bound("ticks late by more than a period", shares[0], limits[1], "%").as_json(),
         ],
     }
-
-
-def _bound(name: str, value: float, limit: float, unit: str) -> dict[str, Any]:
-    return {"name": name, "value": value, "limit": limit, "unit": unit, "met": bool(value <= limit)}
 
 
 def text(found: dict[str, Any]) -> str:
@@ -179,11 +168,6 @@ def text(found: dict[str, Any]) -> str:
     for name, trip in found["round_trips"].items():
         rows.append([name, *(f"{trip[key]:.0f}" for key in ("p50_us", "p99_us", "p99_9_us", "trips", "lost"))])
     late = found["late"]
-    bounds = [["bound", "measured", "limit", ""]]
-    for bound in found["bounds"]:
-        unit = bound["unit"]
-        verdict = "ok" if bound["met"] else "missed"
-        bounds.append([bound["name"], f"{bound['value']:.4g} {unit}", f"<= {bound['limit']:.4g} {unit}", verdict])
     lines = [
         f"{found['seconds']:g} s each in turns; a tool in contact, poses at {found['rate_hz']:g} Hz, one subscriber of"
         " markers at 60 Hz",
@@ -192,6 +176,6 @@ def text(found: dict[str, Any]) -> str:
         f"ticks late by more than a period: node {late['node_percent']:.2f} %, a bare loop as busy"
         f" ({late['busy_us']:.0f} us) {late['bare_percent']:.2f} %",
         "",
-        *aligned(bounds),
+        *bound_lines(found["bounds"]),
     ]
     return "\n".join(lines)

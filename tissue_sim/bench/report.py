@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tissue_sim.bench.timing import NOISY
 from tissue_sim.errors import UserError
@@ -29,6 +29,38 @@ def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
     remarks = [table[0][-1], "", *(row[-1] for row in table[1:])]
     width = max(len(line) for line in lines)
     return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
+
+
+class Bound(NamedTuple):
+    """A bound's name, the figure held against it (None: not measured), its limit, its unit; least: a lower limit."""
+
+    name: str
+    value: float | None
+    limit: float
+    unit: str
+    least: bool = False
+
+    @property
+    def met(self) -> bool | None:
+        """True or False; None when the figure is missing."""
+        if self.value is None:
+            return None
+        return bool(self.value >= self.limit if self.least else self.value <= self.limit)
+
+    def as_json(self) -> dict[str, Any]:
+        """Its fields, and whether it is met."""
+        return self._asdict() | {"met": self.met}
+
+
+def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Lines of a table of bounds, as Bound.as_json has them."""
+    table = [["bound", "measured", "limit", ""]]
+    for bound in bounds:
+        sign = ">=" if bound["least"] else "<="
+        value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
+        verdict = {True: "ok", False: "missed", None: "not measured"}[bound["met"]]
+        table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
+    return with_remarks(table)
 
 
 def figure(value: float) -> str:

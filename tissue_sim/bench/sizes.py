@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.spatial import cKDTree
 
+from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.topology import assemble_like, node_area
 from tissue_sim.store import remembered
@@ -69,18 +70,15 @@ def sized(organ: Organ, reference: Organ) -> Sized:
 
 def interpolation(source: Organ, target: Organ) -> csr_array:
     """Values at the target's surface nodes of values at the source's, (m, n): barycentric at the nearest place."""
-    import trimesh
-
     triangles, points = source.surface_triangles, target.surface_positions
     corner = source.surface_positions[triangles]
     count = min(_CANDIDATES, len(triangles))
     near = cKDTree(corner.mean(axis=1)).query(points, k=count)[1].reshape(len(points), count)
-    places = trimesh.triangles.closest_point(corner[near].reshape(-1, 3, 3), np.repeat(points, count, axis=0))
-    places = places.reshape(len(points), count, 3)
+    weights, distance = nearest_weights(corner[near].reshape(-1, 3, 3), np.repeat(points, count, axis=0))
     rows = np.arange(len(points))
-    best = np.linalg.norm(places - points[:, None], axis=2).argmin(axis=1)
+    best = distance.reshape(len(points), count).argmin(axis=1)
     chosen = near[rows, best]
-    weight = np.clip(trimesh.triangles.points_to_barycentric(corner[chosen], places[rows, best]), 0.0, 1.0)
+    weight = np.clip(weights.reshape(len(points), count, 3)[rows, best], 0.0, 1.0)
     weight /= weight.sum(axis=1, keepdims=True)
     return coo_array(
         (weight.ravel(), (np.repeat(rows, 3), triangles[chosen].ravel())),

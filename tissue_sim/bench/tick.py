@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from tissue_sim.bench import growth
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.report import aligned, emit, figure, noise_lines, told, with_remarks
+from tissue_sim.bench.report import Bound, aligned, bound_lines, emit, figure, noise_lines, told, with_remarks
 from tissue_sim.bench.rows import (
     ASLEEP,
     C_PLAIN,
@@ -43,23 +43,6 @@ class Row(NamedTuple):
     name: str
     timing: Timing | None
     remark: str
-
-
-class Bound(NamedTuple):
-    """A bound, the figure it is about (None: not measured), its limit, its unit; least: a lower limit."""
-
-    name: str
-    value: float | None
-    limit: float
-    unit: str
-    least: bool = False
-
-    @property
-    def met(self) -> bool | None:
-        """True or False; None when the figure is missing."""
-        if self.value is None:
-            return None
-        return self.value >= self.limit if self.least else self.value <= self.limit
 
 
 class Measured(NamedTuple):
@@ -186,7 +169,7 @@ def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[
         ],
         "growth": growth.as_json(measured.grown),
         "first_start_s": {name: start._asdict() for name, start in starts.items()},
-        "bounds": [bound._asdict() | {"met": bound.met} for bound in bounds(measured, starts)],
+        "bounds": [bound.as_json() for bound in bounds(measured, starts)],
     }
 
 
@@ -220,13 +203,7 @@ def text(found: dict[str, Any]) -> str:
                 f"a new process with its kernels {what} took {wall:.1f} s to its first tick by the clock on the wall"
             )
     lines.append("")
-    table = [["bound", "measured", "limit", ""]]
-    for bound in found["bounds"]:
-        sign = ">=" if bound["least"] else "<="
-        value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
-        verdict = {True: "ok", False: "missed", None: "not measured"}[bound["met"]]
-        table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
-    lines += with_remarks(table)
+    lines += bound_lines(found["bounds"])
     return "\n".join(lines + noise_lines(found["noise"]))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -87,7 +88,8 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
             return pool.submit(function, *arguments).result()
     except BrokenProcessPool:
         raise UserError("the process that measures was ended from outside; was there enough memory?") from None
@@ -97,6 +99,18 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def end_with_parent() -> None:
+    """Let this child process end when its parent is gone, however that ended: it would go on measuring for nobody."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 # the clock ---------------------------------------------------------------------------------------

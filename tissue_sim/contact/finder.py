@@ -8,11 +8,10 @@ from typing import Any
 
 import fcl
 import numpy as np
-import trimesh
 
 from tissue_sim.contact.broad_phase import holds_node, nearest_node, points_near, surface_box, triangles_in_box
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
-from tissue_sim.contact.triangles import closest_points
+from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.inputs import take_contacts
 from tissue_sim.model.shapes import rotation_matrix
 from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs, State
@@ -275,19 +274,3 @@ def edge_and_face_points(divisions: float) -> Floats:
     m = min(max(1, math.ceil(divisions)), MOST_DIVISIONS)
     lattice = [(i / m, j / m, (m - i - j) / m) for i in range(m + 1) for j in range(m + 1 - i)]
     return np.array([weights for weights in lattice if max(weights) < 1.0]).reshape(-1, 3)
-
-
-def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Nearest point of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m.
-
-    Returns the barycentric weights (k, 3) and the distances (k,) m.
-    """
-    nearest = closest_points(corners, points)
-    weights = trimesh.triangles.points_to_barycentric(corners, nearest)
-    # A triangle without area has no such weights: its nearest corner stands for it.
-    flat = ~np.all(np.isfinite(weights), axis=1)
-    if np.any(flat):
-        corner = np.argmin(np.linalg.norm(corners[flat] - points[flat, None], axis=2), axis=1)
-        weights[flat] = np.eye(3)[corner]
-        nearest[flat] = corners[flat, corner]
-    return weights, np.linalg.norm(nearest - points, axis=1)

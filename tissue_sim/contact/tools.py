@@ -39,6 +39,11 @@ class Tool:
     length: float = 0.05
     mesh: str = ""
 
+    @property
+    def n_bodies(self) -> int:
+        """Rigid bodies that it is made of: the two jaws of a gripper, or one."""
+        return 2 if self.shape == "gripper" else 1
+
 
 class ToolSet:
     """The tools of a scene in every form that is needed, body by body: a gripper has two, other tools one.
@@ -73,7 +78,7 @@ class ToolSet:
     def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
         """Poses (b, 7) of a tool's bodies at a pose (7,), m and a unit quaternion xyzw; angle rad of a gripper."""
         chosen = self.tools[tool]
-        if chosen.shape != "gripper":
+        if chosen.n_bodies == 1:
             return pose[None]
         return jaw_poses(pose, angle, 0.0 if chosen.mesh else chosen.radius, chosen.length)
 
@@ -104,7 +109,7 @@ def _bodies(tool: Tool) -> list[_Body]:
         return [_mesh_body(tool)]
     if tool.shape == "gripper" and tool.mesh:
         _check_length(tool)
-        return [_mesh_body(tool)] * 2
+        return [_mesh_body(tool)] * tool.n_bodies
     if not 5e-4 <= tool.radius <= 0.5:
         raise UserError(f"tool '{tool.name}': radius {tool.radius:g} m is outside 0.0005..0.5")
     if tool.shape == "sphere":
@@ -112,7 +117,7 @@ def _bodies(tool: Tool) -> list[_Body]:
     _check_length(tool)
     ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -tool.length]])
     capsule = _Body(CAPSULE, (tool.radius, tool.length), ends, tool.radius)
-    return [capsule, capsule] if tool.shape == "gripper" else [capsule]
+    return [capsule] * tool.n_bodies
 
 
 def _check_length(tool: Tool) -> None:

@@ -162,11 +162,10 @@ def reset_state(model: Any, state: Any) -> None:
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
     forget_region(state)
-    for tool in range(len(state.tool_pose)):
-        for c in range(7):
-            state.tool_goal[tool, c] = 1.0 if c == 6 else 0.0
-        copy(state.tool_goal[tool], state.hand_pose[tool])
-        copy(state.tool_goal[tool], state.tool_pose[tool])
+    state.tool_goal[:] = 0.0
+    state.tool_goal[:, 6] = 1.0
+    copy(state.tool_goal, state.hand_pose)
+    copy(state.tool_goal, state.tool_pose)
     state.tool_force[:] = 0.0
     state.wrench[:] = 0.0
     state.felt[:] = 0.0

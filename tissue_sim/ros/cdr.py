@@ -28,16 +28,8 @@ def parse_stamped(raw: bytes, n_values: int) -> Stamped:
 
     Raises ValueError when it is cut short or of another encoding.
     """
-    if len(raw) < 16 or raw[1] != 1:
-        raise ValueError("no little-endian CDR message")
-    seconds, nanoseconds, length = struct.unpack_from("<iII", raw, CDR_HEADER)
-    start = CDR_HEADER + 12
-    end = start + length
-    body = CDR_HEADER + (end - CDR_HEADER + 7) // 8 * 8
-    if body + 8 * n_values > len(raw):
-        raise ValueError("the message is cut short")
-    frame_id = raw[start : end - 1].decode(errors="replace")
-    return Stamped(seconds * 1_000_000_000 + nanoseconds, frame_id, struct.unpack_from(f"<{n_values}d", raw, body))
+    stamp, frame_id, end = _header(raw)
+    return Stamped(stamp, frame_id, _doubles(raw, end, n_values))
 
 
 def parse_plain(raw: bytes, n_values: int) -> Stamped:
@@ -45,11 +37,8 @@ def parse_plain(raw: bytes, n_values: int) -> Stamped:
 
     Raises ValueError when it is cut short or of another encoding.
     """
-    if len(raw) < CDR_HEADER or raw[1] != 1:
-        raise ValueError("no little-endian CDR message")
-    if CDR_HEADER + 8 * n_values > len(raw):
-        raise ValueError("the message is cut short")
-    return Stamped(UNSTAMPED, "", struct.unpack_from(f"<{n_values}d", raw, CDR_HEADER))
+    _check_encoding(raw, CDR_HEADER)
+    return Stamped(UNSTAMPED, "", _doubles(raw, CDR_HEADER, n_values))
 
 
 def parse_moving(raw: bytes, n_values: int) -> Stamped:
@@ -58,20 +47,37 @@ def parse_moving(raw: bytes, n_values: int) -> Stamped:
 
     Raises ValueError when it is cut short or of another encoding.
     """
-    if len(raw) < 16 or raw[1] != 1:
+    stamp, frame_id, end = _header(raw)
+    child = _aligned(end, 4)
+    if child + 4 > len(raw):
+        raise ValueError("the message is cut short")
+    return Stamped(stamp, frame_id, _doubles(raw, child + 4 + struct.unpack_from("<I", raw, child)[0], n_values))
+
+
+def _check_encoding(raw: bytes, least: int) -> None:
+    if len(raw) < least or raw[1] != 1:
         raise ValueError("no little-endian CDR message")
+
+
+def _header(raw: bytes) -> tuple[int, str, int]:
+    """Stamp, ns, and frame of a message's header, and where it ends."""
+    _check_encoding(raw, CDR_HEADER + 12)
     seconds, nanoseconds, length = struct.unpack_from("<iII", raw, CDR_HEADER)
     start = CDR_HEADER + 12
     end = start + length
-    child = CDR_HEADER + (end - CDR_HEADER + 3) // 4 * 4
-    if child + 4 > len(raw):
+    return seconds * 1_000_000_000 + nanoseconds, raw[start : end - 1].decode(errors="replace"), end
+
+
+def _aligned(at: int, size: int) -> int:
+    """Where a value of so many bytes lies that comes next."""
+    return CDR_HEADER + (at - CDR_HEADER + size - 1) // size * size
+
+
+def _doubles(raw: bytes, at: int, count: int) -> tuple[float, ...]:
+    body = _aligned(at, 8)
+    if body + 8 * count > len(raw):
         raise ValueError("the message is cut short")
-    after = child + 4 + struct.unpack_from("<I", raw, child)[0]
-    body = CDR_HEADER + (after - CDR_HEADER + 7) // 8 * 8
-    if body + 8 * n_values > len(raw):
-        raise ValueError("the message is cut short")
-    frame_id = raw[start : end - 1].decode(errors="replace")
-    return Stamped(seconds * 1_000_000_000 + nanoseconds, frame_id, struct.unpack_from(f"<{n_values}d", raw, body))
+    return struct.unpack_from(f"<{count}d", raw, body)
 
 
 def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:

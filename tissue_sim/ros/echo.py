@@ -7,39 +7,28 @@ from __future__ import annotations
 
 import sys
 
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.experimental import EventsExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
-from tissue_sim.ros.client import Stop
-from tissue_sim.ros.dds import use_shipped_profile
+from tissue_sim.ros.client import Stop, client_node, stream_qos
 
 IN, OUT = "echo/measured_cp", "echo/servo_cf"
-READY = "ready"
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def main(markers: str = "") -> None:
     """Run until SIGINT or SIGTERM; markers: the topic to listen to instead of echoing."""
     sys.setswitchinterval(0.0005)  # as in the node
-    use_shipped_profile()
-    with Stop() as stop:
-        rclpy.init(args=[])
-        node = rclpy.create_node("listener" if markers else "echo", start_parameter_services=False)
+    with Stop() as stop, client_node("listener" if markers else "echo", "") as node:
         if markers:
             node.create_subscription(MarkerArray, markers, lambda _: None, 1, raw=True)
         else:
-            publisher = node.create_publisher(PoseStamped, OUT, NEWEST)
-            node.create_subscription(PoseStamped, IN, publisher.publish, NEWEST, raw=True)
+            publisher = node.create_publisher(PoseStamped, OUT, stream_qos())
+            node.create_subscription(PoseStamped, IN, publisher.publish, stream_qos(), raw=True)
         executor = EventsExecutor()
         executor.add_node(node)
-        print(READY, flush=True)
         while not stop:
             executor.spin_once(timeout_sec=0.1)
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

@@ -6,15 +6,15 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.experimental import EventsExecutor
-from rclpy.signals import SignalHandlerOptions
+from rclpy.node import Node
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Floats, Organ
-from tissue_sim.ros.echo import IN, NEWEST, OUT
+from tissue_sim.ros import client
+from tissue_sim.ros.echo import IN, OUT
 
 PATIENCE = 0.05  # s for an answer, after which it counts as lost
 RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: the tool, how deep it is, by how much it moves
@@ -38,19 +38,20 @@ def together(trips: list[Trip]) -> Trip:
 
 
 class Probe:
-    """Sends poses at a rate in Hz, each when the last was answered, and takes the times."""
+    """Sends poses at a rate in Hz from a node of its own, each when the last was answered, and takes the times.
 
-    def __init__(self, organ: Organ, rate: float) -> None:
-        self._period = 1.0 / rate
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("latency_probe", start_parameter_services=False)
+    target: the node that is measured, whose tool `left` meets the organ.
+    """
+
+    def __init__(self, node: Node, target: str, organ: Organ, rate: float) -> None:
+        self._node, self._target, self._period = node, target, 1.0 / rate
         self._answered, self._answer_clock = 0, 0.0
         self._report: dict[str, str] = {}
-        node = self._node
-        self._to_node = node.create_publisher(PoseStamped, "left/measured_cp", NEWEST)
-        self._to_echo = node.create_publisher(PoseStamped, IN, NEWEST)
-        node.create_subscription(WrenchStamped, "left/servo_cf", self._on_answer, NEWEST, raw=True)
-        node.create_subscription(PoseStamped, OUT, self._on_answer, NEWEST, raw=True)
+        newest = client.stream_qos()
+        self._to_node = node.create_publisher(PoseStamped, "left/measured_cp", newest)
+        self._to_echo = node.create_publisher(PoseStamped, IN, newest)
+        node.create_subscription(WrenchStamped, "left/servo_cf", self._on_answer, newest, raw=True)
+        node.create_subscription(PoseStamped, OUT, self._on_answer, newest, raw=True)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 10)
         self._executor = EventsExecutor()
         self._executor.add_node(node)
@@ -59,12 +60,6 @@ class Probe:
         points = organ.surface_positions
         self._way = np.array([-1.0, 0.0, 0.0])
         self._touch = points[np.argmax(points[:, 0])] - RADIUS * self._way
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
 
     def meet(self) -> None:
         """Wait until everybody hears everybody."""
@@ -134,6 +129,4 @@ class Probe:
         self._answered += 1
 
     def _on_report(self, message: Any) -> None:
-        for status in message.status:
-            if status.name == "tissue_sim: physics":
-                self._report = {item.key: item.value for item in status.values}
+        self._report = client.physics_status([message], self._target) or self._report

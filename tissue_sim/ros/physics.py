@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.contact.finder import ContactSet
 from tissue_sim.jit import handle
+from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
@@ -30,7 +31,7 @@ class Physics:
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.box = rt.make_mailboxes(simulation.buffer)
+        self.box = mb.make_mailboxes(simulation.buffer)
         self._box = handle(self.box)
         self.n_tools = len(simulation.shapes.kind)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
@@ -58,14 +59,14 @@ class Physics:
     def start(self) -> None:
         """Start the loop; returns when it runs (compiling takes a while)."""
         self._thread.start()
-        while self.box.control[rt.STARTED] == 0 and self._thread.is_alive():
+        while self.box.control[mb.STARTED] == 0 and self._thread.is_alive():
             time.sleep(0.01)
 
     def stop(self) -> None:
         """End the loop after the running tick."""
-        self.box.control[rt.STOP] = 1
+        self.box.control[mb.STOP] = 1
         self._ring()
-        if self._thread.is_alive() and self.box.control[rt.STARTED]:  # one that still compiles can't be stopped
+        if self._thread.is_alive() and self.box.control[mb.STARTED]:  # one that still compiles can't be stopped
             self._thread.join(timeout=0.5)
 
     @property
@@ -77,7 +78,7 @@ class Physics:
     def post_pose(self, tool: int, pose: Floats) -> int:
         """The newest pose (7,) of a tool; returns its sequence number."""
         sequence = int(self.box.pose_sequence[tool]) + 1
-        self.box.pose[sequence % rt.IN_SLOTS, tool] = pose
+        self.box.pose[sequence % mb.IN_SLOTS, tool] = pose
         self.box.pose_sequence[tool] = sequence
         self._wake()
         return sequence
@@ -85,7 +86,7 @@ class Physics:
     def post_force(self, tool: int, force: Floats) -> int:
         """The newest external force (3,) N at a tool's tip; returns its sequence number."""
         sequence = int(self.box.force_sequence[tool]) + 1
-        self.box.force[sequence % rt.IN_SLOTS, tool] = force
+        self.box.force[sequence % mb.IN_SLOTS, tool] = force
         self.box.force_sequence[tool] = sequence
         self._wake()
         return sequence
@@ -94,7 +95,7 @@ class Physics:
         """The newest contact set; returns its sequence number."""
         box = self.box
         sequence = int(box.contact_sequence[0]) + 1
-        slot, entries = sequence % rt.IN_SLOTS, len(found.tool)
+        slot, entries = sequence % mb.IN_SLOTS, len(found.tool)
         box.contact_entries[slot] = entries
         box.contact_tool[slot, :entries] = found.tool
         box.contact_node[slot, :entries] = found.node
@@ -110,43 +111,43 @@ class Physics:
         """New settings (N_SETTINGS,); returns their sequence number."""
         with self._settings_lock:
             sequence = int(self.box.settings_sequence[0]) + 1
-            self.box.settings[sequence % rt.IN_SLOTS] = settings
+            self.box.settings[sequence % mb.IN_SLOTS] = settings
             self.box.settings_sequence[0] = sequence
             return sequence
 
     def settings(self) -> Floats:
         """The newest settings, a copy."""
-        return self.box.settings[int(self.box.settings_sequence[0]) % rt.IN_SLOTS].copy()
+        return self.box.settings[int(self.box.settings_sequence[0]) % mb.IN_SLOTS].copy()
 
     def reset(self) -> None:
         """Back to the rest shape before the next tick."""
-        self.box.control[rt.RESETS] += 1
+        self.box.control[mb.RESETS] += 1
         self._wake()
 
     def follow_posted_time(self, follow: bool) -> None:
         """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""
-        self.box.control[rt.SIM_TIME] = int(follow)
+        self.box.control[mb.SIM_TIME] = int(follow)
         self._ring()
 
     def post_time(self, nanoseconds: int) -> None:
         """The newest time of /clock: ticks up to it are due."""
-        self.box.control[rt.POSTED_TIME] = nanoseconds
+        self.box.control[mb.POSTED_TIME] = nanoseconds
         self._ring()
 
     def _wake(self) -> None:
-        if self.box.control[rt.NAPPING]:
+        if self.box.control[mb.NAPPING]:
             self._ring()
 
     # out ---------------------------------------------------------------------------------------
     @property
     def standing(self) -> bool:
         """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
-        return bool(self.box.control[rt.STANDING])
+        return bool(self.box.control[mb.STANDING])
 
     @property
     def resets(self) -> int:
         """How often it was asked to go back to the rest shape."""
-        return int(self.box.control[rt.RESETS])
+        return int(self.box.control[mb.RESETS])
 
     @property
     def tick_time(self) -> float:
@@ -162,25 +163,25 @@ class Physics:
             return -1, np.zeros((self.n_tools, 6))
         while True:
             sequence = int(self.box.out_sequence[0])
-            slot = sequence % rt.OUT_SLOTS
+            slot = sequence % mb.OUT_SLOTS
             wrench, tick = self.box.out_wrench[slot].copy(), int(self.box.out_count[slot, st.TICK])
-            if int(self.box.out_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
+            if int(self.box.out_sequence[0]) - sequence < mb.OUT_SLOTS - 1:
                 return tick, wrench
 
     def counts(self) -> tuple[Longs, Longs]:
         """Newest counters (N_COUNT,) and tool counters (T, N_TOOL_COUNT); copies."""
         while True:
             sequence = int(self.box.out_sequence[0])
-            slot = sequence % rt.OUT_SLOTS
+            slot = sequence % mb.OUT_SLOTS
             count, tools = self.box.out_count[slot].copy(), self.box.out_tool_count[slot].copy()
-            if int(self.box.out_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
+            if int(self.box.out_sequence[0]) - sequence < mb.OUT_SLOTS - 1:
                 return count, tools
 
     @property
     def surface_sequence(self) -> int:
         """Raised whenever the positions moved."""
         control = self.box.control
-        return int(control[rt.LOOP_TICKS] if control[rt.ON_DEMAND] else self.box.surface_sequence[0])
+        return int(control[mb.LOOP_TICKS] if control[mb.ON_DEMAND] else self.box.surface_sequence[0])
 
     def positions(self, out: Floats, timeout: float = 0.02) -> int:
         """Copy the newest positions into out (n, 3) m; returns their tick.
@@ -189,18 +190,18 @@ class Physics:
         they are the last ones that it did.
         """
         control = self.box.control
-        if control[rt.ON_DEMAND]:
-            asked = int(control[rt.SURFACE_ASKED]) + 1
-            control[rt.SURFACE_ASKED] = asked
+        if control[mb.ON_DEMAND]:
+            asked = int(control[mb.SURFACE_ASKED]) + 1
+            control[mb.SURFACE_ASKED] = asked
             deadline = time.monotonic() + timeout
-            while control[rt.SURFACE_DONE] < asked and time.monotonic() < deadline and self.alive:
+            while control[mb.SURFACE_DONE] < asked and time.monotonic() < deadline and self.alive:
                 time.sleep(2e-4)
         while True:
             sequence = int(self.box.surface_sequence[0])
-            slot = sequence % rt.OUT_SLOTS
+            slot = sequence % mb.OUT_SLOTS
             np.copyto(out, self.box.surface[slot])
             tick = int(self.box.surface_tick[slot])
-            if int(self.box.surface_sequence[0]) - sequence < rt.OUT_SLOTS - 1:
+            if int(self.box.surface_sequence[0]) - sequence < mb.OUT_SLOTS - 1:
                 return tick
 
     # For colours: read beside the running loop, so that a tick may write in between. Nothing else may rest on them.
@@ -217,7 +218,7 @@ class Physics:
         impulse = np.sqrt(pressed[touching] ** 2 + np.einsum("ij,ij->i", held[touching], held[touching]))
         shares = state.contact_weight[touching] * impulse[:, None]
         np.add.at(forces, state.contact_node[touching], shares)
-        return forces * (self.simulation.rate * max(int(count[st.SUBSTEPS]), 1))
+        return forces * (max(int(count[st.SUBSTEPS]), 1) / self.tick_time)
 
     def moving(self) -> BoolArray:
         """Which nodes the last tick integrated, (n,)."""
@@ -234,18 +235,18 @@ class Physics:
         Raises TimeoutError when the loop doesn't answer.
         """
         box = self.box
-        box.control[rt.SNAPSHOT_ASKED] += 1
+        box.control[mb.SNAPSHOT_ASKED] += 1
         end = time.monotonic() + timeout
-        while box.control[rt.SNAPSHOT_DONE] != box.control[rt.SNAPSHOT_ASKED]:
+        while box.control[mb.SNAPSHOT_DONE] != box.control[mb.SNAPSHOT_ASKED]:
             if time.monotonic() > end:
                 raise TimeoutError("the physics loop gave no snapshot")
             time.sleep(0.0005)
         return box.snapshot_floats.copy(), box.snapshot_integers.copy()
 
     def journal(self) -> Longs:
-        """Journal rows since the last call, (k, columns); ROW_* of model.realtime name the columns."""
+        """Journal rows since the last call, (k, columns); ROW_* of model.mailboxes name the columns."""
         written = int(self.box.journal_written[0])
-        first = max(self._journal_read, written - rt.JOURNAL_ROWS + 64)
-        rows = self.box.journal[np.arange(first, written) % rt.JOURNAL_ROWS].copy()
+        first = max(self._journal_read, written - mb.JOURNAL_ROWS + 64)
+        rows = self.box.journal[np.arange(first, written) % mb.JOURNAL_ROWS].copy()
         self._journal_read = written
         return rows

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.triangles import closest_point
+
+from tissue_sim.contact.triangles import closest_points
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,7 +37,7 @@ class Surface:
         to_centre = np.linalg.norm(self._centres - point, axis=1)
         # No triangle is farther than its farthest corner, nor nearer than its centre less its reach.
         near = to_centre - self._reach <= (to_centre + self._reach).min()
-        found = closest_point(self._corners[near], np.broadcast_to(point, (int(near.sum()), 3)))
+        found = closest_points(self._corners[near], np.broadcast_to(point, (int(near.sum()), 3)))
         distance = np.linalg.norm(found - point, axis=1)
         best = int(distance.argmin())
         return float(distance[best]), found[best]

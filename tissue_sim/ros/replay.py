@@ -93,9 +93,7 @@ class Recording:
             raise UserError(f"bag {path} has format {config['format']}, this package reads up to {bag.FORMAT}")
         if not data("state"):
             raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
-        parameters = config["parameters"]
-        bodies = sum(2 if parameters[f"{tool}.shape"] == "gripper" else 1 for tool in config["tools"])
-        width = bag.row_width(bodies)
+        width = bag.row_width(sum(tool.n_bodies for tool in _tools(config)))
         rows = [np.asarray(values).reshape(-1, width) for values in data("journal")]
         sets = [bag.unpack(values) for values in data("contact_set")]
         recording = cls(
@@ -165,10 +163,9 @@ def replay(recording: Recording, organ: Organ | None = None) -> Result:
 
 class _Player:
     def __init__(self, recording: Recording, organ: Organ) -> None:
-        parameters, names = recording.config["parameters"], recording.config["tools"]
+        parameters = recording.config["parameters"]
         self.recording = recording
-        keys = ("shape", "radius", "length", "mesh")
-        self.tools = ToolSet([Tool(name, **{key: parameters[f"{name}.{key}"] for key in keys}) for name in names])
+        self.tools = ToolSet(_tools(recording.config))
         self.simulation = Simulation(
             organ,
             parameters["model"],
@@ -193,7 +190,7 @@ class _Player:
         self.needed = {int(row[2]) for row in sets}  # ticks whose surface a contact set was found from
         self.kept: dict[int, Floats] = {}
         self.wrench_at: dict[int, list[tuple[int, int]]] = defaultdict(list)  # tick -> tool, index
-        seen = [0] * len(names)
+        seen = [0] * len(self.tools.tools)
         for _, tool, tick in journal[kind == bag.Row.WRENCH, :3]:
             self.wrench_at[int(tick)].append((int(tool), seen[tool]))
             seen[tool] += 1
@@ -304,6 +301,12 @@ class _Player:
                 poses[body] = self._input(self.poses[body], number, "pose")
         margins = np.array([1e-3 * row[5 + 2 * body] for body in bodies])
         return self.finder.find(self.kept[int(row[1])], poses, margins, engaged, pushing)
+
+
+def _tools(config: dict[str, Any]) -> list[Tool]:
+    """The tools of a bag's configuration."""
+    parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")
+    return [Tool(name, **{key: parameters[f"{name}.{key}"] for key in keys}) for name in config["tools"]]
 
 
 def _recorded_organ(recording: Recording) -> Organ:

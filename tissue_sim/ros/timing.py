@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.model import realtime as rt
+from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import state as st
 from tissue_sim.model.state import Floats
 
@@ -48,17 +48,17 @@ class Timing:
 class TimingReader:
     """Looks at a loop's mailboxes now and then; each reader has its own last look."""
 
-    def __init__(self, box: rt.Mailboxes) -> None:
+    def __init__(self, box: mb.Mailboxes) -> None:
         self._box = box
         self._last = self._look()
 
     def read(self) -> Timing:
         """Timing since the last call."""
         control, last = self._box.control, self._last
-        due, napping = int(control[rt.DUE]), int(control[rt.NAPPING])
+        due, napping = int(control[mb.DUE]), int(control[mb.NAPPING])
         new = self._last = self._look()
-        first = max(last.ticks, new.ticks - rt.TIMING_ROWS + 64)
-        rows: Floats = self._box.timing[np.arange(first, new.ticks) % rt.TIMING_ROWS] / 1e9
+        first = max(last.ticks, new.ticks - mb.TIMING_ROWS + 64)
+        rows: Floats = self._box.timing[np.arange(first, new.ticks) % mb.TIMING_ROWS] / 1e9
         behind = float(rows[:, 0].max(initial=0.0))
         # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
         if due and not new.posted and not napping:
@@ -80,20 +80,20 @@ class TimingReader:
 
     def _look(self) -> _Counters:
         control = self._box.control
-        posted = int(control[rt.SIM_TIME])
+        posted = int(control[mb.SIM_TIME])
         return _Counters(
             wall=time.monotonic(),
             posted=posted,
-            clock=int(control[rt.POSTED_TIME]) if posted else time.monotonic_ns(),
-            ticks=int(control[rt.LOOP_TICKS]),
-            simulated=int(control[rt.SIMULATED]),
-            overruns=int(control[rt.OVERRUNS]),
-            dropped=int(control[rt.DROPPED]),
+            clock=int(control[mb.POSTED_TIME]) if posted else time.monotonic_ns(),
+            ticks=int(control[mb.LOOP_TICKS]),
+            simulated=int(control[mb.SIMULATED]),
+            overruns=int(control[mb.OVERRUNS]),
+            dropped=int(control[mb.DROPPED]),
         )
 
     def _tick_time(self) -> float:
         """s, of the newest settings."""
-        return float(self._box.settings[int(self._box.settings_sequence[0]) % rt.IN_SLOTS, st.TICK_TIME])
+        return float(self._box.settings[int(self._box.settings_sequence[0]) % mb.IN_SLOTS, st.TICK_TIME])
 
 
 @dataclass(frozen=True)

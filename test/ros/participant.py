@@ -1,0 +1,68 @@
+"""What every client of a test has: a ROS context, a node and an executor of its own, in the test's process."""
+
+import time
+from collections.abc import Callable
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+
+from tissue_sim.ros.client import newest_status
+
+
+class Participant:
+    """A node that a test spins by hand, and what it hears of the node `target` on /diagnostics."""
+
+    def __init__(self, name: str, namespace: str = "", target: str = "tissue_sim") -> None:
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node = rclpy.create_node(name, namespace=namespace, context=self.context)
+        self.target = f"{namespace}/{target}"  # the full name
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.diagnostics: dict[str, str] = {}
+        self.level = b""
+        self.message = ""
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        self.spin_until(lambda: False, seconds)
+
+    def spin_until(self, done: Callable[[], bool], timeout: float) -> bool:
+        end = time.monotonic() + timeout
+        while not done() and (left := end - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=min(left, 0.01))
+        return done()
+
+    def call(self, kind: type, name: str, request: object) -> object:
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(10.0), f"no service {name}"
+        future = client.call_async(request)
+        assert self.spin_until(future.done, 10.0), f"no answer from {name}"
+        self.node.destroy_client(client)
+        return future.result()
+
+    def set_parameter(self, name: str, value: object) -> SetParametersResult:
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return self.call(SetParameters, f"{self.target}/set_parameters", request).results[0]
+
+    def stamp(self, seconds: float | None = None) -> Time:
+        """A time in s as messages have it; now when none is given."""
+        if seconds is None:
+            return self.node.get_clock().now().to_msg()
+        return rclpy.time.Time(nanoseconds=int(1e9 * seconds)).to_msg()
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        status = newest_status([message], self.target)
+        if status is not None:
+            self.diagnostics = {item.key: item.value for item in status.values}
+            self.level, self.message = status.level, status.message
