@@ -35,6 +35,7 @@ class Ending:
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
         for number in SIGNALS:
             signal.signal(number, self._on_signal)
+        sys.unraisablehook = _silent_when_interrupted
         threading.Thread(target=self._watch, args=(read,), name="ending", daemon=True).start()
 
     def started(self) -> None:
@@ -64,6 +65,12 @@ class Ending:
             _leave(0, "ended while starting")
         time.sleep(GRACE)
         _leave(1, f"could not close in {GRACE:g} s")
+
+
+def _silent_when_interrupted(unraisable: Any) -> None:
+    """Interrupted is lost in a callback from C, as the compiler has them; the process ends all the same."""
+    if not isinstance(unraisable.exc_value, Interrupted):
+        sys.__unraisablehook__(unraisable)
 
 
 def _leave(code: int, line: str) -> None:
