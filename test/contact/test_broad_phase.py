@@ -4,7 +4,15 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.contact.broad_phase import add_normals, holds_node, nearest_node, surface_box, triangles_in_box
+from tissue_sim.contact.broad_phase import (
+    add_normals,
+    body_box,
+    boxes_meet,
+    holds_node,
+    nearest_node,
+    surface_box,
+    triangles_in_box,
+)
 from tissue_sim.contact.tools import Tool, ToolSet
 
 from ..scenes import kidney
@@ -24,13 +32,24 @@ def test_box_is_that_of_the_surface_and_not_of_other_nodes():
 
 
 def test_triangles_in_a_box_are_those_whose_boxes_meet_it():
-    found = np.zeros(len(ORGAN.surface_triangles), dtype=np.int64)
+    found = np.zeros((len(ORGAN.surface_triangles), 3), dtype=np.int64)
+    rest = POSITION + np.random.default_rng(3).normal(0.0, 0.001, POSITION.shape)
     corners = POSITION[ORGAN.surface_triangles]
     for centre in np.random.default_rng(0).uniform(*np.array([POSITION.min(axis=0), POSITION.max(axis=0)]), (40, 3)):
         low, high = centre - [0.005, 0.01, 0.002], centre + [0.005, 0.01, 0.002]
-        count = triangles_in_box(POSITION, ORGAN.surface_triangles, low, high, found)
+        count, moved = triangles_in_box(POSITION, rest, ORGAN.surface_triangles, low, high, found)
         meets = np.all((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low), axis=1)
-        np.testing.assert_array_equal(found[:count], np.flatnonzero(meets))
+        np.testing.assert_array_equal(found[:count], ORGAN.surface_triangles[meets])
+        nodes = found[:count].ravel()
+        assert moved == np.abs(POSITION - rest)[nodes].max(initial=0.0)
+
+
+def test_boxes_meet_unless_they_lie_apart_along_an_axis():
+    low, high = np.zeros(3), np.ones(3)
+    for axis in range(3):
+        for shift in (-1.001, -0.999, 0.999, 1.001):
+            way = shift * np.eye(3)[axis]
+            assert boxes_meet(low, high, low + way, high + way) == (abs(shift) < 1.0)
 
 
 def test_nearest_node_is_the_nearest_surface_node():
@@ -58,7 +77,8 @@ def test_tool_holds_a_node_when_one_lies_inside_it():
         Rotation.random(60, rng=0), np.random.default_rng(2).uniform(-0.06, 0.06, (60, 3)), strict=True
     ):
         origin = POSITION[:N].mean(axis=0) + point
-        low, high = tools.box(0, turn.as_matrix(), origin, 0.0)
+        low, high = np.zeros(3), np.zeros(3)
+        body_box(tools.corners[0], tools.padding[0], turn.as_matrix().ravel(), origin, low, high)
         local = turn.inv().apply(POSITION[:N] - origin)
         axis = np.zeros_like(local)
         axis[:, 2] = np.clip(local[:, 2], -0.03, 0.0)

@@ -21,9 +21,34 @@ def surface_box(position: Any, n_surface: int, low: Any, high: Any) -> None:
 
 
 @kernel
-def triangles_in_box(position: Any, triangles: Any, low: Any, high: Any, found: Any) -> int:
-    """Write the triangles (t, 3) whose box meets the box low, high (3,); returns how many."""
-    count = 0
+def body_box(corners: Any, padding: float, rotation: Any, origin: Any, low: Any, high: Any) -> None:
+    """Axis-aligned box low (3,), high (3,) of a body's corners (k, 3), turned by rotation (9,), grown by padding, m."""
+    for c in range(3):
+        low[c], high[c] = math.inf, -math.inf
+    for k in range(len(corners)):
+        for c in range(3):
+            x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
+            at = rotation[3 * c] * x + rotation[3 * c + 1] * y + rotation[3 * c + 2] * z + origin[c]
+            low[c] = min(low[c], at - padding)
+            high[c] = max(high[c], at + padding)
+
+
+@kernel
+def boxes_meet(low: Any, high: Any, other_low: Any, other_high: Any) -> bool:
+    """True when two boxes have a point in common."""
+    apart = False
+    for c in range(3):
+        apart = apart or low[c] > other_high[c] or high[c] < other_low[c]
+    return not apart
+
+
+@kernel
+def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: Any, found: Any) -> tuple[int, float]:
+    """Write the triangles (t, 3) whose box meets the box low, high (3,).
+
+    Returns how many, and how far, m along an axis, the farthest of their nodes lies from rest (n, 3).
+    """
+    count, moved = 0, 0.0
     for t in range(len(triangles)):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         apart = False
@@ -31,9 +56,12 @@ def triangles_in_box(position: Any, triangles: Any, low: Any, high: Any, found: 
             a, b, d = position[i, c], position[j, c], position[k, c]
             apart = apart or min(a, b, d) > high[c] or max(a, b, d) < low[c]
         if not apart:
-            found[count] = t
+            for c in range(3):
+                found[count, c] = triangles[t, c]
+                for axis in range(3):
+                    moved = max(moved, abs(position[found[count, c], axis] - rest[found[count, c], axis]))
             count += 1
-    return count
+    return count, moved
 
 
 @kernel
@@ -49,6 +77,8 @@ def points_near(
     reach: float,
     normal: Any,
     seen: Any,
+    count: int,
+    found_body: Any,
     found_node: Any,
     found_weight: Any,
     found_normal: Any,
@@ -56,14 +86,15 @@ def points_near(
     """Points of triangles near (t, 3) that lie within reach, m, of a body at origin (3,), rotation (9,).
 
     Corners, and the points of a lattice, weights (k, 3); edge (k,): which corner is opposite to the edge that a point
-    is on, -1 for none. Writes nodes (c, 3), weights (c, 3) and unit normals (c, 3) of the tissue as far as there is
-    room; returns how many there are. normal (n, 3) and seen (n,) are room, zero outside this function.
+    is on, -1 for none. After the first `count` of them writes the body (c,), nodes (c, 3), weights (c, 3) and unit
+    normals (c, 3) of the tissue as far as there is room; returns how many there are now. normal (n, 3) and seen (n,)
+    are room, zero outside this function.
     """
     for t in range(len(near)):
         for c in range(3):
-            normal[near[t, c]] = 0.0
+            for axis in range(3):
+                normal[near[t, c], axis] = 0.0
     add_normals(position, near, normal)
-    count = 0
     for t in range(len(near)):
         for c in range(3):
             node = near[t, c]
@@ -72,6 +103,7 @@ def points_near(
                 at = position[node]
                 if _is_within(shapes, body, origin, rotation, reach, at[0], at[1], at[2]):
                     if count < len(found_node):
+                        found_body[count] = body
                         for k in range(3):
                             found_node[count, k] = node
                             found_weight[count, k] = 1.0 if k == 0 else 0.0
@@ -89,6 +121,7 @@ def points_near(
             if not _is_within(shapes, body, origin, rotation, reach, x, y, z):
                 continue
             if count < len(found_node):
+                found_body[count] = body
                 for c in range(3):
                     found_node[count, c] = near[t, c]
                     found_weight[count, c] = lattice[point, c]

@@ -9,7 +9,15 @@ from typing import Any
 import fcl
 import numpy as np
 
-from tissue_sim.contact.broad_phase import holds_node, nearest_node, points_near, surface_box, triangles_in_box
+from tissue_sim.contact.broad_phase import (
+    body_box,
+    boxes_meet,
+    holds_node,
+    nearest_node,
+    points_near,
+    surface_box,
+    triangles_in_box,
+)
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.inputs import take_contacts
@@ -20,7 +28,7 @@ from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
-MOST_FOUND = 4 * MAX_ENTRIES  # points of one body
+MOST_FOUND = 4 * MAX_ENTRIES  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
 SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
@@ -66,7 +74,7 @@ class FinderCounters:
     narrow_phases: int = 0  # times that FCL was asked
 
 
-def _fcl_model(position: Floats, near: Ints) -> Any:
+def _fcl_model(position: Floats, near: Ints | Longs) -> Any:
     local, inverse = np.unique(near, return_inverse=True)
     model = fcl.BVHModel()
     model.beginModel(len(near), len(local))
@@ -86,12 +94,14 @@ class ContactFinder:
         self.n_surface = n_surface
         self.tools = tools
         self.counters = FinderCounters()
-        self._found = np.zeros(len(triangles), dtype=np.int64)
-        self._low, self._high = np.zeros(3), np.zeros(3)
-        self._matrix = np.zeros(9)
+        # Room for what a search finds.
+        self._found = np.zeros((len(triangles), 3), dtype=np.int64)
+        self._low, self._high = np.zeros(3), np.zeros(3)  # of the surface
+        self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
         self._normal, self._seen = np.zeros((n_surface, 3)), np.zeros(n_surface, dtype=np.int64)
-        self._node = np.zeros((MOST_FOUND, 3), dtype=np.int64)
-        self._weight, self._outward = np.zeros((MOST_FOUND, 3)), np.zeros((MOST_FOUND, 3))
+        most = MOST_FOUND * len(tools.grown)
+        self._body, self._node = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
+        self._weight, self._outward = np.zeros((most, 3)), np.zeros((most, 3))
         self._rest = np.array(rest)
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         corner = rest[self.triangles]
@@ -113,77 +123,61 @@ class ContactFinder:
         whose external force needs the surface point under the tip.
         """
         n_bodies = len(self.tools.grown)
-        found: list[tuple[Longs, Floats, Floats]] = []
-        owners: list[Longs] = []
         tip_node, tip_weight = np.full((n_bodies, 3), -1, dtype=np.int64), np.zeros((n_bodies, 3))
         self.counters.sets += 1
         surface_box(position, self.n_surface, self._low, self._high)
-        lost = 0
+        count = 0
         for body in range(n_bodies):
             if pushing[body]:
                 tip_node[body], tip_weight[body] = self._under_tip(position, poses[body, :3])
-            if not engaged[body]:
-                continue
-            rotation, origin = self._rotation(poses[body]), poses[body, :3]
-            reach = MARGIN + margins[body]
-            low, high = self.tools.box(body, rotation, origin, reach)
-            if np.any(low > self._high) or np.any(high < self._low):
-                self.counters.far_skips += 1
-                continue
-            count = triangles_in_box(position, self.triangles, low, high, self._found)
-            which = self._found[:count]
-            if not count or (margins[body] == 0.0 and not self._may_touch(body, position, which, rotation, origin)):
-                self.counters.far_skips += 1
-                continue
-            near = self.triangles[which]
-            shown = points_near(
-                position,
-                near,
-                self._lattices[body],
-                self._edges[body],
-                self.tools.shapes,
-                body,
-                origin,
-                rotation.ravel(),
-                reach,
-                self._normal,
-                self._seen,
-                self._node,
-                self._weight,
-                self._outward,
-            )
-            kept = min(shown, MOST_FOUND)
-            lost += shown - kept
-            found.append((self._node[:kept].copy(), self._weight[:kept].copy(), self._outward[:kept].copy()))
-            if self._is_fine[body] and count:
-                found.append(self._nearest_points(body, position, near, rotation, origin))
-            owners += [np.full(len(node), body, dtype=np.int64) for node, _, _ in found[len(owners) :]]
-        return self._as_set(position, poses, found, owners, tip_node, tip_weight, engaged, lost)
-
-    def _as_set(
-        self,
-        position: Floats,
-        poses: Floats,
-        found: list[tuple[Longs, Floats, Floats]],
-        owners: list[Longs],
-        tip_node: Longs,
-        tip_weight: Floats,
-        engaged: Longs,
-        lost: int,
-    ) -> ContactSet:
-        """The points of all bodies as one set, the farthest left out where there are too many."""
-        node = np.concatenate([*(one[0] for one in found), np.zeros((0, 3), dtype=np.int64)])
-        weight = np.concatenate([*(one[1] for one in found), np.zeros((0, 3))])
-        normal = np.concatenate([*(one[2] for one in found), np.zeros((0, 3))])
-        owner = np.concatenate([*owners, np.zeros(0, dtype=np.int64)])
-        dropped = max(0, len(node) - MAX_ENTRIES)
+            if engaged[body]:
+                count = self._add(body, position, poses[body], margins[body], count)
+        dropped = max(0, count - MAX_ENTRIES)
+        kept = min(count, len(self._body))
+        owner, node, weight, normal = self._body[:kept], self._node[:kept], self._weight[:kept], self._outward[:kept]
         if dropped:
             points = np.einsum("ij,ijk->ik", weight, position[node])
             distance = np.linalg.norm(points - poses[owner, :3], axis=1)
-            kept = np.sort(np.argsort(distance, kind="stable")[:MAX_ENTRIES])
-            node, weight, normal, owner = node[kept], weight[kept], normal[kept], owner[kept]
+            nearest = np.sort(np.argsort(distance, kind="stable")[:MAX_ENTRIES])
+            owner, node, weight, normal = owner[nearest], node[nearest], weight[nearest], normal[nearest]
         taken = np.array(engaged, dtype=np.int64)
-        return ContactSet(owner, node, weight, normal, tip_node, tip_weight, taken, dropped + lost)
+        return ContactSet(owner.copy(), node.copy(), weight.copy(), normal.copy(), tip_node, tip_weight, taken, dropped)
+
+    def _add(self, body: int, position: Floats, pose: Floats, margin: float, count: int) -> int:
+        """Points near a body, after the `count` that were found; returns how many there are now."""
+        origin, reach = pose[:3], MARGIN + margin
+        self._place(body, pose, reach)
+        near, moved = self._found[:0], 0.0
+        if boxes_meet(self._box_low, self._box_high, self._low, self._high):
+            some, moved = triangles_in_box(
+                position, self._rest, self.triangles, self._box_low, self._box_high, self._found
+            )
+            near = self._found[:some]
+        # FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
+        # near the body have moved by SLACK, it isn't asked.
+        is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
+        if not len(near) or (is_asked and not self._comes_near(body, origin)):
+            self.counters.far_skips += 1
+            return count
+        count = points_near(
+            position,
+            near,
+            self._lattices[body],
+            self._edges[body],
+            self.tools.shapes,
+            body,
+            origin,
+            self._matrix,
+            reach,
+            self._normal,
+            self._seen,
+            count,
+            self._body,
+            self._node,
+            self._weight,
+            self._outward,
+        )
+        return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count
 
     def warm_up(self, position: Floats) -> None:
         """Compile what a contact needs, so that the first one doesn't wait for it."""
@@ -197,54 +191,52 @@ class ContactFinder:
 
     def is_inside(self, body: int, position: Floats, pose: Floats) -> bool:
         """True when the centre of a body lies inside the organ, or a surface node inside the body."""
-        rotation = self._rotation(pose)
-        low, high = self.tools.box(body, rotation, pose[:3], 0.0)
-        if holds_node(position, self.n_surface, self.tools.shapes, body, pose[:3], rotation.ravel(), low, high):
+        self._place(body, pose, 0.0)
+        origin, low, high = pose[:3], self._box_low, self._box_high
+        if holds_node(position, self.n_surface, self.tools.shapes, body, origin, self._matrix, low, high):
             return True
-        centre = rotation @ self.tools.centre[body] + pose[:3]
+        centre = self._matrix.reshape(3, 3) @ self.tools.centre[body] + origin
         surface_box(position, self.n_surface, self._low, self._high)
         if np.any(centre < self._low) or np.any(centre > self._high):
             return False
         return bool(inside(centre[None], position, self.triangles)[0])
 
-    def _rotation(self, pose: Floats) -> Floats:
+    def _place(self, body: int, pose: Floats, margin: float) -> None:
+        """Write the rotation matrix of a body, and its box grown by a margin."""
         rotation_matrix(pose[3:], self._matrix)
-        return self._matrix.reshape(3, 3).copy()
+        padding = self.tools.padding[body] + margin
+        body_box(self.tools.corners[body], padding, self._matrix, pose[:3], self._box_low, self._box_high)
 
-    def _may_touch(self, body: int, position: Floats, near: Longs, rotation: Floats, origin: Floats) -> bool:
-        """FCL's word on whether a body comes within MARGIN of the surface; it may say so too often.
-
-        FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
-        near (t,) the body have moved by SLACK, it isn't asked.
-        """
-        nodes = self.triangles[near].ravel()
-        moved = np.abs(position[nodes] - self._rest[nodes]).max()  # along one axis
-        if moved >= SLACK / math.sqrt(3.0):
-            return True
+    def _comes_near(self, body: int, origin: Floats) -> bool:
+        """FCL's word on whether a body comes within MARGIN of the surface; it may say so too often."""
         self.counters.narrow_phases += 1
-        return bool(fcl.collide(self._model, self._placed(body, rotation, origin), _ANY, fcl.CollisionResult()))
+        return bool(fcl.collide(self._model, self._placed(body, origin), _ANY, fcl.CollisionResult()))
 
-    def _placed(self, body: int, rotation: Floats, origin: Floats) -> Any:
+    def _placed(self, body: int, origin: Floats) -> Any:
+        rotation = self._matrix.reshape(3, 3)
         at = fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body])
         return fcl.CollisionObject(self.tools.grown[body], at)
 
-    def _nearest_points(
-        self, body: int, position: Floats, near: Ints, rotation: Floats, origin: Floats
-    ) -> tuple[Longs, Floats, Floats]:
-        """Where FCL finds each triangle nearest to a body too fine for a lattice.
+    def _add_nearest(self, body: int, position: Floats, near: Longs, origin: Floats, count: int) -> int:
+        """Where FCL finds each triangle nearest to a body too fine for a lattice, added to the points found.
 
         The points of a lattice stay where they are on the tissue; the nearest one wanders, and each step of it may be
         felt. But a needle would slip between those of the lattice.
         """
         result = fcl.CollisionResult()
-        fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, rotation, origin), _ALL, result)
+        fcl.collide(fcl.CollisionObject(_fcl_model(position, near)), self._placed(body, origin), _ALL, result)
         where = {contact.b1: np.asarray(contact.pos) for contact in result.contacts if 0 <= contact.b1 < len(near)}
         touched = sorted(where)
-        corners = near[touched].astype(np.int64).reshape(-1, 3)
+        corners = near[touched].reshape(-1, 3)
         points = np.array([where[triangle] for triangle in touched]).reshape(-1, 3)
         weights = nearest_weights(position[corners], points)[0]
         normal = np.einsum("kc,kcx->kx", weights, self._normal[corners])
-        return corners, weights, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        room = slice(min(count, len(self._body)), min(count + len(touched), len(self._body)))
+        taken = room.stop - room.start
+        self._body[room], self._node[room] = body, corners[:taken]
+        self._weight[room], self._outward[room] = weights[:taken], normal[:taken]
+        return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
         node, _ = nearest_node(position, self.n_surface, tip[0], tip[1], tip[2])

@@ -82,12 +82,6 @@ class ToolSet:
             return pose[None]
         return jaw_poses(pose, angle, 0.0 if chosen.mesh else chosen.radius, chosen.length)
 
-    def box(self, body: int, rotation: Floats, origin: Floats, margin: float) -> tuple[Floats, Floats]:
-        """Corners (3,) m of a body's axis-aligned box, grown by a margin."""
-        points = self.corners[body] @ rotation.T + origin
-        grow = self.padding[body] + margin
-        return points.min(axis=0) - grow, points.max(axis=0) + grow
-
 
 @dataclass(frozen=True)
 class _Body:
