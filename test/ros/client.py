@@ -32,7 +32,12 @@ class Client(Participant):
         return self.call(Trigger, f"{self.target}/reset", Trigger.Request())
 
     def record(self, on: bool) -> SetBool.Response:
-        return self.call(SetBool, f"{self.target}/record", SetBool.Request(data=on))
+        name = f"{self.target}/record"
+        is_first = name not in self._clients
+        answer = self.call(SetBool, name, SetBool.Request(data=on))
+        if is_first and on and "already recording" in answer.message:  # the answer to the very first request was lost
+            answer.success = True
+        return answer
 
     def send_pose(
         self,

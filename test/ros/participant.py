@@ -8,6 +8,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
@@ -24,6 +25,7 @@ class Participant:
         self.target = f"{namespace}/{target}"  # the full name
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self._clients: dict[str, Client] = {}  # of services, by their names
         self.diagnostics: dict[str, str] = {}
         self.level = b""
         self.message = ""
@@ -44,12 +46,16 @@ class Participant:
         return done()
 
     def call(self, kind: type, name: str, request: object) -> object:
-        client = self.node.create_client(kind, name)
-        assert client.wait_for_service(10.0), f"no service {name}"
-        future = client.call_async(request)
-        assert self.spin_until(future.done, 10.0), f"no answer from {name}"
-        self.node.destroy_client(client)
-        return future.result()
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+            assert self._clients[name].wait_for_service(10.0), f"no service {name}"
+        # A server drops the answer to a client that it has not wholly found yet, which the client can't know: the
+        # first request may have to be sent again.
+        for _ in range(4):
+            future = self._clients[name].call_async(request)
+            if self.spin_until(future.done, 4.0):
+                return future.result()
+        raise AssertionError(f"no answer from {name}")
 
     def set_parameter(self, name: str, value: object) -> SetParametersResult:
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])

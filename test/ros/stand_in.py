@@ -20,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh, MeshTriangle
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -66,6 +67,7 @@ def main() -> None:
     )
     surface = node.create_publisher(PointCloud2, "~/surface", STREAM)
     skeleton = node.create_publisher(PointCloud2, "~/skeleton", STREAM)
+    tools = node.create_publisher(MarkerArray, "~/tools", STREAM)
     report = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     recording = ""
     if args.record_folder:
@@ -111,6 +113,18 @@ def main() -> None:
         skeleton.publish(
             cloud(np.stack([0 * atoms, 0 * atoms, atoms, 0 * atoms + 0.01, np.arange(-1, len(atoms) - 1)], axis=1))
         )
+
+        markers = []
+        for tool in force:
+            place = places.get(tool, Point())
+            action = Marker.ADD if tool in places else Marker.DELETE
+            sphere = Marker(ns=tool, type=Marker.SPHERE, action=action)
+            sphere.scale.x = sphere.scale.y = sphere.scale.z = 0.01
+            sphere.pose.position = place
+            end = Point(x=place.x, y=place.y - 0.03 * force[tool], z=place.z)
+            felt = Marker.ADD if force[tool] else Marker.DELETE
+            markers += [sphere, Marker(ns=tool, id=1, type=Marker.ARROW, action=felt, points=[place, end])]
+        tools.publish(MarkerArray(markers=markers))
 
     def tell():
         values = {

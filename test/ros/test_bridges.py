@@ -56,7 +56,7 @@ def test_a_bridge_feels_the_kidney(name, tmp_path):
         pushed = np.array(stand_in.forces[-10:]).mean(axis=0)
         assert 0.03 < np.linalg.norm(pushed) < 3.0, stand_in.diagnostics
         assert pushed @ -inward > 0.9 * np.linalg.norm(pushed)
-        stand_in.set_parameter("stale_time", 0.05)
+        assert stand_in.set_parameter("stale_time", 0.05).successful
         cisst = name != "forcedimension_ros2"
         end = time.monotonic() + 5.0
         while stand_in.forces[-1].any() and time.monotonic() < end:

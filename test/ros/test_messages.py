@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.ros.cdr import UNSTAMPED, parse_plain, parse_stamped, unit_pose
-from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, NumbersTemplate, rest_mesh
+from tissue_sim.ros.messages import ARROW_LENGTH, CloudTemplate, MarkersTemplate, NumbersTemplate, rest_mesh
 from tissue_sim.ros.tool_messages import POSE_TYPES, ToolTopics
 
 FRAMES = ["", "o", "organ", "frames", "a_rather_long_frame/of_an_arm"]
@@ -132,7 +132,7 @@ def test_markers_template_shows_the_positions_and_the_forces():
     assert np.array_equal(bones[:, 1], atoms[:-1])
     assert (left.action, right.action) == (Marker.ADD, Marker.DELETE)
     tip = left.points[1]
-    assert (tip.x, tip.y, tip.z) == pytest.approx((0.1, 0.2, 0.3 + 2.0 * MarkersTemplate.ARROW_LENGTH))
+    assert (tip.x, tip.y, tip.z) == pytest.approx((0.1, 0.2, 0.3 + 2.0 * ARROW_LENGTH))
     assert all(marker.header.stamp.sec == 3 for marker in read.markers)
     gone = deserialize_message(template.deletion(), MarkerArray)
     assert all(marker.action == Marker.DELETE for marker in gone.markers)

@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Float64MultiArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.cli import main
 from tissue_sim.ros.tool_messages import POSE_TYPES
@@ -103,14 +104,20 @@ class Tools(Client):
         """
         self.reset()
         touch, inward = poke_path(shipped())
-        start, held = time.monotonic(), 0
-        while (held < 120 or not np.any(self.felt[tool][-1:])) and time.monotonic() < start + 8.0:
+        start, arrived = time.monotonic(), 0  # s, and how many wrenches had come when the tool was deep enough
+
+        def is_settled() -> bool:
+            newest = np.array([np.linalg.norm(felt[:3]) for felt in self.felt[tool][-20:]])
+            return arrived > 0 and len(self.felt[tool]) > arrived + 40 and bool(np.ptp(newest) < 0.01 * newest.mean())
+
+        while not is_settled() and time.monotonic() < start + 20.0:
             depth = -0.008 + (DEPTH + 0.008) * min(1.0, max(0.0, time.monotonic() - start - 0.2))
             self.send(tool, to_device(touch + depth * inward), turn, frame)
             if force is not None:
                 self.forces.publish(force)
             self.spin(0.004)
-            held += depth > DEPTH - 1e-9
+            if depth > DEPTH - 1e-9 and not arrived:
+                arrived = max(1, len(self.felt[tool]))
         felt = np.array(self.felt[tool][-10:]).mean(axis=0)
         for depth in np.linspace(DEPTH, -0.05, 10):  # gone before the next tool comes
             self.send(tool, to_device(touch + depth * inward), turn, frame)
@@ -190,6 +197,28 @@ def test_transform_in_and_array_out_along_the_tools_own_axes(bag):
     assert values[6] == 0.0
     assert is_outward(HELD.apply(values[:3]))
     assert abs(values[3:6]).max() > 1e-5, "the torque about the tip comes too"
+
+
+def test_tools_are_shown_in_the_organs_frame(tools):
+    """Whatever the bridge's frame: where the tool touches the organ."""
+    seen = []
+    tools.node.create_subscription(MarkerArray, "/tissue_sim/tools", seen.append, 10)
+    place, inward = poke_path(shipped())
+    place = place - 0.02 * inward
+
+    def is_there():
+        tools.send("plain", in_device(place), TURN.inv() * HELD)
+        return any(m.ns == "plain" and m.action == Marker.ADD for message in seen[-1:] for m in message.markers)
+
+    assert tools.spin_until(is_there, 5.0)
+    (ball,) = [m for m in seen[-1].markers if m.ns == "plain" and m.type == Marker.SPHERE]
+    assert ball.header.frame_id == "organ"
+    assert (ball.pose.position.x, ball.pose.position.y, ball.pose.position.z) == pytest.approx(place, abs=1e-9)
+    assert ball.scale.x == 0.01
+    assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led"}
+    # Nobody moves it any more.
+    gone = tools.spin_until(lambda: all(m.action == Marker.DELETE for m in seen[-1].markers), 5.0)
+    assert gone, "a tool that nobody moves is still shown"
 
 
 def test_odometry_with_motion_scaled(bag):

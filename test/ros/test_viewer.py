@@ -3,6 +3,7 @@
 import signal
 import socket
 import time
+import types
 import urllib.request
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from processes import Process
 from shape_msgs.msg import Mesh, MeshTriangle
 from stand_in import ball, cloud
 from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
 
 from tissue_sim.cli import main
 from tissue_sim.ros import client
@@ -117,6 +119,84 @@ def test_an_arrow_starts_at_the_tool_and_is_as_long_as_the_force():
     assert end - start == pytest.approx([0.0, -0.06, 0.0], abs=1e-6)
 
 
+def seen(kind, action=Marker.ADD, scale=(0.01, 0.01, 0.01), number=0, place=(0.0, 0.0, 0.0), points=()):
+    marker = Marker(ns="left", id=number, type=kind, action=action, points=[Point(x=x, y=y, z=z) for x, y, z in points])
+    marker.scale.x, marker.scale.y, marker.scale.z = scale
+    marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = place
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+class Drawn:
+    """A scene that keeps what is drawn."""
+
+    def __init__(self):
+        self.parts = {}
+
+    def __getattr__(self, kind):
+        def add(name, *_, **given):
+            self.parts[name] = Handle(kind=kind, **given)
+            return self.parts[name]
+
+        return add
+
+
+class Handle:
+    def __init__(self, **given):
+        self.dragged = self.removed = False
+        self.__dict__.update(given)
+
+    def on_drag(self, _):
+        self.dragged = True
+
+    def remove_drag_callback(self, _):
+        self.dragged = False
+
+    def remove(self):
+        self.removed = True
+
+
+@pytest.fixture
+def tool():
+    scene = Drawn()
+    return view_scene.ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
+
+
+def test_a_tool_looks_as_its_markers_say_and_shows_what_is_felt(tool):
+    view, parts = tool
+    shaft = seen(Marker.CYLINDER, scale=(0.006, 0.006, 0.04), number=1, place=(0.1, 0.2, 0.28))
+    blade = seen(Marker.TRIANGLE_LIST, number=2, points=[(0.0, 0.004, 0.002), (0.003, 0.0, -0.05), (0.0, 0.0, 0.009)])
+    push = seen(Marker.ARROW, number=3, points=[(0.1, 0.2, 0.3), (0.1, 0.2, 0.33)])
+    view.show([seen(Marker.SPHERE, place=(0.1, 0.2, 0.3)), shaft, blade, push])
+    assert [parts[f"/tools/left/{k}"].kind for k in range(3)] == ["add_icosphere", "add_cylinder", "add_mesh_simple"]
+    assert (parts["/tools/left/1"].radius, parts["/tools/left/1"].height) == (0.003, 0.04)
+    assert parts["/tools/left/1"].position == (0.1, 0.2, 0.28)
+    assert view.reach == pytest.approx(0.009)
+    assert view.force == pytest.approx(1.0)
+    assert parts["/forces/left"].points[0, 0] == pytest.approx([0.1, 0.2, 0.309])
+    assert parts["/forces/left/label"].text == "left 1.00 N"
+    still = seen(Marker.ARROW, action=Marker.DELETE, number=3, points=[(0.1, 0.2, 0.3)] * 2)
+    view.show([seen(Marker.SPHERE), still])
+    assert (view.force, parts["/forces/left"].visible) == (0.0, False)
+    gone = [seen(kind, action=Marker.DELETE, number=k) for k, kind in enumerate((Marker.SPHERE, Marker.CYLINDER))]
+    view.show([*gone, seen(Marker.TRIANGLE_LIST, Marker.DELETE, number=2, points=[(0.0, 0.0, 0.0)] * 3)])
+    assert view.force is None
+    assert not any(part.visible for part in parts.values())
+
+
+def test_a_tool_of_another_node_is_drawn_anew_and_can_still_be_dragged(tool):
+    view, parts = tool
+    view.show([seen(Marker.SPHERE)])
+    view.drag(print)
+    before = parts["/tools/left/0"]
+    assert before.dragged
+    view.show([seen(Marker.SPHERE, scale=(0.02, 0.02, 0.02))])
+    assert before.removed
+    assert parts["/tools/left/0"].dragged
+    view.drag(None)
+    assert not parts["/tools/left/0"].dragged
+
+
 def test_the_legend_names_every_band():
     legend = view_panel.legend_html()
     for level, colour in view_scene.BANDS:
@@ -202,7 +282,7 @@ def test_a_taken_port_is_one_line_and_exit_code_2(capfd):
     assert error == f"tissue_sim: error: port {port} of 127.0.0.1 is taken; choose another with --port\n"
 
 
-@pytest.mark.parametrize("words", [["--host", "no such host"], ["--port", "0"], ["--tool-radius", "5"]])
+@pytest.mark.parametrize("words", [["--host", "no such host"], ["--port", "0"], ["--tools", "left,left"]])
 def test_wrong_use_is_one_line_and_exit_code_2(words, capfd):
     try:
         code = main(["view", *words])

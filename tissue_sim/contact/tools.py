@@ -67,6 +67,7 @@ class ToolSet:
         self.padding = [body.size[0] for body in bodies]
         self.centre = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
         self.smallest = [body.smallest for body in bodies]  # m, radius of the finest thing about the body
+        self.meshes = [body.mesh for body in bodies]  # None for spheres and capsules
         self.shapes = make_shapes(
             [body.kind for body in bodies],
             [body.size for body in bodies],

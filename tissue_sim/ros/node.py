@@ -98,7 +98,9 @@ class TissueNode(Node):
             finder, self.physics, self.ports, lambda: self.recorder, self._woken, self.get_logger().warning
         )
         self.finder = finder
-        self.presenter = Presenter(self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder)
+        self.presenter = Presenter(
+            self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder, tools
+        )
         self.diagnostics = Diagnostics(self, self.organ.name)
         self.live = LiveSettings(
             self.simulation,
@@ -224,7 +226,7 @@ class TissueNode(Node):
     def _run_outlet(self) -> None:
         """Markers at their rate, fading wrenches at the tick rate, journal, diagnostics at 1 Hz."""
         next_marker = next_report = next_look = time.monotonic()
-        seen = -1
+        seen: tuple[int, ...] = ()
         self.contacts.rate = self.parameters["contact_rate"]
         while not self._stop.is_set():
             fading = [port.keep_publishing(SILENCE) for port in self.ports]
@@ -232,10 +234,11 @@ class TissueNode(Node):
             if now >= next_marker:
                 # Nothing moves in an organ that sleeps, but somebody may have come to look.
                 rate = self.live.marker_rate
-                rate = rate if self.physics.surface_sequence != seen else min(rate, IDLE_MARKER_RATE)
-                seen = self.physics.surface_sequence
+                seen_before, seen = seen, (self.physics.surface_sequence, *(port.poses for port in self.ports))
+                rate = rate if seen != seen_before else min(rate, IDLE_MARKER_RATE)
                 next_marker = max(next_marker + 1.0 / rate, now)
                 self.presenter.present(self.parameters["record_markers"], self.parameters["marker_colour"])
+                self.presenter.present_tools()
                 self.recorder.poll(self.physics)
             if now >= next_look:
                 next_look = max(next_look + degrade.LOOK_EVERY, now)

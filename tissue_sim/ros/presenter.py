@@ -14,15 +14,19 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
+from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.colours import FULL_DISPLACEMENT, FULL_FORCE, MOVING, shades
 from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, rest_mesh
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.tool_markers import ToolMarkers
 from tissue_sim.ros.tool_port import ToolPort
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+POSE_LASTS = 1.0  # s that a tool is shown without a new pose
 REPEAT_AFTER = 0.5  # s after which an organ that stands still is streamed again
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
@@ -38,6 +42,7 @@ class Presenter:
         physics: Physics,
         ports: Sequence[ToolPort],
         recorder: Callable[[], Recorder],
+        tools: ToolSet,
     ) -> None:
         self._organ, self._physics, self._ports, self._recorder = organ, physics, list(ports), recorder
         self._clock = node.get_clock()
@@ -45,6 +50,10 @@ class Presenter:
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, "~/surface", STREAM)
         self._skeleton = node.create_publisher(PointCloud2, "~/skeleton", STREAM)
+        self._tools = node.create_publisher(MarkerArray, "~/tools", NEWEST)
+        self._tool_bytes = ToolMarkers(frame_id, tools)
+        self._tools_shown: tuple[object, ...] = ()
+        self._tools_sent = -math.inf
         self._new_markers = partial(MarkersTemplate, frame_id, organ, len(ports))
         self._marker_bytes = self._new_markers()
         self._coloured_bytes: MarkersTemplate | None = None  # made when it is wanted: it takes a while
@@ -111,9 +120,26 @@ class Presenter:
                 self._sequence["bag"] = sequence
         self.published += 1
 
+    def present_tools(self) -> None:
+        """Publish where the tools are, if somebody looks and they have moved or feel something else."""
+        if self._tools.get_subscription_count() == 0:
+            return
+        now = time.monotonic()
+        newest = [port.newest for port in self._ports]
+        fresh = [now - port.pose_clock < POSE_LASTS for port in self._ports]
+        forces = np.array([port.felt()[1][:3] for port in self._ports]).reshape(-1, 3)
+        shown = (*(pose.sequence for pose in newest), *fresh, forces.tobytes())
+        if shown == self._tools_shown and now - self._tools_sent < REPEAT_AFTER:
+            return
+        self._tools_shown, self._tools_sent = shown, now
+        placed = [pose.placed if is_fresh else None for pose, is_fresh in zip(newest, fresh, strict=True)]
+        tips = np.array([pose.pose[:3] for pose in newest]).reshape(-1, 3)
+        self._tools.publish(self._tool_bytes.message(self._clock.now().nanoseconds, placed, tips, forces))
+
     def close(self) -> None:
         """Delete the markers in every viewer."""
         self._markers.publish(self._marker_bytes.deletion())
+        self._tools.publish(self._tool_bytes.deletion())
 
     def _moved(self, name: str, sequence: int) -> bool:
         return self._sequence.get(name) != sequence

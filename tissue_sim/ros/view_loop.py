@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import viser
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
+from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros import client
-from tissue_sim.ros.cdr import parse_stamped
 from tissue_sim.ros.services import Services
 from tissue_sim.ros.view_panel import Panel, headline
 from tissue_sim.ros.view_plot import ForcePlot
@@ -23,16 +22,12 @@ from tissue_sim.ros.view_poke import Poke
 from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, ToolView, camera_for, light
 
 SILENT_AFTER = 3.0  # s without diagnostics
-POSE_LASTS = 1.0  # s that a tool stays in the picture without a new pose
-FORCE_LASTS = 0.2  # s
 
 
 class Viewer:
     """Takes the newest of everything and draws what has changed; `update` is called for each picture."""
 
-    def __init__(
-        self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...], radius: float
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...]) -> None:
         self._server, self._target = server, target
         self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
         self._surface = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
@@ -40,15 +35,16 @@ class Viewer:
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._services = Services(target)
         self._panel = Panel(server)
-        views = [ToolView(server, name, i, radius) for i, name in enumerate(tools)]
-        self._pokes = [Poke(server, node, views[i], name, i, radius) for i, name in enumerate(tools)]
+        self._tool_markers = client.Inbox(node, MarkerArray, f"/{target}/tools", client.stream_qos())
+        self._tools = [ToolView(server, name, i) for i, name in enumerate(tools)]
+        self._pokes = [Poke(server, node, view, i) for i, view in enumerate(self._tools)]
+        self._tools_heard = -np.inf
         self._plot = ForcePlot(server, tools)
         self._organ: OrganView | None = None
         self._positions: Any = None  # not drawn yet
         self._points: Any = None  # where the surface was last
         self._frame_id = ""
         self._skeleton = SkeletonView(server)
-        self._tools = [_Tool(node, view, name) for view, name in zip(views, tools, strict=True)]
         self._values: dict[str, str] = {}
         self._headline = ""
         self._heard = -np.inf
@@ -82,11 +78,10 @@ class Viewer:
                 self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
             if self._organ is not None:
                 self._organ.set_opacity(self._panel.opacity.value)
-            for tool in self._tools:
-                tool.update(now)
+            self._take_tools(now)
             for poke in self._pokes:
                 poke.update(now, watchers, self._points, self._frame_id)
-            self._plot.update(now, {tool.name: tool.felt(now) for tool in self._tools}, watched)
+            self._plot.update(now, {tool.name: tool.force for tool in self._tools}, watched)
         return watched
 
     def close(self) -> None:
@@ -107,6 +102,17 @@ class Viewer:
         for watcher in self._server.get_clients().values():
             watcher.camera.position, watcher.camera.look_at = position, centre
 
+    def _take_tools(self, now: float) -> None:
+        message = self._tool_markers.take()
+        if message is None:
+            if now - self._tools_heard > SILENT_AFTER:
+                for view in self._tools:
+                    view.hide()
+            return
+        self._tools_heard = now
+        for view in self._tools:
+            view.show([marker for marker in message.markers if marker.ns == view.name])
+
     def _take_report(self) -> None:
         status = client.newest_status(self._reports.take_all(), self._target)
         now = time.monotonic()
@@ -125,41 +131,3 @@ class Viewer:
             watcher.add_notification(
                 "Done" if good else "Not done", text, color="green" if good else "red", auto_close_seconds=6.0
             )
-
-
-class _Tool:
-    """A tool's newest pose and wrench, and its place in the picture."""
-
-    def __init__(self, node: Node, view: ToolView, name: str) -> None:
-        self._view, self.name = view, name
-        self._poses = client.Inbox(node, PoseStamped, f"{name}/measured_cp", client.stream_qos(), raw=True)
-        self._wrenches = client.Inbox(node, WrenchStamped, f"{name}/servo_cf", client.stream_qos(), raw=True)
-        self._position: Any = None
-        self._force: Any = None
-        self._posed = self._felt = -np.inf
-
-    def update(self, now: float) -> None:
-        pose, wrench = _vector(self._poses.take(), 7), _vector(self._wrenches.take(), 6)
-        if pose is not None:
-            self._position, self._posed = pose, now
-        if wrench is not None:
-            self._force, self._felt = wrench, now
-        self._view.show(
-            self._position if now - self._posed < POSE_LASTS else None,
-            self._force if now - self._felt < FORCE_LASTS else None,
-        )
-
-    def felt(self, now: float) -> float | None:
-        """N that the hand felt lately."""
-        return float(np.linalg.norm(self._force)) if now - self._felt < FORCE_LASTS else None
-
-
-def _vector(raw: bytes | None, n_values: int) -> Any:
-    """First three values of a stamped message, or None when there is none, or none that can be drawn."""
-    if raw is None:
-        return None
-    try:
-        values = np.array(parse_stamped(raw, n_values).values[:3])
-    except ValueError:
-        return None
-    return values if np.isfinite(values).all() else None

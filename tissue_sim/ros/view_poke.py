@@ -48,11 +48,9 @@ def pointing(inward: Floats) -> Floats:
 class Poke:
     """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses."""
 
-    def __init__(
-        self, server: viser.ViserServer, node: Node, view: ToolView, name: str, index: int, radius: float
-    ) -> None:
-        self._server, self._view, self._name, self._index, self._radius = server, view, name, index, radius
-        self._tool = HeldTool(node, name)
+    def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int) -> None:
+        self._server, self._view, self._name, self._index = server, view, view.name, index
+        self._tool = HeldTool(node, self._name)
         self._holder: int | None = None
         self._gizmo: Any = None
         self._offset = np.zeros(3)  # m, from where the mouse grabbed the tool to its goal
@@ -61,7 +59,7 @@ class Poke:
         self._next_look = -np.inf
         gui = server.gui
         self._box: Any = gui.add_checkbox(
-            f"Poke with {name}",
+            f"Poke with {self._name}",
             False,
             disabled=True,
             hint=f"Takes the tool in hand: drag it, or an arrow at it. Publishes {self._tool.topic}",
@@ -78,7 +76,7 @@ class Poke:
 
         now s; watchers: ids of the browsers that look; points (n, 3) m of the organ in a frame, or None without one.
         """
-        self._box.disabled = points is None
+        self._box.disabled = points is None or self._view.reach == 0.0
         while not self._asked.empty():
             wanted, who = self._asked.get()
             if not wanted:
@@ -108,7 +106,7 @@ class Poke:
         holder = self._server.get_clients().get(who)
         if holder is None:
             return
-        position, inward = beside(points, self._index, self._radius)
+        position, inward = beside(points, self._index, self._view.reach)
         turn = pointing(inward)
         # Only the browser that asked for the tool gets the gizmo.
         self._gizmo = holder.scene.add_transform_controls(
@@ -121,7 +119,7 @@ class Poke:
         )
         # Both run in the server's own loop: in a pool of threads an older position could come last.
         self._gizmo.on_update(self._on_gizmo)
-        self._view.ball.on_drag(self._on_drag)
+        self._view.drag(self._on_drag)
         self._holder = who
         self._tool.take(position, turn, frame_id)
         self._gone = threading.Event()
@@ -132,7 +130,7 @@ class Poke:
         self._holder = None
         self._gone.set()
         if self._gizmo is not None:
-            self._view.ball.remove_drag_callback("all")
+            self._view.drag(None)
             self._gizmo.remove()
             self._gizmo = None
 

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+from visualization_msgs.msg import Marker
 
 from tissue_sim.ros.bands import Floats, Ints, cut_into_bands
 from tissue_sim.ros.colours import BANDS, TISSUE, Colour
+from tissue_sim.ros.messages import ARROW_LENGTH
 
 SKELETON: Colour = (20, 30, 60)
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
 FORCE: Colour = (0, 60, 220)
-ARROW_LENGTH = 0.03  # m for 1 N
 LEAST_FORCE = 0.01  # N that gets an arrow
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the front, the side and above
@@ -155,22 +157,17 @@ class SkeletonView:
 
 
 class ToolView:
-    """A spherical tool and the force that its hand feels."""
+    """A tool, as the node's markers have it, and the force that its hand feels."""
 
-    def __init__(self, server: viser.ViserServer, name: str, index: int, radius: float) -> None:
-        self._name, self._radius = name, radius
-        scene = server.scene
-        self.ball = scene.add_icosphere(
-            f"/tools/{name}",
-            radius=radius,
-            color=TOOL_COLOURS[index % len(TOOL_COLOURS)],
-            opacity=0.6,
-            subdivisions=4,
-            visible=False,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-        self._arrow = scene.add_arrows(
+    def __init__(self, server: viser.ViserServer, name: str, index: int) -> None:
+        self.name = name
+        self.reach = 0.0  # m from the tool's origin to its surface, across and ahead; 0 while its shape is not known
+        self.force: float | None = None  # N that its hand feels; None while nobody moves it
+        self._scene, self._colour = server.scene, TOOL_COLOURS[index % len(TOOL_COLOURS)]
+        self._shapes: dict[int, tuple[Any, ...]] = {}
+        self._parts: dict[int, Any] = {}
+        self._on_drag: Callable[[Any], Any] | None = None
+        self._arrow = self._scene.add_arrows(
             f"/forces/{name}",
             np.zeros((1, 2, 3)),
             FORCE,
@@ -179,20 +176,82 @@ class ToolView:
             head_length=0.005,
             visible=False,
         )
-        self._label = scene.add_label(f"/forces/{name}/label", "", visible=False)
+        self._label = self._scene.add_label(f"/forces/{name}/label", "", visible=False)
 
-    def show(self, position: Floats | None, force: Floats | None) -> None:
-        """Draw the tool at a position (3,) m with a force (3,) N; None for what is not known."""
-        self.ball.visible = position is not None
-        felt = position is not None and force is not None and float(np.linalg.norm(force)) > LEAST_FORCE
-        self._arrow.visible = self._label.visible = felt
-        if position is None:
-            return
-        self.ball.position = position
-        if felt and force is not None:
-            self._arrow.points = arrow(position, force, self._radius)
+    def show(self, markers: Sequence[Marker]) -> None:
+        """Draw the tool's markers as they came."""
+        for marker in markers:
+            if marker.type == Marker.ARROW:
+                self._show_force(marker)
+            else:
+                self._show_part(marker)
+        if not any(part.visible for part in self._parts.values()):
+            self.force = None
+
+    def hide(self) -> None:
+        """Nobody knows where the tool is."""
+        self.force = None
+        self._arrow.visible = self._label.visible = False
+        for part in self._parts.values():
+            part.visible = False
+
+    def _show_force(self, marker: Marker) -> None:
+        start, end = marker.points
+        position = np.array([start.x, start.y, start.z])
+        force = (np.array([end.x, end.y, end.z]) - position) / ARROW_LENGTH
+        self.force = float(np.linalg.norm(force)) if marker.action == Marker.ADD else 0.0
+        shown = self.force > LEAST_FORCE
+        self._arrow.visible = self._label.visible = shown
+        if shown:
+            self._arrow.points = arrow(position, force, self.reach)
             self._label.position = self._arrow.points[0, 1]
-            self._label.text = f"{self._name} {float(np.linalg.norm(force)):.2f} N"
+            self._label.text = f"{self.name} {self.force:.2f} N"
+
+    def drag(self, callback: Callable[[Any], Any] | None) -> None:
+        """Call back when somebody drags the tool with the mouse; None: nobody may."""
+        for part in self._parts.values():
+            if self._on_drag is not None:
+                part.remove_drag_callback("all")
+            if callback is not None:
+                part.on_drag(callback)
+        self._on_drag = callback
+
+    def _show_part(self, marker: Marker) -> None:
+        scale = (marker.scale.x, marker.scale.y, marker.scale.z)
+        shape = (marker.type, *scale, len(marker.points))
+        if self._shapes.get(marker.id) != shape:
+            if marker.id in self._parts:
+                self._parts[marker.id].remove()
+            part, reach = self._drawn(marker, scale)
+            self._shapes[marker.id], self._parts[marker.id] = shape, part
+            self.reach = max(self.reach, reach)
+            if self._on_drag is not None:
+                part.on_drag(self._on_drag)
+        part = self._parts[marker.id]
+        part.visible = marker.action == Marker.ADD
+        if part.visible:
+            place, turn = marker.pose.position, marker.pose.orientation
+            part.position = (place.x, place.y, place.z)
+            part.wxyz = (turn.w, turn.x, turn.y, turn.z)
+
+    def _drawn(self, marker: Marker, scale: tuple[float, float, float]) -> tuple[Any, float]:
+        name = f"/tools/{self.name}/{marker.id}"
+        look: dict[str, Any] = {
+            "color": self._colour,
+            "opacity": 0.6,
+            "visible": False,
+            "cast_shadow": False,
+            "receive_shadow": False,
+        }
+        if marker.type == Marker.SPHERE:
+            return self._scene.add_icosphere(name, radius=0.5 * scale[0], subdivisions=4, **look), 0.5 * scale[0]
+        if marker.type == Marker.CYLINDER:
+            return self._scene.add_cylinder(name, radius=0.5 * scale[0], height=scale[2], **look), 0.0
+        points = np.array([(p.x, p.y, p.z) for p in marker.points], dtype=np.float64).reshape(-1, 3)
+        faces = np.arange(len(points)).reshape(-1, 3)
+        across = float(np.linalg.norm(points[:, :2], axis=1).max(initial=0.0))
+        reach = max(across, float(points[:, 2].max(initial=0.0)))
+        return self._scene.add_mesh_simple(name, points, faces, flat_shading=True, side="double", **look), reach
 
 
 def _icosphere(radius: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -31,9 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=client.port_number, default=8080, help="port to serve at")
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
     parser.add_argument("--tools", type=client.names, default="left,right", help="names of the tools")
-    parser.add_argument(
-        "--tool-radius", type=client.number(1e-4, 0.1, "m"), default=0.005, help="of the spheres that stand for them, m"
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         from tissue_sim.ros.view_loop import Viewer
 
         print(f"open http://{shown_host(args.host)}:{args.port}", flush=True)
-        viewer = Viewer(server, node, args.node, args.tools, args.tool_radius)
+        viewer = Viewer(server, node, args.node, args.tools)
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.
         sys.setswitchinterval(0.001)
         try:
