@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
+from tissue_sim.model.contact_constraint import give_impulse
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.shapes import signed_distance
 from tissue_sim.organ.winding import inside
@@ -102,6 +103,33 @@ def test_angular_momentum_of_a_free_organ_changes_by_minus_the_moment():
     largest = np.abs(moments).max()
     assert largest > 1e-5
     assert np.abs(change + moments[:-1]).max() < 0.02 * largest
+
+
+@pytest.mark.parametrize("tool", [0, 1])
+def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_origin(tool):
+    """The wrench is minus the sum of these pushes: the momentum that they give, and their moments, to 1e-9 of them."""
+    organ = free_ball(2)
+    scene = Scene(organ, [PROBE, Tool("right", "capsule", radius=0.004, length=0.05)])
+    scene.move(0, top_of(organ) + [0.0, 0.0, 0.005])
+    scene.move(1, [RADIUS + 0.005, 0.0, 0.025])
+    scene.step()
+    simulation = scene.simulation
+    state, scratch = simulation.state, simulation.scratch
+    own = np.flatnonzero(state.contact_tool[: state.count[st.ENTRIES]] == tool)
+    assert len(own) > 5
+    random = np.random.default_rng(tool)
+    mobility = 1.0 / organ.mass
+    scratch.impulse[:] = 0.0
+    expected, before = np.zeros(6), organ.mass @ simulation.velocities
+    for entry in own:
+        impulse = random.normal(0.0, 1.0, 3)
+        arm = state.contact_weight[entry] @ state.position[state.contact_node[entry]] - scratch.origin[tool]
+        expected += np.concatenate([impulse, np.cross(arm, impulse)])
+        give_impulse(state, scene.tools.shapes, mobility, scratch, entry, *impulse, 1e-3)
+    np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
+    np.testing.assert_allclose(organ.mass @ simulation.velocities - before, expected[:3], atol=1e-9 * len(own))
+    np.testing.assert_array_equal(scratch.origin[tool], state.tool_pose[tool, :3])
+    assert not scratch.impulse[1 - tool].any()
 
 
 def test_wrench_balances_the_elastic_forces_when_all_is_still():
