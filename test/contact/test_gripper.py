@@ -119,7 +119,7 @@ class Nip:
         return float(np.median(behind))
 
 
-@pytest.mark.parametrize("seconds", [1.0, pytest.param(30.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seconds", [1.0, pytest.param(30.0, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
 def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, seconds):
     nip = Nip(pads, 0.6)
     behind = nip.lift()
