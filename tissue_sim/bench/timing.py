@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -22,6 +21,7 @@ from numba import types
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.guard import check_cells, guard
@@ -99,18 +99,6 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-
-
-def end_with_parent() -> None:
-    """Let this child process end when its parent is gone, however that ended: it would go on measuring for nobody."""
-    parent = multiprocessing.parent_process()
-
-    def wait() -> None:
-        if parent is not None:
-            parent.join()
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 # the clock ---------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
+from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
 
 
@@ -56,6 +57,7 @@ class Remote:
 
 def _serve(pipe: Connection, make: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     """Make the object, answer questions until the other end is closed."""
+    end_with_parent()
     made: Any = None
     failure: BaseException | None = None
     try:
