@@ -18,8 +18,11 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def _die_with_parent() -> None:
-    """In the child: end when the parent was killed, which can't stop it any more."""
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT, 0, 0, 0)
+    """In the child: end when the parent was killed, which can't stop it any more.
+
+    Not by SIGINT: an interpreter that is about to start anew, as over the wheels, would lose it.
+    """
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 class Child:
