@@ -4,8 +4,8 @@
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
-# Tests that need no clock and no network run two at once.
-APART := test/organ test/model test/calibration
+# Tests in real time, with real processes, run alone; the others two at once.
+ALONE := test/ros test/bench/test_latency.py
 FIRST_TICK := from tissue_sim.model import Simulation; from tissue_sim.organ.organ import Organ; \
 	from tissue_sim.organ.shipped import shipped_organ; Simulation(Organ.load(shipped_organ())).step()
 EXTRAS := ros,image,viewer,calibration,bench,test
@@ -25,11 +25,11 @@ demo: .venv/.installed ## node, scripted haptic bridge and viewer (http://127.0.
 	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
 
-# Kernels are compiled before two processes would both do it. Tests in real time run alone. 5: none was selected.
+# Kernels are compiled before two processes would both do it. 5: none was selected.
 test: lint ## checks and tests; PYTEST="-k node" for some of them
 	@$(PY) -c '$(FIRST_TICK)'
-	@$(PY) -m pytest -n 2 $(APART) $(PYTEST) || [ $$? = 5 ]
-	@$(PY) -m pytest $(APART:%=--ignore=%) $(PYTEST) || [ $$? = 5 ]
+	@$(PY) -m pytest -n 2 $(ALONE:%=--ignore=%) $(PYTEST) || [ $$? = 5 ]
+	@$(PY) -m pytest $(ALONE) $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)

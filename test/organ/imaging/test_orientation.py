@@ -200,6 +200,7 @@ def lps():
     return surfaces(bean(np.eye(3), [VOXEL] * 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("direction", "spacing"),
     [

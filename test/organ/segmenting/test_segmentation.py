@@ -42,7 +42,7 @@ def test_the_phantoms_kidney(phantom, segmented, capsys):
     assert -45.0 < segmented.wall < -25.0
 
 
-@pytest.mark.parametrize("noise", [20.0, 30.0])
+@pytest.mark.parametrize("noise", [pytest.param(20.0, marks=pytest.mark.slow), 30.0])
 def test_more_noise_still_gives_the_kidney(noise, capsys):
     noisy = make_phantom(PhantomParameters(noise=noise))
     overlap = dice(segment(noisy.ct, noisy.seed_point).mask, noisy.kidney)
@@ -154,6 +154,7 @@ def permuted(volume, order, flips):
     return Volume(np.ascontiguousarray(array), spacing, origin, direction, "turned")
 
 
+@pytest.mark.slow
 def test_the_same_patient_saved_sideways(small, small_kidney):
     turned = permuted(small.ct, (1, 2, 0), (0, 2))
     np.testing.assert_allclose(turned.to_points(turned.to_index(small.seed_point)), small.seed_point)

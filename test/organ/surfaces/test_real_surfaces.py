@@ -52,7 +52,7 @@ def timed(wall, points):
         "ct_abdomen/kidney_left.nii.gz",
         "ct_abdomen/kidney_right.nii.gz",
         "ct_abdomen/spleen.nii.gz",
-        "hra_organs/kidney_left_solid.stl",
+        pytest.param("hra_organs/kidney_left_solid.stl", marks=pytest.mark.slow),
         "hra_organs/VH_F_Spleen.glb",
     ],
 )
@@ -65,6 +65,7 @@ def test_994_points_on_real_organs(name, capsys):
     assert_near(balloon, wall)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("points", "hausdorff"), [(994, 1.75), (4000, 1.5)])
 def test_the_liver(points, hausdorff, capsys):
     """Its fissure is one voxel wide; 994 points are 10 mm apart and line it to 1.6 voxels only."""
