@@ -37,11 +37,8 @@ def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch)
         assert watcher.child.wait(60.0) == 0, watcher.text()
         print("\n" + watcher.text())
         assert f"mesh {shipped().n_surface} points" in watcher.text()
-        rate = float(re.search(r"rate ([\d.]+)", watcher.text())[1])
+        assert float(re.search(r"rate ([\d.]+)", watcher.text())[1]) >= WANTED, node.text()
         assert node.stop() == 0, node.text()
-        if rate < WANTED and "the machine is too slow: markers" in node.text():
-            pytest.skip("the machine has no time for the node, which gave up markers: that says nothing of the link")
-        assert rate >= WANTED, node.text()
     finally:
         for process in started:
             process.child.kill()

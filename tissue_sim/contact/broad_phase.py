@@ -57,9 +57,10 @@ def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: A
             apart = apart or min(a, b, d) > high[c] or max(a, b, d) < low[c]
         if not apart:
             for c in range(3):
-                found[count, c] = triangles[t, c]
+                node = triangles[t, c]
+                found[count, c] = node
                 for axis in range(3):
-                    moved = max(moved, abs(position[found[count, c], axis] - rest[found[count, c], axis]))
+                    moved = max(moved, abs(position[node, axis] - rest[node, axis]))
             count += 1
     return count, moved
 

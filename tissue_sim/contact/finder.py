@@ -147,18 +147,16 @@ class ContactFinder:
         """Points near a body, after the `count` that were found; returns how many there are now."""
         origin, reach = pose[:3], MARGIN + margin
         self._place(body, pose, reach)
-        near, moved = self._found[:0], 0.0
-        if boxes_meet(self._box_low, self._box_high, self._low, self._high):
-            some, moved = triangles_in_box(
-                position, self._rest, self.triangles, self._box_low, self._box_high, self._found
-            )
-            near = self._found[:some]
+        low, high, some, moved = self._box_low, self._box_high, 0, 0.0
+        if boxes_meet(low, high, self._low, self._high):
+            some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, self._found)
         # FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
         # near the body have moved by SLACK, it isn't asked.
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
-        if not len(near) or (is_asked and not self._comes_near(body, origin)):
+        if some == 0 or (is_asked and not self._comes_near(body, origin)):
             self.counters.far_skips += 1
             return count
+        near = self._found[:some]
         count = points_near(
             position,
             near,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import subprocess
 import threading
@@ -10,19 +9,10 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 
+from tissue_sim.child import end_with_parent
+
 SECONDS_TO_END = 5.0
 SECONDS_TO_TERMINATE = 2.0
-PR_SET_PDEATHSIG = 1  # of prctl(2)
-
-_libc = ctypes.CDLL(None, use_errno=True)
-
-
-def _die_with_parent() -> None:
-    """In the child: end when the parent was killed, which can't stop it any more.
-
-    Not by SIGINT: an interpreter that is about to start anew, as over the wheels, would lose it.
-    """
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 class Child:
@@ -42,7 +32,7 @@ class Child:
             text=True,
             errors="replace",
             start_new_session=True,
-            preexec_fn=_die_with_parent,
+            preexec_fn=end_with_parent,
         )
         self.output: deque[str] = deque(maxlen=100)
         self.errors: deque[str] = deque(maxlen=100)

@@ -25,21 +25,20 @@ class ToolMarkers:
     """
 
     def __init__(self, frame_id: str, tools: ToolSet) -> None:
-        self._bodies = tools.bodies
-        self._parts: list[list[tuple[int, Floats]]] = [[] for _ in tools.grown]  # of a body: marker, its place on it
+        self._parts: list[list[tuple[int, int, Floats]]] = []  # of a tool: marker, which of its bodies, its place on it
         self._arrows: list[int] = []
         markers: list[Marker] = []
-        for tool, members in zip(tools.tools, self._bodies, strict=True):
-            number = 0
-            for body in members:
+        for tool, bodies in zip(tools.tools, tools.bodies, strict=True):
+            parts: list[tuple[int, int, Floats]] = []
+            for member, body in enumerate(bodies):
                 for part in _parts(tools, body):
-                    marker = empty_marker(frame_id, tool.name, number, part.kind, TOOL_COLOUR, part.scale)
+                    marker = empty_marker(frame_id, tool.name, len(parts), part.kind, TOOL_COLOUR, part.scale)
                     marker.points = [Point(x=x, y=y, z=z) for x, y, z in part.corners.tolist()]
-                    self._parts[body].append((len(markers), np.array(part.place)))
+                    parts.append((len(markers), member, np.array(part.place)))
                     markers.append(marker)
-                    number += 1
+            self._parts.append(parts)
             self._arrows.append(len(markers))
-            markers.append(force_arrow(frame_id, tool.name, number))
+            markers.append(force_arrow(frame_id, tool.name, len(parts)))
         self._bytes = MarkerBytes(markers)
 
     def message(self, stamp: int, placed: Sequence[Floats | None], tips: Floats, forces: Floats) -> bytes:
@@ -50,13 +49,12 @@ class ToolMarkers:
         """
         self._bytes.stamp(stamp)
         for tool, poses in enumerate(placed):
-            for body, pose in zip(self._bodies[tool], self._bodies[tool] if poses is None else poses, strict=True):
-                for index, place in self._parts[body]:
-                    self._bytes.show(index, poses is not None)
-                    if poses is not None:
-                        target = self._bytes.poses[index]
-                        target[:3] = pose[:3] + Rotation.from_quat(pose[3:]).apply(place)
-                        target[3:] = pose[3:]
+            for index, member, place in self._parts[tool]:
+                self._bytes.show(index, poses is not None)
+                if poses is not None:
+                    pose, shown = poses[member], self._bytes.poses[index]
+                    shown[:3] = pose[:3] + Rotation.from_quat(pose[3:]).apply(place)
+                    shown[3:] = pose[3:]
             felt = forces[tool] if poses is not None else np.zeros(3)
             draw_force(self._bytes, self._arrows[tool], tips[tool], felt)
         return self._bytes.message()

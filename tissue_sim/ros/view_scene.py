@@ -161,10 +161,10 @@ class ToolView:
 
     def __init__(self, server: viser.ViserServer, name: str, index: int) -> None:
         self.name = name
-        self.reach = 0.0  # m from the tool's origin to its surface, across and ahead; 0 while its shape is not known
         self.force: float | None = None  # N that its hand feels; None while nobody moves it
         self._scene, self._colour = server.scene, TOOL_COLOURS[index % len(TOOL_COLOURS)]
         self._shapes: dict[int, tuple[Any, ...]] = {}
+        self._reaches: dict[int, float] = {}
         self._parts: dict[int, Any] = {}
         self._on_drag: Callable[[Any], Any] | None = None
         self._arrow = self._scene.add_arrows(
@@ -177,6 +177,11 @@ class ToolView:
             visible=False,
         )
         self._label = self._scene.add_label(f"/forces/{name}/label", "", visible=False)
+
+    @property
+    def reach(self) -> float:
+        """From the tool's origin to its surface, across and ahead, m; 0 while its shape is not known."""
+        return max(self._reaches.values(), default=0.0)
 
     def show(self, markers: Sequence[Marker]) -> None:
         """Draw the tool's markers as they came."""
@@ -222,9 +227,8 @@ class ToolView:
         if self._shapes.get(marker.id) != shape:
             if marker.id in self._parts:
                 self._parts[marker.id].remove()
-            part, reach = self._drawn(marker, scale)
+            part, self._reaches[marker.id] = self._drawn(marker, scale)
             self._shapes[marker.id], self._parts[marker.id] = shape, part
-            self.reach = max(self.reach, reach)
             if self._on_drag is not None:
                 part.on_drag(self._on_drag)
         part = self._parts[marker.id]
