@@ -25,10 +25,12 @@ demo: .venv/.installed ## node, scripted haptic bridge and viewer (http://127.0.
 	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
 
-# Kernels are compiled before two processes would both do it. 5: none was selected.
+# Kernels are compiled before two processes would both do it; worksteal: each begins with other kernels and fixtures.
+# Each has a core: threads of their own would only wait for each other. 5: none was selected.
 test: lint ## checks and tests; PYTEST="-k node" for some of them
 	@$(PY) -c '$(FIRST_TICK)'
-	@$(PY) -m pytest -n 2 $(ALONE:%=--ignore=%) $(PYTEST) || [ $$? = 5 ]
+	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 \
+		$(PY) -m pytest -n 2 --dist worksteal $(ALONE:%=--ignore=%) $(PYTEST) || [ $$? = 5 ]
 	@$(PY) -m pytest $(ALONE) $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer

@@ -28,8 +28,24 @@ def ring_file(tmp_path_factory):
     return str(path)
 
 
-def test_grid_of_a_ring_is_its_distance_inside_and_out():
-    grid = distance_grid(ring(), MARGIN)
+@pytest.fixture(scope="module")
+def grid():
+    return distance_grid(ring(), MARGIN)
+
+
+@pytest.fixture
+def _grid_is_made_once(monkeypatch, grid):
+    """A tool of the ring takes the grid that was made of it before: each would take seconds."""
+
+    def made(mesh, margin):
+        np.testing.assert_allclose(mesh.bounds, ring().bounds, atol=1e-8)
+        assert margin == MARGIN
+        return grid
+
+    monkeypatch.setattr("tissue_sim.contact.tools.distance_grid", made)
+
+
+def test_grid_of_a_ring_is_its_distance_inside_and_out(grid):
     axes = [grid.origin[c] + grid.spacing * np.arange(grid.distance.shape[c]) for c in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     assert np.all(points.min(axis=0) <= -np.array([0.024, 0.024, 0.004]) - MARGIN + 1e-4)
@@ -38,6 +54,7 @@ def test_grid_of_a_ring_is_its_distance_inside_and_out():
     assert (grid.distance < 0.0).sum() * grid.spacing**3 == pytest.approx(ring().volume, rel=0.03)
 
 
+@pytest.mark.usefixtures("_grid_is_made_once")
 def test_tool_that_is_not_convex_keeps_its_hole(ring_file):
     tools = ToolSet([Tool("left", "mesh", mesh=ring_file)])
     assert tools.shapes.kind[0] == GRID
@@ -47,6 +64,7 @@ def test_tool_that_is_not_convex_keeps_its_hole(ring_file):
     assert signed_distance(tools.shapes, 0, 0.02, 0.0, 0.0)[0] == pytest.approx(-0.004, abs=3e-4)
 
 
+@pytest.mark.usefixtures("_grid_is_made_once")
 def test_ring_presses_with_its_rim_and_lets_the_tissue_bulge_into_its_hole(ring_file):
     organ = kidney()
     scene = Scene(organ, [Tool("left", "mesh", mesh=ring_file)])

@@ -22,7 +22,6 @@ from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build import parse_triple, report_path
 from tissue_sim.organ.imaging.image import Volume, read_image
-from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.pipeline import Progress, Request, organ_from_mask, select_fixed
 from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
@@ -30,15 +29,13 @@ from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 from .shapes import write_dicom
 
 FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]
+ONE_WINDOW = ["--window", "3.3"]  # how a window is chosen is no matter of the command line
 
 
 @pytest.fixture(scope="module")
-def ct():
+def ct(coarse, around):
     """The left side of a coarser phantom in whole HU, cropped around the kidney, and its seed."""
-    phantom = make_phantom(PhantomParameters(spacing=(2.0, 2.0, 2.5)))
-    centre = np.round(phantom.ct.to_index(phantom.seed_point)).astype(int)
-    part = phantom.ct.crop(centre - np.array([30, 28, 29]), centre + np.array([30, 28, 29]))
-    return part, phantom.seed_point
+    return around(coarse, coarse.ct), coarse.seed_point
 
 
 def seed_text(seed):
@@ -79,7 +76,7 @@ def test_a_ct_in_any_format_gives_the_same_organ(ct, tmp_path, capsys):
             np.testing.assert_allclose(getattr(one, part), getattr(other, part), atol=1e-4)
     organs = []
     for source in [sources[0], str(tmp_path / "series")]:
-        organ, text = build(capsys, source, "--seed", seed_text(seed), out=tmp_path / "organ.npz")
+        organ, text = build(capsys, source, "--seed", seed_text(seed), *ONE_WINDOW, out=tmp_path / "organ.npz")
         organs.append(organ)
         assert "200 points, 396 triangles, 12 atoms" in text
     for other in organs[1:]:
@@ -100,9 +97,9 @@ def test_a_seed_may_be_voxel_indices_or_negative(ct, tmp_path, capsys):
     volume, seed = ct
     moved = Volume(volume.array, volume.spacing, volume.origin - 300.0, volume.direction, "moved")
     path = write(moved, tmp_path / "ct.nrrd")
-    first, _ = build(capsys, path, "--seed", seed_text(seed - 300.0), out=tmp_path / "a.npz")
+    first, _ = build(capsys, path, "--seed", seed_text(seed - 300.0), *ONE_WINDOW, out=tmp_path / "a.npz")
     index = ",".join(str(int(i)) for i in np.round(volume.to_index(seed)))
-    second, _ = build(capsys, path, "--seed-voxel", index, out=tmp_path / "b.npz")
+    second, _ = build(capsys, path, "--seed-voxel", index, *ONE_WINDOW, out=tmp_path / "b.npz")
     assert first.surface_positions[:, 0].max() < 0.0
     assert abs(first.volume - second.volume) < 0.02 * first.volume
 
@@ -125,30 +122,48 @@ def test_a_mask_with_labels_and_fixed_nodes(ct, tmp_path, capsys):
     assert "several labels (2, 4)" in refused(capsys, "--mask", path)
 
 
-def test_a_surface_keeps_its_points_or_gets_new_ones(tmp_path, capsys):
+def egg(folder, inward=False):
+    """A mesh of an egg with half axes 20 x 16 x 32 mm, as PLY in mm."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
     mesh.apply_scale([1.0, 0.8, 1.6])
     mesh.vertices = mesh.vertices.astype(np.float32)
-    path = tmp_path / "egg.ply"
-    mesh.export(path)
-    kept, text = build(capsys, "--surface", str(path), "--unit", "mm", "--keep-points", out=tmp_path / "k.npz")
+    if inward:
+        mesh.invert()
+    mesh.export(folder / "egg.ply")
+    return str(folder / "egg.ply"), mesh
+
+
+def test_a_surface_keeps_its_points(tmp_path, capsys):
+    path, mesh = egg(tmp_path)
+    kept, text = build(capsys, "--surface", path, "--unit", "mm", "--keep-points", out=tmp_path / "k.npz")
     np.testing.assert_array_equal(kept.surface_positions, np.asarray(mesh.vertices) * 1e-3)
     np.testing.assert_array_equal(kept.surface_triangles, mesh.faces)
     assert kept.n_atoms == 12
     assert "642 points" in text
-    new, _ = build(capsys, "--surface", str(path), "--unit", "mm", out=tmp_path / "n.npz")
-    assert (new.n_surface, len(new.surface_triangles)) == (200, 396)
-    assert new.volume == pytest.approx(kept.volume, rel=0.02)
-    np.testing.assert_allclose(new.surface_positions.mean(axis=0), 0.0, atol=1e-3)
 
 
-def test_repairs_are_told(tmp_path, capsys):
-    mesh = trimesh.creation.icosphere(subdivisions=2, radius=20.0)
-    mesh.invert()
-    path = tmp_path / "inward.ply"
-    mesh.export(path)
-    _, text = build(capsys, "--surface", str(path), "--unit", "mm", out=tmp_path / "o.npz")
+def test_a_report_lies_where_it_is_wanted(tmp_path):
+    named = argparse.Namespace(report=str(tmp_path / "page.html"))
+    assert report_path(named, tmp_path / "o.npz") == tmp_path / "page.html"
+    assert report_path(argparse.Namespace(report=None), tmp_path / "o.npz") is None
+
+
+def test_a_surface_gets_new_points_interior_atoms_and_provenance_and_repairs_are_told(tmp_path, capsys):
+    path, mesh = egg(tmp_path, inward=True)
+    options = ["--interior", "20", "--name", "my egg", "--length", "0.08"]
+    organ, text = build(capsys, "--surface", path, *options, out=tmp_path / "n.npz")
     assert "repaired: turned inward triangles outward" in text
+    assert (organ.n_surface, len(organ.surface_triangles)) == (200, 396)
+    assert np.ptp(organ.surface_positions, axis=0).max() == pytest.approx(0.08, rel=0.02)
+    scale = 0.08 / np.ptp(mesh.vertices, axis=0).max()
+    assert organ.volume == pytest.approx(abs(mesh.volume) * scale**3, rel=0.02)
+    np.testing.assert_allclose(organ.surface_positions.mean(axis=0), 0.0, atol=1e-3)
+    assert len(organ.interior_positions) == 20
+    assert organ.name == "my egg"
+    told = organ.provenance
+    assert (told["points"], told["atoms"], told["interior_atoms"], told["branches"]) == (200, 12, 20, "none")
+    assert told["source_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    assert told["packages"]["numpy"] == np.__version__
 
 
 def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
@@ -241,14 +256,6 @@ def test_help_names_every_option(capsys):
     assert "None" not in text
 
 
-def egg(folder):
-    """A mesh of an egg with half axes 20 x 16 x 32 mm, as PLY in mm."""
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=20.0)
-    mesh.apply_scale([1.0, 0.8, 1.6])
-    mesh.export(folder / "egg.ply")
-    return str(folder / "egg.ply")
-
-
 def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, monkeypatch):
     volume, seed = ct
     path = write(volume, tmp_path / "ct.nrrd")
@@ -273,25 +280,12 @@ def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, mo
 
 def test_what_cannot_be_the_organ_passes_only_with_accept(ct, tmp_path, capsys):
     volume, seed = ct
-    here = [write(volume, tmp_path / "ct.nrrd"), "--seed", seed_text(seed), "--organ", "liver"]
-    assert "is no liver" in refused(capsys, *here)
+    here = [write(volume, tmp_path / "ct.nrrd"), "--seed", seed_text(seed), "--organ", "liver", *ONE_WINDOW]
+    assert re.search(r"is no liver: it has a volume of \d+ mL \(at least 550\)", refused(capsys, *here))
     organ, text = build(capsys, *here, "--accept", out=tmp_path / "o.npz")
     assert "warning: what is found" in text
     assert organ.provenance["segmentation_parameters"]["organ"] == "liver"
     assert any("is no liver" in line for line in organ.provenance["segmentation"]["warnings"])
-
-
-def test_interior_atoms_branches_and_provenance(tmp_path, capsys):
-    path = egg(tmp_path)
-    options = ["--interior", "20", "--name", "my egg"]
-    organ, _ = build(capsys, "--surface", path, "--length", "0.08", *options, out=tmp_path / "o.npz")
-    assert len(organ.interior_positions) == 20
-    assert organ.name == "my egg"
-    assert np.ptp(organ.surface_positions, axis=0).max() == pytest.approx(0.08, rel=0.02)
-    told = organ.provenance
-    assert (told["points"], told["atoms"], told["interior_atoms"], told["branches"]) == (200, 12, 20, "none")
-    assert told["source_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    assert told["packages"]["numpy"] == np.__version__
 
 
 def test_options_of_a_mesh_reach_its_reader(tmp_path, capsys, monkeypatch):
@@ -328,16 +322,6 @@ def test_parts_of_a_mesh(tmp_path, capsys):
     assert np.ptp(organ.surface_positions, axis=0)[0] == pytest.approx(0.065, rel=0.02)
 
 
-def test_a_report_beside_the_organ_or_where_it_is_wanted(tmp_path, capsys):
-    here = ["--surface", egg(tmp_path), "--unit", "mm", "--keep-points"]
-    _, text = build(capsys, *here, "--report", out=tmp_path / "o.npz")
-    assert f"{tmp_path / 'o.html'}: report" in text
-    assert "<h1>egg</h1>" in (tmp_path / "o.html").read_text()
-    named = argparse.Namespace(report=str(tmp_path / "page.html"))
-    assert report_path(named, tmp_path / "o.npz") == tmp_path / "page.html"
-    assert report_path(argparse.Namespace(report=None), tmp_path / "o.npz") is None
-
-
 def test_stages_are_watched_in_order_and_timed(tmp_path):
     grid = np.indices((24, 24, 24)) - 11.5
     mask = Volume((grid**2).sum(axis=0) < 81, np.ones(3), np.zeros(3), np.eye(3), "ball")
@@ -361,7 +345,7 @@ def call(arguments, **streams):
 
 
 def test_a_bar_on_a_terminal(tmp_path):
-    here = ["--surface", egg(tmp_path), "--unit", "mm", *FEW, "--out", str(tmp_path / "o.npz")]
+    here = ["--surface", egg(tmp_path)[0], "--unit", "mm", *FEW, "--out", str(tmp_path / "o.npz")]
     ours, theirs = pty.openpty()
     termios.tcsetwinsize(theirs, (40, 100))
     shown = call(here, stdout=subprocess.PIPE, stderr=theirs)

@@ -6,16 +6,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.ship import KIDNEY, main
+from tissue_sim.organ.ship import KIDNEY
 from tissue_sim.organ.surfaces.surface import measure
 
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_shipped_kidney_is_rebuilt(tmp_path):
-    shipped = Organ.load(ROOT / KIDNEY)
-    assert main(["--out", str(tmp_path / "kidney.npz")]) == 0
-    rebuilt = Organ.load(tmp_path / "kidney.npz")
+def test_the_shipped_kidney_is_rebuilt(rebuilt):
+    shipped, rebuilt = Organ.load(ROOT / KIDNEY), Organ.load(rebuilt.path)
     assert (rebuilt.n_surface, len(rebuilt.surface_triangles), rebuilt.n_atoms) == (994, 1984, 48)
     assert abs(rebuilt.volume / shipped.volume - 1) < 1e-3
     if np.array_equal(rebuilt.surface_triangles, shipped.surface_triangles):

@@ -12,13 +12,14 @@ import pytest
 import trimesh
 from matplotlib.image import imread
 
+from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
-from tissue_sim.organ.pipeline import BuildRecord, Progress, Request, organ_from_image, organ_from_mesh
+from tissue_sim.organ.pipeline import BuildRecord, Progress, Request, organ_from_image
 from tissue_sim.organ.reporting import pictures
 from tissue_sim.organ.reporting.info import describe
 from tissue_sim.organ.reporting.render import Solid, draw, rasterize, view_of
 from tissue_sim.organ.reporting.report import report_page, write_report
+from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
 NAME = 'kidney <b onmouseover="x">&amp;'
 VOID = {"meta", "img", "link", "br"}
@@ -61,10 +62,11 @@ def png(image):
 
 
 @pytest.fixture(scope="module")
-def record(phantom):
+def record(coarse, around):
     progress = Progress()
     request = Request(name=NAME, points=300, atoms=12, provenance={"source": "<script>alert(1)</script>.nii"})
-    organ_from_image(phantom.ct, phantom.seed_point, request, progress=progress)
+    one_window = SegmentationParameters(window=3.3)
+    organ_from_image(around(coarse, coarse.ct), coarse.seed_point, request, one_window, progress=progress)
     return progress.record
 
 
@@ -145,17 +147,20 @@ def test_pictures_fill_their_frames(page):
         assert np.ptp(columns) > 0.5 * picture.shape[1]
 
 
-def test_a_mesh_has_a_report_too(tmp_path):
+def test_a_mesh_has_a_report_too_beside_the_organ(tmp_path, capsys):
     egg = trimesh.creation.icosphere(subdivisions=2, radius=0.02)
     egg.apply_scale([1.0, 0.8, 1.6])
-    mesh = SurfaceMesh(egg.vertices, egg.faces.astype(np.int32), ("closed a hole of 3 mm",), ("a note",))
-    progress = Progress()
-    organ_from_mesh(mesh, Request(name="egg", atoms=6, interior_atoms=9), keep_points=True, progress=progress)
-    write_report(progress.record, tmp_path / "egg.html")
-    parsed = Page((tmp_path / "egg.html").read_text(encoding="utf-8"))
+    egg.invert()
+    egg.export(tmp_path / "egg.ply")
+    words = ["--surface", str(tmp_path / "egg.ply"), "--length", "0.08", "--keep-points", "--atoms", "6"]
+    assert main(["build", *words, "--interior", "9", "--out", str(tmp_path / "o.npz"), "--report"]) == 0
+    assert f"{tmp_path / 'o.html'}: report" in capsys.readouterr().out
+    text = (tmp_path / "o.html").read_text(encoding="utf-8")
+    assert "<h1>egg</h1>" in text
+    parsed = Page(text)
     assert "surface as given" in parsed.text
-    assert "repaired: closed a hole of 3 mm" in parsed.text
-    assert "a note" in parsed.text
+    assert "repaired: turned inward triangles outward" in parsed.text
+    assert "scaled: the longest side is 8 cm" in parsed.text
     assert "HU" not in parsed.text
     assert "interior points 9" in parsed.text
     assert len(parsed.images) == 7
