@@ -5,7 +5,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.contact.gripper import WIDEST, about, jaw_poses
+from tissue_sim.contact.grasp import CLEARANCE, DEPTH, SQUEEZED, at_lower_pole
+from tissue_sim.contact.gripper import WIDEST, Jaws, about, jaw_poses
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
@@ -45,6 +46,43 @@ def test_an_angle_has_bounds():
     np.testing.assert_array_equal(*(jaw_poses(POSE, angle, RADIUS, LENGTH) for angle in (WIDEST, 90.0)))
 
 
+@pytest.mark.parametrize("radius", [0.0, RADIUS])
+def test_the_gap_between_the_tips_and_the_angle_agree(radius):
+    jaws = Jaws(radius, LENGTH)
+    for gap in (0.0, 0.004, 0.03):
+        tips = hinges_and_tips(jaw_poses(POSE, jaws.angle(gap), radius, LENGTH))[1]
+        assert np.linalg.norm(tips[0] - tips[1]) - 2.0 * radius == pytest.approx(gap, abs=1e-12)
+        assert jaws.gap(jaws.angle(gap)) == pytest.approx(gap, abs=1e-12)
+    with pytest.raises(ValueError, match="mm at most"):
+        jaws.angle(0.06)
+
+
+# where it takes hold ---------------------------------------------------------------------------
+@pytest.mark.parametrize("subdivisions", [1, 4])
+def test_a_grasp_lies_across_the_lower_pole(subdivisions):
+    egg = trimesh.creation.icosphere(subdivisions, 1.0)
+    lean = Rotation.from_euler("xyz", [0.3, -0.2, 0.4])
+    vertices = lean.apply(np.asarray(egg.vertices) * (0.03, 0.02, 0.05))
+    jaws = Jaws(0.0, HINGE)
+    grasp = at_lower_pole(vertices, np.asarray(egg.faces), jaws)
+    assert grasp.out == pytest.approx(lean.apply([0.0, 0.0, -1.0]), abs=2e-2)
+    assert grasp.depth == DEPTH
+    wide = 0.06 * np.sqrt(1.0 - ((0.05 - DEPTH) / 0.05) ** 2)  # of an ellipsoid
+    assert grasp.width == pytest.approx(wide, rel=0.12 if subdivisions == 1 else 0.01)
+    assert grasp.place == pytest.approx((0.05 - DEPTH) * grasp.out, abs=2e-3)
+    x, _, z = Rotation.from_quat(grasp.turn).as_matrix().T
+    assert z == pytest.approx(-grasp.out)
+    assert abs(x @ lean.apply([1.0, 0.0, 0.0])) > 0.999
+    assert jaws.gap(grasp.opened) == pytest.approx(grasp.width + CLEARANCE)
+    assert jaws.gap(grasp.closed) == pytest.approx(SQUEEZED * grasp.width)
+
+
+def test_a_gripper_that_is_too_small_is_told():
+    egg = trimesh.creation.icosphere(3, 0.05)
+    with pytest.raises(ValueError, match=r"\d mm wide, and the tips open to 19 mm at most"):
+        at_lower_pole(np.asarray(egg.vertices), np.asarray(egg.faces), Jaws(0.0, 0.01))
+
+
 def test_wrenches_add_up_about_the_tools_origin():
     origins, forces = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
     wrenches = np.hstack([forces, np.zeros((2, 3))])
@@ -53,50 +91,38 @@ def test_wrenches_add_up_about_the_tools_origin():
 
 
 # what it holds ---------------------------------------------------------------------------------
-PAD = (0.004, 0.016, 0.030)  # m: thickness, width and length of a jaw's flat pad
 HINGE = 0.06  # m from the tips
+FLAT = "config/jaws/flat.obj"
 
 
 @pytest.fixture(scope="module")
-def pads(tmp_path_factory):
-    """A gripper of two flat jaws."""
-    box = trimesh.creation.box(PAD)
-    box.apply_translation([0.5 * PAD[0], 0.0, -0.5 * PAD[2]])
-    path = tmp_path_factory.mktemp("jaws") / "pad.stl"
-    box.export(path)
-    return Tool("left", "gripper", length=HINGE, mesh=str(path))
+def pads():
+    """The gripper of config/gripper.yaml: two flat jaws."""
+    return Tool("left", "gripper", length=HINGE, mesh=FLAT)
 
 
 class Nip:
-    """A gripper at the kidney's lower pole, its jaws on either side, 22 mm from the tip of the pole.
+    """A gripper at the kidney's lower pole, its jaws on either side.
 
     A contact set for every four ticks, as beside the node's loop at 1 kHz.
     """
 
     def __init__(self, gripper, friction):
         organ = Organ.load(shipped_organ())
-        points = organ.surface_positions
-        long, across, thick = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-        self.up = -np.sign(long[2]) * long
-        tip = points[np.argmax(points @ self.up)]
-        ring = points[np.abs((points - tip) @ self.up + 0.022) < 0.003]
-        middle = ring.mean(axis=0)
-        side = ring[np.abs((ring - middle) @ thick) < 0.004] @ across
-        self.place = middle + (0.5 * (side.max() + side.min()) - middle @ across) * across
-        self.width = float(np.ptp(side))
-        self.turn = Rotation.from_matrix(np.stack([across, np.cross(-self.up, across), -self.up], axis=1)).as_quat()
+        self.grasp = at_lower_pole(organ.surface_positions, organ.surface_triangles, gripper.jaws)
+        self.up = self.grasp.out
         self.scene = Scene(organ, [gripper], ticks_a_set=4)
         self.scene.simulation.settings[st.FRICTION] = friction
-        self.at, self.apart = self.place + 0.06 * self.up, self.width + 0.01
-        self.lead(self.place, self.width + 0.01, 300)
-        self.lead(self.place, 0.4 * self.width, 500)
+        self.at, self.angle = self.grasp.place + 0.06 * self.up, self.grasp.opened
+        self.lead(self.grasp.place, self.grasp.opened, 300)
+        self.lead(self.grasp.place, self.grasp.closed, 500)
 
-    def lead(self, place, apart, ticks):
-        """Move the gripper to a place (3,) m, its tips so many m apart, within so many ticks."""
-        start, began = self.at, self.apart
+    def lead(self, place, angle, ticks):
+        """Move the gripper to a place (3,) m and open or close it to an angle, within so many ticks."""
+        start, began = self.at, self.angle
         for share in np.linspace(0.0, 1.0, ticks):
-            self.at, self.apart = (1.0 - share) * start + share * place, (1.0 - share) * began + share * apart
-            self.scene.move(0, self.at, self.turn, 2.0 * np.arcsin(min(0.5 * self.apart / HINGE, 1.0)))
+            self.at, self.angle = (1.0 - share) * start + share * place, (1.0 - share) * began + share * angle
+            self.scene.move(0, self.at, self.grasp.turn, self.angle)
             self.scene.step()
 
     def touched(self):
@@ -113,8 +139,8 @@ class Nip:
         """Lift what the jaws hold; how far the median point that they held fell behind, m."""
         held = self.touched()
         before = self.points(held)
-        self.lead(self.at + way * self.up, self.apart, 1000)
-        self.lead(self.at, self.apart, 200)
+        self.lead(self.at + way * self.up, self.angle, 1000)
+        self.lead(self.at, self.angle, 200)
         behind = np.linalg.norm(self.points(held) - before - way * self.up, axis=1)
         return float(np.median(behind))
 
@@ -125,7 +151,7 @@ def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, sec
     behind = nip.lift()
     held = nip.touched()
     before = nip.points(held)
-    nip.lead(nip.at, nip.apart, round(1e3 * seconds))
+    nip.lead(nip.at, nip.angle, round(1e3 * seconds))
     slip = float(np.linalg.norm(nip.points(held) - before, axis=1).max())
     pull = -float(nip.scene.wrenches[0, :3] @ nip.up)
     print(f"lifted 10 mm, {1e3 * behind:.2f} mm behind; {seconds:g} s: slip {1e3 * slip:.4f} mm under {pull:.2f} N")
@@ -133,8 +159,8 @@ def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, sec
     assert behind < 2e-3
     assert slip < 1e-3
     assert pull > 0.3, "the hand feels the pull"
-    nip.lead(nip.at, nip.width + 0.01, 300)
-    nip.lead(nip.at + 0.05 * nip.up, nip.width + 0.01, 3000)
+    nip.lead(nip.at, nip.grasp.opened, 300)
+    nip.lead(nip.at + 0.05 * nip.up, nip.grasp.opened, 3000)
     simulation = nip.scene.simulation
     assert np.abs(nip.scene.wrenches).max() == 0.0, "let go"
     assert simulation.asleep
@@ -147,11 +173,11 @@ def test_slippery_jaws_do_not_lift_it(pads):
 
 def test_hand_of_a_gripper_feels_the_sum_and_no_more_than_the_clamp(pads):
     nip = Nip(pads, 0.6)
-    nip.lead(nip.at + 0.005 * nip.up, nip.apart, 300)
+    nip.lead(nip.at + 0.005 * nip.up, nip.angle, 300)
     bodies = nip.scene.simulation.state.wrench[:, :3]
     np.testing.assert_allclose(nip.scene.wrenches[0, :3], bodies.sum(axis=0), atol=1e-12)
     assert np.linalg.norm(bodies, axis=1).min() > 0.3
-    nip.scene.simulation.settings[st.FORCE_CLAMP] = 0.05
-    nip.lead(nip.at, nip.apart, 3)
-    assert np.linalg.norm(nip.scene.wrenches[0, :3]) == pytest.approx(0.05)
-    assert np.linalg.norm(nip.scene.simulation.state.wrench[:, :3].sum(axis=0)) <= 0.05 + 1e-12
+    nip.scene.simulation.settings[st.FORCE_CLAMP] = 0.01
+    nip.lead(nip.at, nip.angle, 3)
+    assert np.linalg.norm(nip.scene.wrenches[0, :3]) == pytest.approx(0.01)
+    assert np.linalg.norm(nip.scene.simulation.state.wrench[:, :3].sum(axis=0)) <= 0.01 + 1e-12

@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.organ.organ import Floats
 
 WIDEST = 2.5  # rad; an angle beyond it is in another unit
+
+
+class Jaws(NamedTuple):
+    """How a gripper is built: radius m of its jaws, 0 for those of a mesh, and length m from the tips to the hinge."""
+
+    radius: float
+    length: float
+
+    def gap(self, angle: float) -> float:
+        """Metres between the tips at an angle of so many rad between the jaws."""
+        return float(2.0 * (self.radius * np.cos(0.5 * angle) + self.length * np.sin(0.5 * angle) - self.radius))
+
+    def angle(self, gap: float) -> float:
+        """Angle in rad at which so many m are between the tips; raises ValueError where they don't open so wide."""
+        if not 0.0 <= gap <= self.gap(WIDEST):
+            raise ValueError(f"the tips open to {1e3 * self.gap(WIDEST):.3g} mm at most")
+        lever = np.hypot(self.radius, self.length)
+        return float(2.0 * (np.arcsin((0.5 * gap + self.radius) / lever) - np.arctan2(self.radius, self.length)))
 
 
 def jaw_poses(pose: Floats, angle: float, radius: float, length: float) -> Floats:

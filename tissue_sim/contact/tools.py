@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy.spatial import HalfspaceIntersection
 
 from tissue_sim.contact.grid import distance_grid
-from tissue_sim.contact.gripper import jaw_poses
+from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.errors import UserError
 from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.organ import Floats
+from tissue_sim.organ.shipped import shipped_file
 
 SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh")
 MOST_PLANES = 256
@@ -30,7 +31,8 @@ class Tool:
 
     name; shape: sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper) or mesh; radius m
     (sphere, capsules); length m (of capsules, between the centres of their caps, from the origin along -z; from a
-    gripper's tips to its hinge); mesh: file in m, a closed surface where it is not convex.
+    gripper's tips to its hinge); mesh: file in m, a closed surface where it is not convex; config/jaws/flat.obj comes
+    with the package.
     """
 
     name: str
@@ -43,6 +45,11 @@ class Tool:
     def n_bodies(self) -> int:
         """Rigid bodies that it is made of: the two jaws of a gripper, or one."""
         return 2 if self.shape == "gripper" else 1
+
+    @property
+    def jaws(self) -> Jaws:
+        """The jaws of a gripper."""
+        return Jaws(0.0 if self.mesh else self.radius, self.length)
 
 
 class ToolSet:
@@ -81,7 +88,7 @@ class ToolSet:
         chosen = self.tools[tool]
         if chosen.n_bodies == 1:
             return pose[None]
-        return jaw_poses(pose, angle, 0.0 if chosen.mesh else chosen.radius, chosen.length)
+        return jaw_poses(pose, angle, *chosen.jaws)
 
 
 @dataclass(frozen=True)
@@ -121,10 +128,11 @@ def _check_length(tool: Tool) -> None:
 
 
 def _mesh_body(tool: Tool) -> _Body:
-    if not Path(tool.mesh).is_file():
+    path = Path(tool.mesh) if Path(tool.mesh).is_file() else shipped_file(tool.mesh)
+    if path is None:
         raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
     try:
-        mesh = trimesh.load_mesh(tool.mesh)
+        mesh = trimesh.load_mesh(path)
         hull = mesh.convex_hull
     except Exception as error:  # a mesh library's own errors are of many kinds
         raise UserError(f"tool '{tool.name}': cannot read mesh file '{tool.mesh}': {error}") from None

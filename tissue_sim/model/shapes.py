@@ -108,9 +108,7 @@ def grid_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple
     nx = (1.0 - b) * near + b * far
     ny = (1.0 - c) * (e10 - e00) + c * (e11 - e01)
     nz = f1 - f0
-    if (
-        beyond > 0.0
-    ):  # the body lies in the grid's box: seen from its nearest place, no nearer than square to the way there
+    if beyond > 0.0:  # the body lies in the grid's box: from its nearest place, no nearer than square to the way there
         gap = math.sqrt(gap * gap + beyond * beyond)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     if length < 1e-12:
