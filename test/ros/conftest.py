@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 import pytest
 from processes import Process, start_node
 
+from tissue_sim.ros import client
+
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., Process]]:
@@ -19,3 +21,26 @@ def start() -> Iterator[Callable[..., Process]]:
     for process in started:
         process.child.kill()
         process.child.wait()
+
+
+@pytest.fixture
+def graph():
+    """The rclpy node of a viewer."""
+    with client.client_node("viewer", "tissue_sim") as node:
+        yield node
+
+
+@pytest.fixture
+def open_page(graph):
+    """Opens the page of tools, without a browser; it is closed with the test."""
+    from page import Page  # needs viser
+
+    opened = []
+
+    def one(*tools: str) -> Page:
+        opened.append(Page(graph, *tools))
+        return opened[-1]
+
+    yield one
+    for page in opened:
+        page.close()

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 PUBLISHER = Path(__file__).with_name("publish_poses.py")
 READY = "surface nodes"  # in the line that the node logs when its first tick is done
+UNHURRIED = "stale_time:=0.5"  # a busy machine is no stale hand
 
 
 class Process:
@@ -61,10 +62,17 @@ class Process:
 
 
 def start_node(
-    folder: Path, *parameters: str, wait: bool = True, remap: tuple[str, ...] = (), **environment: str
+    folder: Path,
+    *parameters: str,
+    wait: bool = True,
+    remap: tuple[str, ...] = (),
+    profile: Path | None = None,
+    **environment: str,
 ) -> Process:
-    """A node with parameters like `rate:=500.0` and remaps like `__ns:=/a`; waits until it ticks."""
-    words = ["-m", "tissue_sim.ros.node", "--ros-args"]
+    """A node with a profile's parameters and some like `rate:=500.0`, remaps like `__ns:=/a`; waits until it ticks."""
+    words = ["-m", "tissue_sim.ros.program", "--ros-args"]
+    if profile is not None:
+        words += ["--params-file", str(profile)]
     for rule in remap:
         words += ["-r", rule]
     for parameter in parameters:

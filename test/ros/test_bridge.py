@@ -30,6 +30,9 @@ class RecordedTool:
         self.stamps.append(stamp)
         self.poses.append(pose)
 
+    def open(self, stamp, angle):
+        assert angle == 0.0, "a tool without jaws"
+
     def feel(self):
         pass
 

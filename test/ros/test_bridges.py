@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from haptic_bridges import BRIDGES, StandIn
-from processes import READY, Process, poke_path, shipped
+from processes import READY, poke_path, shipped, start_node
 from ruamel.yaml import YAML
 
 from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
@@ -38,9 +38,8 @@ def test_profiles_hold_known_parameters(name):
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_bridge_feels_the_kidney(name, tmp_path):
     """It reaches the node, is pushed out along its own axes, and feels nothing once its poses are invalid or stop."""
-    words = ["-m", "tissue_sim.ros.node", "--ros-args", "--params-file", str(PROFILES[name])]
-    words += ["-p", "stale_time:=5.0"]  # a busy machine may hold these poses up
-    node = Process(words, tmp_path / "node.log")
+    # A busy machine may hold these poses up.
+    node = start_node(tmp_path, "stale_time:=5.0", profile=PROFILES[name], wait=False)
     stand_in = StandIn(BRIDGES[name])
     try:
         node.wait_for(READY)

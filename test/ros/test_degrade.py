@@ -36,6 +36,11 @@ class Run:
         return taken
 
 
+def test_a_look_tells_what_it_saw():
+    assert Look(0.28, 0.4, 0).words == "ticks took 28 % of the time, 40 % of them were late"
+    assert Look(0.95, 0.0, 7).words == "ticks took 95 % of the time, 0 % of them were late, 7 were given up"
+
+
 def test_steps_come_in_the_stated_order_and_go_back_in_reverse():
     run = Run()
     down = run.look(STRAIN, 20.0)

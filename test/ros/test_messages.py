@@ -8,10 +8,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64MultiArray
-from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.ros.cdr import UNSTAMPED, parse_plain, parse_stamped, unit_pose
-from tissue_sim.ros.messages import ARROW_LENGTH, CloudTemplate, MarkersTemplate, NumbersTemplate, rest_mesh
+from tissue_sim.ros.messages import CloudTemplate, NumbersTemplate, rest_mesh
 from tissue_sim.ros.tool_messages import POSE_TYPES, ToolTopics
 
 FRAMES = ["", "o", "organ", "frames", "a_rather_long_frame/of_an_arm"]
@@ -113,29 +112,6 @@ def test_cloud_template():
     assert np.frombuffer(read.data, dtype="<f4").tolist() == list(range(20))
     assert read.header.stamp.sec == 1
     assert read.header.stamp.nanosec == 2
-
-
-def test_markers_template_shows_the_positions_and_the_forces():
-    organ = shipped()
-    template = MarkersTemplate("organ", organ, 2)
-    position = organ.rest_positions + 0.001
-    centre = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0]])
-    wrench = np.zeros((2, 6))
-    wrench[0, :3] = (0.0, 0.0, 2.0)
-    read = deserialize_message(template.message(3_000_000_000, position, organ.n_surface, centre, wrench), MarkerArray)
-    surface, skeleton, left, right = read.markers
-    shown = np.array([(p.x, p.y, p.z) for p in surface.points])
-    assert np.array_equal(shown, position[organ.surface_triangles.ravel()])
-    bones = np.array([(p.x, p.y, p.z) for p in skeleton.points]).reshape(-1, 2, 3)
-    atoms = position[organ.n_surface : organ.n_surface + organ.n_atoms]
-    assert np.array_equal(bones[:, 0], atoms[1:])
-    assert np.array_equal(bones[:, 1], atoms[:-1])
-    assert (left.action, right.action) == (Marker.ADD, Marker.DELETE)
-    tip = left.points[1]
-    assert (tip.x, tip.y, tip.z) == pytest.approx((0.1, 0.2, 0.3 + 2.0 * ARROW_LENGTH))
-    assert all(marker.header.stamp.sec == 3 for marker in read.markers)
-    gone = deserialize_message(template.deletion(), MarkerArray)
-    assert all(marker.action == Marker.DELETE for marker in gone.markers)
 
 
 def test_rest_mesh_is_the_organ():

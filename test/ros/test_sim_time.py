@@ -77,7 +77,7 @@ def test_ticks_follow_the_clock_not_the_wall(client, simulator, node):
     simulator.run(0.5)
     before, start = int(report(client)["tick"]), simulator.time
     assert "ticks follow /clock" in node.text()
-    simulator.run(1.5, wall=2.0 * STEP)
+    simulator.run(0.7, wall=2.0 * STEP)
     client.spin(0.1)
     ticks = int(report(client)["tick"]) - before
     assert ticks == pytest.approx(1000.0 * (simulator.time - start), abs=5)

@@ -1,5 +1,6 @@
 """The viewer: bands of colour, texts, messages as arrays, and the real process with a page behind it."""
 
+import re
 import signal
 import socket
 import time
@@ -226,6 +227,14 @@ def test_meshes_and_clouds_become_arrays():
     assert triangles.tolist() == [[0, 2, 1]]
     columns = np.arange(12.0, dtype=np.float32).reshape(3, 4)
     assert np.array_equal(client.cloud_array(cloud(columns)), columns)
+
+
+def test_the_headline_is_as_high_whatever_it_says():
+    warned = view_panel.headline("tissue_sim", 1, "a < b, " * 50)
+    assert "a &lt; b" in warned
+    assert "warns" in warned
+    height = [re.search(r"height:([^;]+);", view_panel.headline_html(line))[1] for line in ("", warned)]
+    assert height[0] == height[1]
 
 
 def test_the_newest_status_of_the_right_node_counts():

@@ -26,6 +26,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.realtime import now, sleep_until
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.priority import HIGHEST, below, preferred
 
 if TYPE_CHECKING:
     from tissue_sim.ros.latency_probe import Trip
@@ -42,6 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser)
     parser.add_argument("--seconds", type=float, default=60.0, help="to measure each of them for (default: 60)")
+    parser.add_argument(
+        "--realtime-priority",
+        type=int,
+        default=0,
+        help="of the node and of what it is held against, 1 to 99, where the system allows it (default: 0, none)",
+    )
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
@@ -50,7 +57,9 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     if not 1.0 <= args.seconds <= 3600.0:
         raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")
-    found = measure(args.organ, args.seconds)
+    if not 0 <= args.realtime_priority <= HIGHEST:
+        raise UserError(f"--realtime-priority {args.realtime_priority} is outside 0..{HIGHEST}")
+    found = measure(args.organ, args.seconds, args.realtime_priority)
     emit(found, text(found), args.json)
     return 1 if args.check and not all(bound["met"] for bound in found["bounds"]) else 0
 
@@ -58,19 +67,26 @@ def run(args: argparse.Namespace) -> int:
 # measuring -----------------------------------------------------------------------------------------
 
 
-def measure(organ_file: str | None, seconds: float) -> dict[str, Any]:
+def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[str, Any]:
     """Figures of the node, the echo and the bare loop, measured for so many seconds each.
 
-    Raises UserError when rclpy is not installed or the node doesn't start.
+    priority: real-time priority of the node's loop and of the bare one; echo and node answer with the one below.
+    Raises UserError when rclpy is not installed, the node doesn't start, or the system allows no such priority.
     """
     if importlib.util.find_spec("rclpy") is None:
         raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
     from tissue_sim.ros.client import client_node
     from tissue_sim.ros.latency_probe import Probe, together
 
+    try:
+        with preferred(priority):
+            pass
+    except PermissionError:
+        raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'") from None
+
     path = organ_file or str(shipped_organ())
     organ = Organ.load(path)
-    with children(path), client_node("latency_probe", NODE) as own:
+    with children(path, priority), client_node("latency_probe", NODE) as own:
         probe = Probe(own, NODE, organ, RATE)
         probe.meet()
         turns = max(1, round(seconds / TURN))
@@ -85,14 +101,16 @@ def measure(organ_file: str | None, seconds: float) -> dict[str, Any]:
             late.append(after["overruns"] - before["overruns"])
             busy = after["tick_p50_us"]
             echo.append(probe.echoes(seconds / turns))
-            bare_late.append(bare(seconds / turns, 1e-6 * busy))
-        return as_json(seconds, together(node), together(echo), ticks, late, np.concatenate(bare_late), busy)
+            bare_late.append(bare(seconds / turns, 1e-6 * busy, priority))
+        found = as_json(seconds, together(node), together(echo), ticks, late, np.concatenate(bare_late), busy)
+        return {"realtime_priority": priority, **found}
 
 
-def bare(seconds: float, busy: float) -> Floats:
+def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
     """How late, s, the ticks of a loop at RATE are that does nothing but be busy for so many s of each."""
     late = np.zeros(round(seconds * RATE), dtype=np.int64)
-    bare_loop(round(1e9 / RATE), round(1e9 * busy), late, np.zeros(4, dtype=np.int64))
+    with preferred(priority):
+        bare_loop(round(1e9 / RATE), round(1e9 * busy), late, np.zeros(4, dtype=np.int64))
     return np.multiply(1e-9, late, dtype=np.float64)
 
 
@@ -110,7 +128,7 @@ def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
 
 
 @contextmanager
-def children(organ_file: str) -> Iterator[None]:
+def children(organ_file: str, priority: int) -> Iterator[None]:
     """The node, the echo and a listener in a ROS graph of their own."""
     from tissue_sim.ros.children import Child, stop_all
     from tissue_sim.ros.demo import free_domain
@@ -118,12 +136,18 @@ def children(organ_file: str) -> Iterator[None]:
 
     os.environ |= {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     python = [sys.executable, "-m"]
-    parameters = [f"organ_file:={organ_file}", f"rate:={RATE}", "marker_rate:=60.0", f"left.radius:={RADIUS}"]
+    parameters = [
+        f"organ_file:={organ_file}",
+        f"rate:={RATE}",
+        f"realtime_priority:={priority}",
+        "marker_rate:=60.0",
+        f"left.radius:={RADIUS}",
+    ]
     words = [word for parameter in parameters for word in ("-p", parameter)]
     started = [
-        Child("tissue_node", [*python, "tissue_sim.ros.node", "--ros-args", *words], os.environ),
-        Child("echo", [*python, "tissue_sim.ros.echo"], os.environ),
-        Child("listener", [*python, "tissue_sim.ros.echo", f"/{NODE}/markers"], os.environ),
+        Child("tissue_node", [*python, "tissue_sim.ros.program", "--ros-args", *words], os.environ),
+        Child("echo", [*python, "tissue_sim.ros.echo", str(below(priority))], os.environ),
+        Child("listener", [*python, "tissue_sim.ros.echo", "0", f"/{NODE}/markers"], os.environ),
     ]
     try:
         end = time.monotonic() + START_TIME
@@ -167,10 +191,11 @@ def text(found: dict[str, Any]) -> str:
     rows = [["pose to answer, us", "p50", "p99", "p99.9", "trips", "lost"]]
     for name, trip in found["round_trips"].items():
         rows.append([name, *(f"{trip[key]:.0f}" for key in ("p50_us", "p99_us", "p99_9_us", "trips", "lost"))])
-    late = found["late"]
+    late, priority = found["late"], found["realtime_priority"]
+    urgent = f"; with real-time priority {priority} and {below(priority)}" if priority else ""
     lines = [
         f"{found['seconds']:g} s each in turns; a tool in contact, poses at {found['rate_hz']:g} Hz, one subscriber of"
-        " markers at 60 Hz",
+        f" markers at 60 Hz{urgent}",
         *aligned(rows),
         "",
         f"ticks late by more than a period: node {late['node_percent']:.2f} %, a bare loop as busy"

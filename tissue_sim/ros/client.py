@@ -111,17 +111,17 @@ def client_node(name: str, target: str) -> Iterator[Node]:
 
 
 def stream_qos() -> QoSProfile:
-    """For poses, wrenches and surfaces: only the newest counts."""
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    """Of poses, wrenches and surfaces."""
+    from tissue_sim.ros.qos import STREAM
 
-    return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    return STREAM
 
 
 def latched_qos() -> QoSProfile:
-    """For the mesh: whoever comes later gets it too."""
-    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+    """Of mesh and markers."""
+    from tissue_sim.ros.qos import LATCHED
 
-    return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return LATCHED
 
 
 class Inbox:

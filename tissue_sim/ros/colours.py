@@ -36,9 +36,4 @@ def _shades() -> NDArray[np.float32]:
     return np.stack([*channels, np.ones(_N_SHADES)], axis=1).astype(np.float32)
 
 
-_SHADES = _shades()
-
-
-def shades(share: Floats) -> NDArray[np.float32]:
-    """Red, green, blue, alpha (n, 4) of shares (n,) of the scale, 0 to 1."""
-    return _SHADES[(np.minimum(share, 1.0) * (_N_SHADES - 1)).astype(np.intp)]
+SHADES = _shades()  # (256, 4) red, green, blue, alpha along the scale

@@ -12,6 +12,7 @@ from tissue_sim.contact.finder import ContactFinder, reach_margins
 from tissue_sim.model import state as st
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.report import Report
 from tissue_sim.ros.tool_port import ToolPort
 
 BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force after which it is looked whether they went stale
@@ -70,6 +71,20 @@ class ContactWorker:
     def engaged(self, tool: int) -> bool:
         """True while a tool may touch."""
         return bool(self._engaged[tool])
+
+    def report(self, report: Report) -> None:
+        """Add what was found, what was not looked for, and how long it took."""
+        durations = self.durations[-250:]
+        counters = self._finder.counters
+        report.values |= {
+            "contact_p99_us": 1e6 * float(np.percentile(durations, 99)) if durations else 0.0,
+            "contact_sets": counters.sets,
+            "skipped.tool_far": counters.far_skips,
+            "skipped.nothing_moved": self.unchanged_skips,
+        }
+        report.problems["dropped_contacts"] = self.dropped
+        if self.error:
+            report.failures.append(self.error)
 
     def _run(self) -> None:
         while not self._stop.is_set():

@@ -30,6 +30,12 @@ class Look(NamedTuple):
         return self.load > STRAINED_LOAD or self.late > STRAINED_LATE or self.dropped > 0
 
     @property
+    def words(self) -> str:
+        """What it saw, for people."""
+        lost = f", {self.dropped} were given up" if self.dropped else ""
+        return f"ticks took {100 * self.load:.0f} % of the time, {100 * self.late:.0f} % of them were late{lost}"
+
+    @property
     def well(self) -> bool:
         """True when there is room to take a step back."""
         return self.load < WELL_LOAD and self.late < WELL_LATE and self.dropped == 0

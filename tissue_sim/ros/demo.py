@@ -8,6 +8,7 @@ import json
 import os
 import random
 import shlex
+import shutil
 import socket
 import sys
 import time
@@ -108,7 +109,7 @@ def node_command(organ: str | None, folder: Path) -> list[str]:
     words = ["-p", "record:=true", "-p", f"record_folder:={json.dumps(str(folder.absolute()))}"]
     if organ is not None:
         words += ["-p", f"organ_file:={json.dumps(str(Path(organ).absolute()))}"]
-    return [sys.executable, "-m", "tissue_sim.ros.node", "--ros-args", *words]
+    return [sys.executable, "-m", "tissue_sim.ros.program", "--ros-args", *words]
 
 
 def status_line(values: Mapping[str, str]) -> str:
@@ -169,10 +170,10 @@ class Watch:
                     next_line += 1.0
                     if values is not None:
                         print(status_line(values), flush=True)
-                    elif now - started > 1.0:
+                    elif (waited := round(now - started)) == 2 or (waited > 0 and waited % 10 == 0):
                         print(
-                            f"waiting for the node, {now - started:.0f} s"
-                            " (its kernels compile when it runs here for the first time)",
+                            f"waiting for the node, {waited} s"
+                            " (its kernels compile when it runs here for the first time, a minute or so)",
                             flush=True,
                         )
                 wait_a_little(min(next_line, end))
@@ -188,11 +189,17 @@ def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[st
     for name in killed:
         sys.stderr.write(f"tissue_sim demo: the {name} did not end and was killed\n")
     if watch.bag and Path(watch.bag).is_dir():
-        print(f"bag: {watch.bag}\nreplay it with: tissue_sim replay {shlex.quote(watch.bag)}", flush=True)
+        print(f"bag: {watch.bag}\nreplay it with: {_program()} replay {shlex.quote(watch.bag)}", flush=True)
     elif dead is None:
         sys.stderr.write("tissue_sim demo: the node made no bag\n")
         return 1
     return 1 if dead is not None or killed else 0
+
+
+def _program() -> str:
+    """How this was started, for a command line that works where this one did."""
+    called = Path(sys.argv[0])
+    return str(called) if called.name == "tissue_sim" and shutil.which(called.name) is None else "tissue_sim"
 
 
 def _command(*words: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""`python -m tissue_sim.ros.echo`: a node that sends poses back as they came, or one that only listens to markers.
+"""`python -m tissue_sim.ros.echo [PRIORITY [TOPIC]]`: sends poses back as they came, or only listens to markers.
 
 What a round trip over this middleware and executor takes at least, to hold the node's against.
 """
@@ -12,12 +12,13 @@ from rclpy.experimental import EventsExecutor
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.client import Stop, client_node, stream_qos
+from tissue_sim.ros.priority import prefer
 
 IN, OUT = "echo/measured_cp", "echo/servo_cf"
 
 
-def main(markers: str = "") -> None:
-    """Run until SIGINT or SIGTERM; markers: the topic to listen to instead of echoing."""
+def main(priority: str = "0", markers: str = "") -> None:
+    """Run until SIGINT or SIGTERM, with a real-time priority; markers: the topic to listen to instead of echoing."""
     sys.setswitchinterval(0.0005)  # as in the node
     with Stop() as stop, client_node("listener" if markers else "echo", "") as node:
         if markers:
@@ -27,9 +28,10 @@ def main(markers: str = "") -> None:
             node.create_subscription(PoseStamped, IN, publisher.publish, stream_qos(), raw=True)
         executor = EventsExecutor()
         executor.add_node(node)
+        prefer(int(priority))
         while not stop:
             executor.spin_once(timeout_sec=0.1)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main(*sys.argv[1:3])

@@ -6,12 +6,11 @@ import threading
 import time
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from tissue_sim.ros import client
+from tissue_sim.ros.tool_link import PoseWriter, ToolLink
 
 Floats = NDArray[np.float64]
 
@@ -39,17 +38,29 @@ def limited(vector: Floats, length: float) -> Floats:
 
 
 class HeldTool:
-    """Publishes `<tool>/measured_cp` from a thread of its own, between `take` and `release`.
+    """Publishes a tool's poses from a thread of its own, between `take` and `release`.
 
     The thread keeps poses coming while the viewer is busy with a picture, so that none gets stale.
     """
 
     def __init__(self, node: Node, name: str) -> None:
-        self._node, self.topic = node, f"{name}/measured_cp"
+        self._node, self._name = node, name
+        self._link: ToolLink | None = None
         self._publisher: Publisher | None = None
         self._thread: threading.Thread | None = None
         self._released = threading.Event()
-        self.goal: Floats = np.zeros(3)  # m; replaced as a whole, from any thread
+        self.goal: Floats = np.zeros(3)  # m in the organ's frame; replaced as a whole, from any thread
+
+    def use(self, link: ToolLink) -> None:
+        """Speak to the tool like this from now on; one that is held otherwise is let go."""
+        if link != self._link:
+            self.release()
+            self._link = link
+
+    @property
+    def topic(self) -> str:
+        """Where the poses go."""
+        return (self._link or ToolLink.by_default(self._name, "")).topics.names["measured_cp"]
 
     @property
     def held(self) -> bool:
@@ -61,16 +72,14 @@ class HeldTool:
         return int(self._node.count_publishers(self.topic)) - (1 if self.held else 0)
 
     def take(self, position: Floats, quaternion: Floats, frame_id: str) -> None:
-        """Hold the tool at a position (3,) m with a quaternion (4,) x y z w in a frame, until `release`."""
+        """Hold the tool at a position (3,) m with a quaternion (4,) x y z w in the organ's frame, until `release`."""
         self.release()
         self.goal = np.array(position, dtype=np.float64)
-        message = PoseStamped()
-        message.header.frame_id = frame_id
-        turn = message.pose.orientation
-        turn.x, turn.y, turn.z, turn.w = map(float, quaternion)
-        self._publisher = self._node.create_publisher(PoseStamped, self.topic, client.stream_qos())
+        link = self._link or ToolLink.by_default(self._name, frame_id)
+        self._publisher = self._node.create_publisher(link.pose_type, self.topic, link.qos)
         self._released.clear()
-        self._thread = threading.Thread(target=self._run, args=(self._publisher, message), name=self.topic, daemon=True)
+        held = (self._publisher, PoseWriter(link), [float(value) for value in quaternion])
+        self._thread = threading.Thread(target=self._run, args=held, name=self.topic, daemon=True)
         self._thread.start()
 
     def release(self) -> None:
@@ -82,7 +91,7 @@ class HeldTool:
         self._node.destroy_publisher(self._publisher)
         self._thread = self._publisher = None
 
-    def _run(self, publisher: Publisher, message: PoseStamped) -> None:
+    def _run(self, publisher: Publisher, writer: PoseWriter, turn: list[float]) -> None:
         position, velocity = self.goal, np.zeros(3)
         clock = self._node.get_clock()
         before = time.monotonic()
@@ -90,7 +99,4 @@ class HeldTool:
             now = time.monotonic()
             position, velocity = follow(position, velocity, self.goal, min(now - before, LONGEST_STEP))
             before = now
-            place = message.pose.position
-            place.x, place.y, place.z = map(float, position)
-            message.header.stamp = clock.now().to_msg()
-            publisher.publish(message)
+            publisher.publish(writer.message(clock.now().nanoseconds, (*position.tolist(), *turn)))

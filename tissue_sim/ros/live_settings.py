@@ -14,6 +14,7 @@ from tissue_sim.model.state import Floats
 from tissue_sim.ros import degrade
 from tissue_sim.ros.parameters import Parameters
 from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.report import Report
 
 LEAST_RATE = 50.0  # Hz
 ANY_FORCE = 1e9  # N, under which every load is small
@@ -84,6 +85,20 @@ class LiveSettings:
         if degrade.halvings(self.level):
             words.append(f"{1.0 / self._physics.tick_time:g} Hz")
         return ", ".join(words) or "nothing is given up"
+
+    def report(self, report: Report) -> None:
+        """Add what is given up, and a coupling that is softer than asked for."""
+        report.values |= {
+            "degraded": degrade.name(self.level),
+            "coupling_stiffness": self.coupling_stiffness,
+        }
+        if self.level != degrade.NONE:
+            report.warnings.append(f"degraded: {self.describe()}")
+        if self.coupling_stiffness < self._parameters["coupling_stiffness"]:
+            report.warnings.append(
+                f"coupling_stiffness is {self.coupling_stiffness:.0f} N/m: more is not passive with this"
+                " device_damping and rate of poses"
+            )
 
     @property
     def marker_rate(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,24 +81,38 @@ class Segment:
     """One phase of a path.
 
     name; duration s; one move for each tool; outward (T, 3): the way out of the tissue, zero where a
-    tool is outside and clear of it.
+    tool is outside and clear of it; jaws (2, T): angles in rad between the jaws of each at the start and at the end,
+    zero for tools that have none.
     """
 
     name: str
     duration: float
     moves: tuple[Move, ...]
     outward: Floats
+    jaws: Floats | None = None  # None: all are zero
 
     @staticmethod
-    def timed(name: str, moves: Sequence[Move], outward: Floats, speed: float) -> Segment:
-        """A segment as long as its farthest move takes with a peak speed in m/s."""
+    def timed(
+        name: str, moves: Sequence[Move], outward: Floats, speed: float, jaws: Floats | None = None, reach: float = 0.0
+    ) -> Segment:
+        """A segment as long as its farthest move takes with a peak speed in m/s, also of the tips of jaws.
+
+        reach: m from their hinge to their tips.
+        """
         duration = max(max(PEAK_OVER_MEAN * m.length / speed, PEAK_OVER_MEAN * m.angle / TURNING) for m in moves)
-        return Segment(name, max(duration, SHORTEST), tuple(moves), outward)
+        if jaws is not None:
+            duration = max(duration, PEAK_OVER_MEAN * 0.5 * float(np.ptp(jaws, axis=0).max()) * reach / speed)
+        return Segment(name, max(duration, SHORTEST), tuple(moves), outward, jaws)
 
     def poses(self, time: Floats) -> Floats:
         """Poses (m, T, 7) at times (m,) s from the segment's start."""
         fraction = minimum_jerk(time / self.duration)
         return np.stack([move.poses(fraction) for move in self.moves], axis=1)
+
+    def angles(self, time: Floats) -> Floats:
+        """Angles (m, T) rad between the jaws at times (m,) s from the segment's start."""
+        start, end = np.zeros((2, len(self.moves))) if self.jaws is None else self.jaws
+        return start + minimum_jerk(time / self.duration)[:, None] * (end - start)
 
 
 @dataclass(frozen=True)
@@ -141,24 +155,53 @@ class Path:
 
     def sample(self, rate: float) -> Floats:
         """One cycle as poses (m, T, 7) at a rate in Hz."""
+        return self._sample(rate, Segment.poses, (len(self.tools), 7))
+
+    def sample_jaws(self, rate: float) -> Floats:
+        """The angles (m, T) rad between the jaws of each tool, beside the poses of `sample`."""
+        return self._sample(rate, Segment.angles, (len(self.tools),))
+
+    def _sample(self, rate: float, values: Callable[[Segment, Floats], Floats], shape: tuple[int, ...]) -> Floats:
         times = np.arange(max(1, round(self.duration * rate))) / rate
         which = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, len(self.segments) - 1)
-        out = np.empty((len(times), len(self.tools), 7))
+        out = np.empty((len(times), *shape))
         for index, segment in enumerate(self.segments):
             chosen = which == index
-            out[chosen] = segment.poses(times[chosen] - self.starts[index])
+            out[chosen] = values(segment, times[chosen] - self.starts[index])
         return out
 
     def retreat(self, time: float, rate: float, speed: float = 0.15) -> Floats:
-        """Poses (m, T, 7) at a rate in Hz that take the tools straight out, from where they are at a time."""
+        """Poses (m, T, 7) at a rate in Hz that take the tools straight out, from where they are at a time.
+
+        Jaws open first: they would take along what they hold.
+        """
+        return self._leave(time, rate, speed, Segment.poses)
+
+    def retreat_jaws(self, time: float, rate: float, speed: float = 0.15) -> Floats:
+        """The angles (m, T) rad between the jaws of each tool, beside the poses of `retreat`."""
+        return self._leave(time, rate, speed, Segment.angles)
+
+    def _leave(self, time: float, rate: float, speed: float, values: Callable[[Segment, Floats], Floats]) -> Floats:
         segment, since = self._at(time)
-        pose = segment.poses(np.array([since]))[0]
-        moves = []
+        now = np.array([since])
+        pose, angle = segment.poses(now)[0], segment.angles(now)[0]
+        stay, out = [], []
         for tool, way in enumerate(segment.outward):
             start, turn = pose[tool, :3], Rotation.from_quat(pose[tool, 3:])
-            moves.append(Move.line(start, leave(start, way, self.centre, self.radius), turn))
-        out = Segment.timed("retreat", moves, segment.outward, speed)
-        return out.poses(np.arange(1, max(2, int(np.ceil(out.duration * rate)) + 1)) / rate)
+            stay.append(Move.line(start, start, turn))
+            out.append(Move.line(start, leave(start, way, self.centre, self.radius), turn))
+        opened = np.where(segment.outward.any(axis=1), self._widest(), angle)
+        parts = [Segment.timed("retreat", out, segment.outward, speed, np.array([opened, opened]))]
+        if np.any(opened > angle):
+            turning = PEAK_OVER_MEAN * float((opened - angle).max()) / TURNING
+            parts.insert(0, Segment("open", turning, tuple(stay), segment.outward, np.array([angle, opened])))
+        times = [np.arange(1, max(2, int(np.ceil(part.duration * rate)) + 1)) / rate for part in parts]
+        return np.concatenate([values(part, at) for part, at in zip(parts, times, strict=True)])
+
+    def _widest(self) -> Floats:
+        """Largest angle (T,) rad between the jaws of each tool."""
+        none = np.zeros((1, len(self.tools)))
+        return np.asarray(np.concatenate([none, *(s.jaws for s in self.segments if s.jaws is not None)]).max(axis=0))
 
 
 def leave(start: Floats, way: Floats, centre: Floats, radius: float) -> Floats:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from rclpy.node import Node
 
+from tissue_sim.ros.report import Report
+
 
 class Namesakes:
     """Counts the nodes in the graph that are called like this one."""
@@ -12,8 +14,8 @@ class Namesakes:
         self._node = node
         self.count = 0
 
-    def look(self) -> int:
-        """How many there are besides this one; a line is logged when there are more than before."""
+    def report(self, report: Report) -> None:
+        """Add how many there are besides this one; a line is logged when there are more than before."""
         node = self._node
         own = (node.get_name(), node.get_namespace())
         count = max(0, node.get_node_names_and_namespaces().count(own) - 1)
@@ -23,4 +25,6 @@ class Namesakes:
                 " start one of them with -r __node:=NAME or -r __ns:=/NAMESPACE"
             )
         self.count = count
-        return count
+        report.values["same_name_nodes"] = count
+        if count:
+            report.warnings.append(f"another node is called {node.get_fully_qualified_name()} too")

@@ -7,23 +7,12 @@ pose and publish the newest wrench.
 
 from __future__ import annotations
 
-if __name__ == "__main__":
-    from tissue_sim.ros.program import run
-
-    run()
-
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import rclpy
-from rclpy.experimental import EventsExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 import tissue_sim
@@ -37,22 +26,21 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros import bag, degrade
 from tissue_sim.ros.contact_worker import ContactWorker
-from tissue_sim.ros.dds import use_shipped_profile
-from tissue_sim.ros.diagnostics import Diagnostics, physics_values, timing_warnings
-from tissue_sim.ros.ending import Ending, Interrupted
+from tissue_sim.ros.diagnostics import Diagnostics, LoopReport
 from tissue_sim.ros.live_settings import LiveSettings
 from tissue_sim.ros.namesakes import Namesakes
-from tissue_sim.ros.parameters import Parameters
+from tissue_sim.ros.parameters import Parameters, frames_of, tool_of, topics_of
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.presenter import Presenter
+from tissue_sim.ros.priority import below, prefer
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.report import Report, Reports
 from tissue_sim.ros.sim_clock import SimClock
 from tissue_sim.ros.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.timing import TimingReader
-from tissue_sim.ros.tool_port import ToolPort, as_values
+from tissue_sim.ros.tool_port import ToolPort
 
 NAME = "tissue_sim"
-RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
 BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
@@ -72,7 +60,7 @@ class TissueNode(Node):
         self.organ_path = Path(values["organ_file"] or shipped_organ())
         self.organ = Organ.load(self.organ_path)
         self._organ_bytes = self.organ_path.read_bytes()
-        tools = ToolSet([values.tool(name) for name in values.tools])
+        tools = ToolSet([tool_of(values, name) for name in values.tools])
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once for this machine: a minute or so")
         self.simulation = Simulation(
@@ -119,11 +107,22 @@ class TissueNode(Node):
 
     # life --------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Start the threads; returns when the loop runs."""
+        """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
         self.finder.warm_up(self.organ.rest_positions)
         self.live.update()
         self.physics.start()
-        self._timing, self._load = TimingReader(self.physics.box), TimingReader(self.physics.box)
+        self._prefer(self.parameters["realtime_priority"])
+        self._load = TimingReader(self.physics.box)
+        self._parts: list[Reports] = [
+            LoopReport(self.physics),
+            self.sim_clock,
+            self.live,
+            self.namesakes,
+            *self.ports,
+            self.recorder,
+            self.contacts,
+            self.presenter,
+        ]
         self.contacts.start()
         if self.parameters["record"]:
             self.get_logger().info(f"recording to {self._start_recording()}")
@@ -152,6 +151,17 @@ class TissueNode(Node):
             lost = f", without {self.recorder.lost} messages" if self.recorder.lost else ""
             self.get_logger().info(f"bag closed: {path}{lost}")
 
+    def _prefer(self, priority: int) -> None:
+        """The loop before all other threads, and after it the calling one, which answers poses."""
+        try:
+            self.physics.prefer(priority)
+            prefer(below(priority))
+        except OSError as error:
+            self.get_logger().warning(
+                f"realtime_priority {priority} is refused ({error.strerror}): the loop is a thread like others;"
+                " allow it with a line like '@haptics - rtprio 99' in /etc/security/limits.conf, and log in again"
+            )
+
     # wiring ------------------------------------------------------------------------------------
     def _port(self, index: int, name: str, tools: ToolSet) -> ToolPort:
         values = self.parameters
@@ -160,8 +170,8 @@ class TissueNode(Node):
             index,
             name,
             tools,
-            values.topics(name),
-            values.frames(name, self._lookup),
+            topics_of(values, name),
+            frames_of(values, name, self._lookup),
             self.frame_id,
             self.physics,
             lambda: self.recorder,
@@ -257,145 +267,27 @@ class TissueNode(Node):
         self.sim_clock.watch()
         timing, ladder = self._load.read(), self.ladder
         was_stuck = ladder.stuck
-        if ladder.look(now, degrade.Look(timing.load, timing.late_share, timing.dropped_ticks), self.live.helps):
+        look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
+        if ladder.look(now, look, self.live.helps):
             # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
-            threading.Thread(target=self._degrade, args=(ladder.level, timing.load), daemon=True).start()
+            threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
         elif ladder.stuck and not was_stuck:
             self.get_logger().warning("the machine is too slow, and there is nothing left to give up: time is lost")
 
-    def _degrade(self, level: int, load: float) -> None:
+    def _degrade(self, level: int, why: str) -> None:
         """Go to another level of degradation, and say so."""
         worse = level > self.live.level
         self.live.update(level)
-        line = f"{self.live.describe()} (the ticks took {100 * load:.0f} % of the time)"
+        line = f"{self.live.describe()} ({why})"
         if worse:
             self.get_logger().warning(f"the machine is too slow: {line}")
         else:
             self.get_logger().info(f"the machine keeps up again: {line}")
 
     def _report(self) -> None:
-        count, tools = self.physics.counts()
-        settings = self.physics.settings()
-        timing = self._timing.read()
-        values = physics_values(timing, count)
-        values["clock"] = self.sim_clock.state()
-        values["degraded"] = degrade.name(self.live.level)
-        warnings = timing_warnings(timing)
-        if self.live.level != degrade.NONE:
-            warnings.append(f"degraded: {self.live.describe()}")
-        values["same_name_nodes"] = self.namesakes.look()
-        if self.namesakes.count:
-            warnings.append(f"another node is called {self.get_fully_qualified_name()} too")
         if self.parameters["coupling_stiffness"] > 0.0:
             self.live.update()  # poses may come at another rate now
-            if self.live.coupling_stiffness < self.parameters["coupling_stiffness"]:
-                warnings.append(
-                    f"coupling_stiffness is {self.live.coupling_stiffness:.0f} N/m: more is not passive with this"
-                    " device_damping and rate of poses"
-                )
-        values["force_n"] = float(sum(port.force for port in self.ports))
-        values["recording"] = str(self.recorder.path) if self.recorder.active else ""
-        durations = self.contacts.durations[-250:]
-        values["contact_p99_us"] = 1e6 * float(np.percentile(durations, 99)) if durations else 0.0
-        counters = self.finder.counters
-        values |= {
-            "coupling_stiffness": self.live.coupling_stiffness,
-            "slewed_ticks": int(count[st.SLEWED]),
-            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
-            "turned_cells": int(count[st.TURNED]),
-            "contact_sets": counters.sets,
-            "skipped.tool_far": counters.far_skips,
-            "skipped.nothing_moved": self.contacts.unchanged_skips,
-            "skipped.mesh_unchanged": self.presenter.unchanged_skips,
-            "skipped.no_subscriber": self.presenter.unseen_skips,
-        }
-        problems = {
-            "faults": int(count[st.FAULTS]),
-            "false_rest_shapes": int(count[st.SNAPS]),
-            "clamped_ticks": int(count[st.CLAMPED]),
-            "dropped_ticks": timing.dropped,
-            "dropped_contacts": self.contacts.dropped,
-            "lost_bag_messages": self.recorder.lost,
-        }
-        for port in self.ports:
-            engaged = bool(tools[port.bodies[0], st.ENGAGED])
-            values |= {
-                f"{port.name}.state": port.state(settings, engaged),
-                f"{port.name}.force_n": port.force,
-                f"{port.name}.poses": port.poses,
-            }
-            problems |= as_values(port.refused, port.name)
-        failure = self.recorder.error or self.contacts.error
-        if not self.physics.alive:
-            failure = "the physics loop has ended"
-        self.diagnostics.publish(values, problems, warnings, failure)
-
-
-def main(arguments: list[str] | None = None, ending: Ending | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; returns the exit code. To be called in the main thread."""
-    ending = ending or Ending()
-    words = sys.argv if arguments is None else arguments
-    if any(word in ("-h", "--help") for word in words[1:]):
-        print(HELP)
-        return 0
-    # Short turns at the GIL: a pose must not wait 5 ms for a diagnostics message.
-    sys.setswitchinterval(0.0005)
-    use_shipped_profile()
-    node = None
-    try:
-        _start_rclpy(words)
-        node = TissueNode()
-        executor = EventsExecutor()
-        executor.add_node(node)
-        node.start()
-        ending.started()
-        while not ending.asked.is_set():
-            executor.spin_once(timeout_sec=0.1)
-        node.close()
-        return 0
-    except Interrupted:
-        ending.closes()
-        if node is not None:
-            node.close()
-        return 0
-    except UserError as error:
-        sys.stderr.write(f"tissue_node: error: {error}\n")
-        return 2
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def _start_rclpy(words: list[str]) -> None:
-    """Raises UserError for arguments that rcl can't use."""
-    try:
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-    except (RCLError, UnknownROSArgsError) as error:
-        reason = str(error).split(", at /")[0]  # where in rcl's sources
-        hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
-        raise UserError(f"{reason}{hint}") from None
-
-
-HELP = """usage: tissue_node [--ros-args -p PARAMETER:=VALUE ... --params-file FILE -r OLD:=NEW ...]
-
-Serves a deformable organ at a fixed rate: tool poses in, wrenches and the deformed mesh out.
-Parameters (defaults: the kidney that ships, 1000 Hz, spherical tools 'left' and 'right' of 5 mm):
-"""
-
-
-def _describe_parameters() -> str:
-    from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
-
-    def line(prefix: str, spec: Any) -> str:
-        bounds = f" [{spec.low:g}..{spec.high:g}]" if spec.low is not None else ""
-        live = ", may change while running" if spec.live else ""
-        return f"  {prefix}{spec.name} (default {spec.default!r}){bounds}{live}: {spec.text}"
-
-    lines = [line("", spec) for spec in NODE_SPECS]
-    lines.append("  tools (default ['left', 'right']): names of the tools")
-    lines += [line("<tool>.", spec) for spec in TOOL_SPECS]
-    return "\n".join(lines)
-
-
-HELP += _describe_parameters()
+        report = Report()
+        for part in self._parts:
+            part.report(report)
+        self.diagnostics.publish(report)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -23,6 +23,7 @@ from tissue_sim.model.state import Floats
 from tissue_sim.ros import bag
 from tissue_sim.ros.colours import MARKER_COLOURS
 from tissue_sim.ros.frames import IDENTITY, Frames, Transform, unit_quaternion
+from tissue_sim.ros.priority import HIGHEST
 from tissue_sim.ros.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 
 
@@ -51,6 +52,13 @@ NODE_SPECS = (
     Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
     Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
+    Spec(
+        "realtime_priority",
+        0,
+        "of the loop's thread, SCHED_FIFO, one less for the one that answers poses; 0: as every thread",
+        0,
+        HIGHEST,
+    ),
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
     Spec("marker_colour", "none", "what colours the markers", live=True, choices=MARKER_COLOURS),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
@@ -109,6 +117,46 @@ TOOL_SPECS = (
 )
 
 
+class Values(Protocol):
+    """Parameters by name: a node's own, or a dictionary of those that another node has told."""
+
+    def __getitem__(self, name: str, /) -> Any:
+        """The value of a parameter."""
+
+
+def tool_of(values: Values, name: str) -> Tool:
+    """The tool of a name as its parameters describe it."""
+    get = {key: values[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh")}
+    return Tool(name, **get)
+
+
+def topics_of(values: Values, tool: str) -> ToolTopics:
+    """How the bridge of a tool speaks."""
+    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
+    return ToolTopics(
+        names={topic: values[f"{tool}.{topic}"] or f"{tool}/{topic}" for topic in bag.TOOL_TOPICS}
+        | {"measured_js": values[f"{tool}.measured_js"] or f"{tool}/gripper/measured_js"},
+        frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
+        wrench_rotation=unit_quaternion(values[f"{tool}.wrench_rotation"]),
+        **{word: values[f"{tool}.{word}"] for word in words},
+    )
+
+
+def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
+    """The frames that a tool's poses may come in; lookup leads others to the node's `tf_target`, None without tf."""
+    organ_id, base_id = values["frame_id"], values["base_frame"]
+    to_organ = Transform.of_pose(values["organ_pose"]).inverse()
+    known = {organ_id: Transform()}
+    if base_id:
+        known[base_id] = to_organ
+    known[values[f"{tool}.frame_id"] or organ_id] = to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"]))
+    if lookup is None:
+        return Frames(known, values[f"{tool}.motion_scale"])
+    # Without a name for the base, tf itself knows where the organ is.
+    led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
+    return Frames(known, values[f"{tool}.motion_scale"], led)
+
+
 class Parameters:
     """Declares the parameters on a node and reads them.
 
@@ -133,36 +181,6 @@ class Parameters:
 
     def __getitem__(self, name: str) -> Any:
         return self._node.get_parameter(name).value
-
-    def tool(self, name: str) -> Tool:
-        """The tool of a name as its parameters describe it."""
-        get = {key: self[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh")}
-        return Tool(name, **get)
-
-    def topics(self, tool: str) -> ToolTopics:
-        """How the bridge of a tool speaks."""
-        words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
-        return ToolTopics(
-            names={topic: self[f"{tool}.{topic}"] or f"{tool}/{topic}" for topic in bag.TOOL_TOPICS}
-            | {"measured_js": self[f"{tool}.measured_js"] or f"{tool}/gripper/measured_js"},
-            frame_id=self[f"{tool}.frame_id"] or self["frame_id"],
-            wrench_rotation=unit_quaternion(self[f"{tool}.wrench_rotation"]),
-            **{word: self[f"{tool}.{word}"] for word in words},
-        )
-
-    def frames(self, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
-        """The frames that a tool's poses may come in; lookup leads others to `tf_target`, None without tf."""
-        organ_id, base_id = self["frame_id"], self["base_frame"]
-        to_organ = Transform.of_pose(self["organ_pose"]).inverse()
-        known = {organ_id: Transform()}
-        if base_id:
-            known[base_id] = to_organ
-        known[self[f"{tool}.frame_id"] or organ_id] = to_organ.after(Transform.of_pose(self[f"{tool}.base_pose"]))
-        if lookup is None:
-            return Frames(known, self[f"{tool}.motion_scale"])
-        # Without a name for the base, tf itself knows where the organ is.
-        led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
-        return Frames(known, self[f"{tool}.motion_scale"], led)
 
     @property
     def tf_target(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
 import time
 from functools import partial
@@ -18,6 +19,7 @@ from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Floats, Longs
 from tissue_sim.model.world import World
+from tissue_sim.ros.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
 BoolArray = NDArray[np.bool_]
@@ -61,6 +63,15 @@ class Physics:
         self._thread.start()
         while self.box.control[mb.STARTED] == 0 and self._thread.is_alive():
             time.sleep(0.01)
+
+    def prefer(self, priority: int) -> None:
+        """Let the running loop go before other threads, see `priority.prefer`."""
+        prefer(priority, self._thread.native_id or 0)
+
+    @property
+    def priority(self) -> int:
+        """Real-time priority of the loop, 0 where it is a thread like others."""
+        return os.sched_getparam(self._thread.native_id or 0).sched_priority if self.alive else 0
 
     def stop(self) -> None:
         """End the loop after the running tick."""

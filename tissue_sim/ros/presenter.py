@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
@@ -17,18 +16,18 @@ from visualization_msgs.msg import MarkerArray
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.colours import FULL_DISPLACEMENT, FULL_FORCE, MOVING, shades
-from tissue_sim.ros.messages import CloudTemplate, MarkersTemplate, rest_mesh
+from tissue_sim.ros.colours import FULL_DISPLACEMENT, FULL_FORCE, MOVING
+from tissue_sim.ros.markers import OrganMarkers, all_finite, write_displacement
+from tissue_sim.ros.messages import CloudTemplate, rest_mesh
 from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.qos import LATCHED, RELIABLE, STREAM
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.report import Report
 from tissue_sim.ros.tool_markers import ToolMarkers
 from tissue_sim.ros.tool_port import ToolPort
 
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 POSE_LASTS = 1.0  # s that a tool is shown without a new pose
 REPEAT_AFTER = 0.5  # s after which an organ that stands still is streamed again
-STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
 class Presenter:
@@ -50,19 +49,21 @@ class Presenter:
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, "~/surface", STREAM)
         self._skeleton = node.create_publisher(PointCloud2, "~/skeleton", STREAM)
-        self._tools = node.create_publisher(MarkerArray, "~/tools", NEWEST)
+        self._tools = node.create_publisher(MarkerArray, "~/tools", RELIABLE)
         self._tool_bytes = ToolMarkers(frame_id, tools)
         self._tools_shown: tuple[object, ...] = ()
         self._tools_sent = -math.inf
-        self._new_markers = partial(MarkersTemplate, frame_id, organ, len(ports))
+        self._new_markers = partial(OrganMarkers, frame_id, organ, len(ports))
         self._marker_bytes = self._new_markers()
-        self._coloured_bytes: MarkersTemplate | None = None  # made when it is wanted: it takes a while
+        self._coloured_bytes: OrganMarkers | None = None  # made when it is wanted: it takes a while
         self._surface_bytes = CloudTemplate(frame_id, organ.n_surface, ("x", "y", "z"))
         self._skeleton_bytes = CloudTemplate(frame_id, organ.n_atoms, ("x", "y", "z", "radius", "parent"))
         self._skeleton_bytes.points[:, 3] = organ.atom_radius
         self._skeleton_bytes.points[:, 4] = organ.atom_parent
         self._rest = organ.rest_positions
         self._positions = self._rest.copy()
+        self._displacement = np.zeros(len(self._rest))
+        self._tips, self._felt = np.zeros((len(ports), 3)), np.zeros((len(ports), 6))
         self._colour = ""  # of the markers last published
         self._sequence: dict[str, int] = {}
         self._had_markers = 0
@@ -97,7 +98,7 @@ class Presenter:
                 self.unseen_skips += 1
             return
         tick = physics.positions(self._positions)
-        if not np.isfinite(self._positions).all():  # never seen, and RViz would drop the marker
+        if not all_finite(self._positions):  # never seen, and RViz would drop the marker
             return
         stamp = self._clock.now().nanoseconds
         markers = None
@@ -127,14 +128,21 @@ class Presenter:
         now = time.monotonic()
         newest = [port.newest for port in self._ports]
         fresh = [now - port.pose_clock < POSE_LASTS for port in self._ports]
-        forces = np.array([port.felt()[1][:3] for port in self._ports]).reshape(-1, 3)
+        tips, wrenches = self._touches()
+        forces = wrenches[:, :3]
         shown = (*(pose.sequence for pose in newest), *fresh, forces.tobytes())
         if shown == self._tools_shown and now - self._tools_sent < REPEAT_AFTER:
             return
         self._tools_shown, self._tools_sent = shown, now
         placed = [pose.placed if is_fresh else None for pose, is_fresh in zip(newest, fresh, strict=True)]
-        tips = np.array([pose.pose[:3] for pose in newest]).reshape(-1, 3)
         self._tools.publish(self._tool_bytes.message(self._clock.now().nanoseconds, placed, tips, forces))
+
+    def report(self, report: Report) -> None:
+        """Add what was not published."""
+        report.values |= {
+            "skipped.mesh_unchanged": self.unchanged_skips,
+            "skipped.no_subscriber": self.unseen_skips,
+        }
 
     def close(self) -> None:
         """Delete the markers in every viewer."""
@@ -145,15 +153,20 @@ class Presenter:
         return self._sequence.get(name) != sequence
 
     def _marker_message(self, stamp: int, colour: str) -> bytes:
-        wrenches = np.array([port.felt()[1] for port in self._ports]).reshape(-1, 6)
-        tips = np.array([port.newest.pose[:3] for port in self._ports]).reshape(-1, 3)
-        n = self._organ.n_surface
+        tips, wrenches = self._touches()
         if colour == "none":
-            return self._marker_bytes.message(stamp, self._positions, n, tips, wrenches)
+            return self._marker_bytes.message(stamp, self._positions, tips, wrenches)
         if self._coloured_bytes is None:
             self._coloured_bytes = self._new_markers(coloured=True)
-        colours = shades(self._share(colour)[:n])
-        return self._coloured_bytes.message(stamp, self._positions, n, tips, wrenches, colours)
+        return self._coloured_bytes.message(stamp, self._positions, tips, wrenches, self._share(colour))
+
+    def _touches(self) -> tuple[Floats, Floats]:
+        """Where each tool's origin is, (T, 3) m, and what its hand feels, (T, 6) N, N m."""
+        _, wrenches = self._physics.wrenches()
+        for index, port in enumerate(self._ports):
+            self._tips[index] = port.newest.pose[:3]
+            self._felt[index] = port.share_of(wrenches)
+        return self._tips, self._felt
 
     def _share(self, colour: str) -> Floats:
         """Where each node stands on the scale of colours, (n,), 0 to 1."""
@@ -161,5 +174,5 @@ class Presenter:
             return self._physics.contact_forces() / FULL_FORCE
         if colour == "region":
             return np.where(self._physics.moving(), MOVING, 0.0)
-        moved = self._positions - self._rest
-        return np.asarray(np.sqrt(np.einsum("ij,ij->i", moved, moved)) / FULL_DISPLACEMENT, dtype=np.float64)
+        write_displacement(self._displacement, self._positions, self._rest, FULL_DISPLACEMENT)
+        return self._displacement

@@ -13,9 +13,9 @@ def run() -> NoReturn:
     """Run the node and leave the process."""
     code, ending = 0, Ending()
     try:
-        from tissue_sim.ros.node import main
+        from tissue_sim.ros.serve import serve
 
-        code = main(ending=ending)
+        code = serve(sys.argv, ending)
     except Interrupted:
         pass
     except Exception:
@@ -24,3 +24,7 @@ def run() -> NoReturn:
             raise
     sys.stdout.flush()
     os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise
+
+
+if __name__ == "__main__":
+    run()

@@ -21,6 +21,7 @@ from tissue_sim.contact.finder import ContactSet
 from tissue_sim.errors import UserError
 from tissue_sim.ros import bag
 from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.report import Report
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
 WHOLE_SET = ("tool", "node", "weight", "normal", "tip_node", "tip_weight")
@@ -141,6 +142,13 @@ class Recorder:
             rest[index, : len(row)] = row
         if len(rows) or len(rest):
             self._typed("journal", "data", np.concatenate([rows, rest]).ravel())
+
+    def report(self, report: Report) -> None:
+        """Add the bag, and what it is missing."""
+        report.values["recording"] = str(self.path) if self.active else ""
+        report.problems["lost_bag_messages"] = self.lost
+        if self.error:
+            report.failures.append(self.error)
 
     # what happens ------------------------------------------------------------------------------
     def received(self, name: str, raw: bytes) -> None:

@@ -44,11 +44,13 @@ def run(args: argparse.Namespace) -> int:
         f"{args.bag}: {result.ticks} ticks, {result.inputs} inputs, {result.contact_sets} contact sets;"
         f" compared {result.wrenches} wrenches and {result.surfaces} surfaces"
     )
-    print(
-        f"largest deviation: force {result.force:.3g} N (tick {result.force_tick}),"
-        f" torque {result.torque:.3g} N m (tick {result.torque_tick}),"
-        f" position {result.position:.3g} m (tick {result.position_tick})"
+    found = (
+        ("force", result.force, "N", result.force_tick),
+        ("torque", result.torque, "N m", result.torque_tick),
+        ("position", result.position, "m", result.position_tick),
     )
+    told = (f"{what} {most:.3g} {unit}{f' (tick {tick})' if most else ''}" for what, most, unit, tick in found)
+    print(f"largest deviation: {', '.join(told)}")
     if result.wrenches == 0 and result.surfaces == 0:
         print("FAILED: the bag holds nothing to compare; record for longer than a second, with tools moving")
         return 1

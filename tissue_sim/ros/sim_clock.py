@@ -9,6 +9,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.report import Report
 
 NANOSECOND = Duration(nanoseconds=1)
 
@@ -34,6 +35,10 @@ class SimClock:
         if self._waiting:
             return "no /clock yet"
         return "/clock stands" if self._physics.standing else "/clock"
+
+    def report(self, report: Report) -> None:
+        """Add the state."""
+        report.values["clock"] = self.state()
 
     def watch(self) -> None:
         """Say once when the clock stands, and when it goes on; call it often."""

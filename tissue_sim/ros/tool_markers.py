@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.state import Floats
 from tissue_sim.ros.frames import Vector
-from tissue_sim.ros.messages import MarkerBytes, draw_force, empty_marker, force_arrow
+from tissue_sim.ros.markers import MarkerBytes, empty_marker, force_arrow
 
 TOOL_COLOUR = (0.60, 0.63, 0.70, 0.8)
 
@@ -56,7 +56,7 @@ class ToolMarkers:
                     shown[:3] = pose[:3] + Rotation.from_quat(pose[3:]).apply(place)
                     shown[3:] = pose[3:]
             felt = forces[tool] if poses is not None else np.zeros(3)
-            draw_force(self._bytes, self._arrows[tool], tips[tool], felt)
+            self._bytes.draw_force(self._arrows[tool], tips[tool], felt)
         return self._bytes.message()
 
     def deletion(self) -> bytes:

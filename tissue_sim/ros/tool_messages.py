@@ -17,21 +17,22 @@ N_POSE, N_WRENCH = 7, 6  # numbers in a pose (m, quaternion xyzw) and in a wrenc
 
 
 class Incoming(NamedTuple):
-    """A type that comes in: its class, and what reads its bytes."""
+    """A type that comes in: its class, what reads its bytes, and how many numbers it has from the first to its end."""
 
     message: type
     parse: Callable[[bytes, int], Stamped]
+    n_numbers: int
 
 
 POSE_TYPES = {
-    "PoseStamped": Incoming(PoseStamped, parse_stamped),
-    "Pose": Incoming(Pose, parse_plain),
-    "TransformStamped": Incoming(TransformStamped, parse_moving),
-    "Odometry": Incoming(Odometry, parse_moving),
+    "PoseStamped": Incoming(PoseStamped, parse_stamped, N_POSE),
+    "Pose": Incoming(Pose, parse_plain, N_POSE),
+    "TransformStamped": Incoming(TransformStamped, parse_moving, N_POSE),
+    "Odometry": Incoming(Odometry, parse_moving, N_POSE + 36 + 6 + 36),
 }
 FORCE_TYPES = {
-    "WrenchStamped": Incoming(WrenchStamped, parse_stamped),
-    "Wrench": Incoming(Wrench, parse_plain),
+    "WrenchStamped": Incoming(WrenchStamped, parse_stamped, N_WRENCH),
+    "Wrench": Incoming(Wrench, parse_plain, N_WRENCH),
 }
 WRENCH_TYPES: dict[str, type] = {
     "WrenchStamped": WrenchStamped,

@@ -7,12 +7,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -25,7 +24,9 @@ from tissue_sim.ros.cdr import UNSTAMPED, Stamped, unit_pose
 from tissue_sim.ros.frames import Frames, Transform, UnknownFrame, Vector, rotate, rotate_back
 from tissue_sim.ros.messages import NumbersTemplate
 from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.qos import RELIABLE, STREAM
 from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.report import Report
 from tissue_sim.ros.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming, ToolTopics
 
 FARTHEST = 100.0  # m: a pose beyond it is in another unit
@@ -111,12 +112,7 @@ class ToolPort:
         self._bag_angle = NumbersTemplate(Float64MultiArray(data=[0.0]), 1)
         self._lock = threading.Lock()
         self._published = -math.inf
-        qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=1,
-            reliability=ReliabilityPolicy.RELIABLE if topics.reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.VOLATILE,
-        )
+        qos = RELIABLE if topics.reliable else STREAM
         names = topics.names
         self._servo = node.create_publisher(type(topics.outgoing()), names["servo_cf"], qos)
         self._subscriptions = [
@@ -263,10 +259,14 @@ class ToolPort:
     def felt(self) -> tuple[int, Floats]:
         """The newest tick, and what the hand feels, (6,) N and N m about the tool's origin, in the organ's axes."""
         tick, wrenches = self._physics.wrenches()
+        return tick, self.share_of(wrenches)
+
+    def share_of(self, wrenches: Floats) -> Floats:
+        """What the hand feels, (6,) N and N m, of what all bodies do, (B, 6)."""
         if not self.is_gripper:
-            return tick, wrenches[self.bodies[0]]
+            return wrenches[self.bodies[0]]
         newest = self.newest
-        return tick, about(newest.pose[:3], wrenches[self.bodies], newest.placed[:, :3])
+        return about(newest.pose[:3], wrenches[self.bodies], newest.placed[:, :3])
 
     def _send(self, tick: int, wrench: Floats) -> None:
         if not np.all(np.isfinite(wrench)):  # never seen, and never to be felt
@@ -315,20 +315,26 @@ class ToolPort:
         """Seconds between two poses, on average, to the next step of a coarse scale."""
         return float(COARSE ** math.ceil(math.log(self._period, COARSE)))
 
-    def state(self, settings: Floats, engaged: bool) -> str:
+    def report(self, report: Report) -> None:
+        """Add the state, the force, the poses that came and what was refused."""
+        report.values |= {
+            f"{self.name}.state": self.state(),
+            f"{self.name}.force_n": self.force,
+            f"{self.name}.poses": self.poses,
+            "force_n": report.values.get("force_n", 0.0) + self.force,  # of all tools
+        }
+        report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(self.refused.items())}
+
+    def state(self) -> str:
         """none, fresh, stale, or refused (held off until it leaves the organ)."""
         if self.poses == 0:
             return "none"
-        if time.monotonic() - self.pose_clock > settings[st.STALE_TIME]:
+        if time.monotonic() - self.pose_clock > self._physics.settings()[st.STALE_TIME]:
             return "stale"
-        return "fresh" if engaged else "refused"
+        _, tools = self._physics.counts()
+        return "fresh" if tools[self.bodies[0], st.ENGAGED] else "refused"
 
 
 def _turned(wrench: Sequence[float], turn: Callable[[Vector], Vector]) -> tuple[float, ...]:
     fx, fy, fz, tx, ty, tz = wrench
     return (*turn((fx, fy, fz)), *turn((tx, ty, tz)))
-
-
-def as_values(counter: Counter[str], prefix: str) -> dict[str, Any]:
-    """A counter as diagnostics values."""
-    return {f"{prefix}.refused.{name}": count for name, count in sorted(counter.items())}

@@ -1,18 +1,20 @@
-"""The scripted bridge's path over an organ: strokes it, pokes it, nips it with two jaws, lifts and releases."""
+"""The scripted bridge's path over an organ: strokes it, pokes it, nips it with two tools, lifts it with a gripper."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tissue_sim.contact.grasp import Grasp, at_lower_pole
+from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.motion import Move, Path, Segment, leave
 from tissue_sim.ros.probing import Floats, Ints, Surface
+from tissue_sim.ros.script import ACTIONS, SCRIPT
 
-ACTIONS = ("stroke", "poke", "nip")
 FRONT = np.array([0.0, 1.0, 0.0])  # the way the first tool looks: from the front to the back of a patient (LPS)
 UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is held
 
@@ -44,13 +46,16 @@ def plan(
     triangles: Ints,
     radius: float,
     tools: Sequence[str] = ("left", "right"),
-    script: Sequence[str] = ACTIONS,
+    script: Sequence[str] = SCRIPT,
+    grippers: Mapping[str, Jaws] | None = None,
 ) -> Path:
     """A path for spheres of a radius in m over a closed rest surface (n, 3) m, (t, 3).
 
-    The first tool strokes and pokes; a nip takes the first two. Raises UserError when the script
-    asks for what isn't there, or the organ has no place for it.
+    The first tool strokes and pokes; a nip takes the first two; a grip the first that has jaws, of which `grippers`
+    tells by the tools' names. Raises UserError when the script asks for what isn't there, or the organ has no place
+    for it.
     """
+    grippers = grippers or {}
     for action in script:
         if action not in ACTIONS:
             raise UserError(f"unknown action '{action}' in the script; choose from {', '.join(ACTIONS)}")
@@ -60,14 +65,22 @@ def plan(
         raise UserError("name at least one tool, each once")
     if "nip" in script and len(tools) < 2:
         raise UserError("a nip needs two tools; name two, or leave it out of the script")
-    return _Planner(Surface(vertices, triangles), radius, tuple(tools)).plan(script)
+    holder = next((index for index, tool in enumerate(tools) if tool in grippers), None)
+    if "grip" in script and holder is None:
+        raise UserError(f"a grip needs a gripper, and {', '.join(tools)} has no jaws; name one that has")
+    jaws = None if holder is None else (holder, grippers[tools[holder]])
+    return _Planner(Surface(vertices, triangles), radius, tuple(tools), jaws).plan(script)
 
 
 class _Planner:
     """Builds the segments of a path one after the other, knowing where the tools are."""
 
-    def __init__(self, surface: Surface, radius: float, tools: tuple[str, ...]) -> None:
+    def __init__(
+        self, surface: Surface, radius: float, tools: tuple[str, ...], gripper: tuple[int, Jaws] | None
+    ) -> None:
         self.surface, self.tool_radius, self.tools = surface, radius, tools
+        self.gripper = gripper  # which of the tools it is
+        self.angle = 0.0  # rad between its jaws
         low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         self.extent = high - low
         self.centre = 0.5 * (low + high)
@@ -84,19 +97,25 @@ class _Planner:
         if jaws and (front := poke or (stroke[0] if stroke else None)):
             # The first tool takes the jaw that it has the shorter way to.
             jaws = min(jaws, jaws[::-1], key=lambda pair: float(np.linalg.norm(pair[0].centre - front.centre)))
-        first = {"stroke": stroke[0] if stroke else None, "poke": poke, "nip": jaws[0] if jaws else None}[script[0]]
-        assert first is not None
-        self._park(first, jaws)
-        home, home_turn = self.position[0], self.turn[0]
+        grasp = self._grasp() if "grip" in script else None
+        first = {"stroke": stroke[0] if stroke else None, "poke": poke, "nip": jaws[0] if jaws else None}
+        self._park(first.get(script[0]), jaws, grasp)
+        home, home_turn = list(self.position), list(self.turn)
         for action in script:
             if action == "stroke":
                 self._stroke(stroke)
             elif action == "poke" and poke is not None:
                 self._poke(poke)
-            elif jaws is not None:
+            elif action == "nip" and jaws is not None:
                 self._nip(jaws)
-        back = Move.arc(self.centre, self.position[0], home, (self.turn[0], home_turn))
-        self._add("return", {0: back}, {}, FAST)
+            elif grasp is not None:
+                self._grip(grasp)
+        moved = {0} if grasp is None or self.gripper is None else {0, self.gripper[0]}
+        back = {
+            tool: Move.arc(self.centre, self.position[tool], home[tool], (self.turn[tool], home_turn[tool]))
+            for tool in moved
+        }
+        self._add("return", back, {}, FAST, 0.0)
         self._wait("pause", PAUSE, {})
         return Path(self.tools, tuple(self.segments), self.centre, self.radius)
 
@@ -176,32 +195,62 @@ class _Planner:
             raise UserError("found no place on the organ for two jaws; leave 'nip' out of the script")
         return best[1]
 
+    def _grasp(self) -> Grasp:
+        """Across the lower pole, which is what hangs free of an organ that is held along its back."""
+        assert self.gripper is not None
+        try:
+            return at_lower_pole(self.surface.vertices, self.surface.triangles, self.gripper[1], self.scale)
+        except ValueError as error:
+            raise UserError(f"the organ has no place for a gripper: {error}; give it longer jaws") from None
+
     # segments ----------------------------------------------------------------------------------
     def _entry(self, touch: Touch) -> Floats:
         return leave(touch.centre, -touch.way, self.centre, self.radius)
 
-    def _park(self, first: Touch, jaws: tuple[Touch, Touch] | None) -> None:
+    def _park(self, first: Touch | None, jaws: tuple[Touch, Touch] | None, grasp: Grasp | None) -> None:
         """Where the tools are before the first action: on the ball, apart from each other."""
-        self.position, self.turn = [self._entry(first)], [_looking(first.way)]
-        for index in range(1, len(self.tools)):
-            if index == 1 and jaws is not None:
-                self.position.append(self._entry(jaws[1]))
-                self.turn.append(_looking(jaws[1].way))
-                continue
-            # Behind the organ, each a little farther round.
+        places: dict[int, tuple[Floats, Rotation]] = {}
+        if grasp is not None and self.gripper is not None:
+            over = leave(grasp.place, grasp.out, self.centre, self.radius)
+            places[self.gripper[0]] = over, Rotation.from_quat(grasp.turn)
+        if jaws is not None:
+            places[1] = self._entry(jaws[1]), _looking(jaws[1].way)
+        if first is not None:
+            places[0] = self._entry(first), _looking(first.way)
+        for index in range(len(self.tools)):
+            # Else behind the organ, each a little farther round.
             outward = Rotation.from_rotvec(0.5 * (index - 1) * UP).apply(FRONT)
-            self.position.append(self.centre + self.radius * outward)
-            self.turn.append(_looking(-outward))
+            place, turn = places.get(index, (self.centre + self.radius * outward, _looking(-outward)))
+            self.position.append(place)
+            self.turn.append(turn)
 
-    def _add(self, name: str, moves: dict[int, Move], outward: dict[int, Floats], speed: float) -> None:
-        """Append a segment; tools without a move stay where they are."""
+    def _add(
+        self,
+        name: str,
+        moves: dict[int, Move],
+        outward: dict[int, Floats],
+        speed: float,
+        angle: float | None = None,
+    ) -> None:
+        """Append a segment; tools without a move stay where they are. angle: rad to which a gripper's jaws turn."""
         stay = [Move.line(p, p, t) for p, t in zip(self.position, self.turn, strict=True)]
         every = [moves.get(tool, stay[tool]) for tool in range(len(self.tools))]
-        self._append(Segment.timed(name, every, self._ways(outward), speed))
+        reach = self.gripper[1].length if self.gripper is not None else 0.0
+        self._append(Segment.timed(name, every, self._ways(outward), speed, self._jaws(angle), reach))
 
     def _wait(self, name: str, duration: float, outward: dict[int, Floats]) -> None:
         stay = tuple(Move.line(p, p, t) for p, t in zip(self.position, self.turn, strict=True))
-        self._append(Segment(name, duration, stay, self._ways(outward)))
+        self._append(Segment(name, duration, stay, self._ways(outward), self._jaws(None)))
+
+    def _jaws(self, angle: float | None) -> Floats | None:
+        """Angles (2, T) rad of a segment in which the gripper's jaws turn to an angle, or stay as they are."""
+        if self.gripper is None:
+            return None
+        jaws = np.zeros((2, len(self.tools)))
+        jaws[0, self.gripper[0]] = self.angle
+        self.angle = self.angle if angle is None else angle
+        jaws[1, self.gripper[0]] = self.angle
+        return jaws
 
     def _append(self, segment: Segment) -> None:
         self.segments.append(segment)
@@ -221,10 +270,14 @@ class _Planner:
             tool: Move.arc(self.centre, self.position[tool], self._entry(touch), (self.turn[tool], _looking(touch.way)))
             for tool, touch in touches.items()
         }
-        if any(move.length > 1e-6 or move.angle > 1e-6 for move in around.values()):
-            self._add(f"{action}/approach", around, {}, FAST)
+        self._go_round(action, around)
         hover = {tool: touch.centre - HOVER * touch.way for tool, touch in touches.items()}
         self._straight(f"{action}/approach", hover, touches, FAST)
+
+    def _go_round(self, action: str, around: dict[int, Move]) -> None:
+        """Outside of the organ to where an action begins, unless the tools are there."""
+        if any(move.length > 1e-6 or move.angle > 1e-6 for move in around.values()):
+            self._add(f"{action}/approach", around, {}, FAST)
 
     def _leave(self, action: str, touches: dict[int, Touch]) -> None:
         """Straight out to the ball."""
@@ -279,6 +332,25 @@ class _Planner:
             "nip/open", {tool: jaw.centre - HOVER * jaw.way for tool, jaw in touches.items()}, touches, CLOSE
         )
         self._leave("nip", touches)
+
+    def _grip(self, grasp: Grasp) -> None:
+        assert self.gripper is not None
+        tool, out, turn = self.gripper[0], {self.gripper[0]: grasp.out}, Rotation.from_quat(grasp.turn)
+
+        def go(name: str, place: Floats, speed: float, angle: float | None = None) -> None:
+            self._add(f"grip/{name}", {tool: Move.line(self.position[tool], place, turn)}, out, speed, angle)
+
+        over = leave(grasp.place, grasp.out, self.centre, self.radius)
+        around = Move.arc(self.centre, self.position[tool], over, (self.turn[tool], turn))
+        self._go_round("grip", {tool: around})
+        lifted = grasp.place + self.scale * LIFT * grasp.out
+        go("approach", grasp.place + (grasp.depth + HOVER) * grasp.out, FAST, grasp.opened)
+        go("enter", grasp.place, PRESS)
+        go("close", grasp.place, CLOSE, grasp.closed)
+        go("lift", lifted, LIFTING)
+        self._wait("grip/hold", LIFT_HOLD, out)
+        go("open", lifted, CLOSE, grasp.opened)
+        go("retreat", over, FAST)
 
 
 def _looking(way: Floats) -> Rotation:

@@ -15,31 +15,30 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros import client
+from tissue_sim.ros.node_parameters import NodeParameters
 from tissue_sim.ros.services import Services
 from tissue_sim.ros.view_panel import Panel, headline
-from tissue_sim.ros.view_plot import ForcePlot
-from tissue_sim.ros.view_poke import Poke
-from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, ToolView, camera_for, light
-
-SILENT_AFTER = 3.0  # s without diagnostics
+from tissue_sim.ros.view_scene import FIELD_OF_VIEW, OrganView, SkeletonView, camera_for, light
+from tissue_sim.ros.view_tools import SILENT_AFTER, ToolsView
 
 
 class Viewer:
-    """Takes the newest of everything and draws what has changed; `update` is called for each picture."""
+    """Takes the newest of everything and draws what has changed; `update` is called for each picture.
 
-    def __init__(self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...]) -> None:
+    tools: their names, or None for those of the node.
+    """
+
+    def __init__(self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...] | None) -> None:
         self._server, self._target = server, target
         self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
         self._surface = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
         self._atoms = client.Inbox(node, PointCloud2, f"/{target}/skeleton", client.stream_qos())
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._services = Services(target)
+        self._parameters = NodeParameters(target)
         self._panel = Panel(server)
         self._tool_markers = client.Inbox(node, MarkerArray, f"/{target}/tools", client.stream_qos())
-        self._tools = [ToolView(server, name, i) for i, name in enumerate(tools)]
-        self._pokes = [Poke(server, node, view, i) for i, view in enumerate(self._tools)]
-        self._tools_heard = -np.inf
-        self._plot = ForcePlot(server, tools)
+        self.tools = ToolsView(server, node, target, tools)
         self._organ: OrganView | None = None
         self._positions: Any = None  # not drawn yet
         self._points: Any = None  # where the surface was last
@@ -60,6 +59,8 @@ class Viewer:
         mesh = self._mesh.take()
         if mesh is not None:
             self._take_mesh(*client.mesh_arrays(mesh))
+            self._parameters.ask()  # it may be another node of that name
+        told = self._parameters.poll()
         self._take_report()
         self._services.poll(self._panel.wishes, self._tell)
         surface, atoms = self._surface.take(), self._atoms.take()
@@ -78,16 +79,15 @@ class Viewer:
                 self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
             if self._organ is not None:
                 self._organ.set_opacity(self._panel.opacity.value)
-            self._take_tools(now)
-            for poke in self._pokes:
-                poke.update(now, watchers, self._points, self._frame_id)
-            self._plot.update(now, {tool.name: tool.force for tool in self._tools}, watched)
+            self.tools.take(self._tool_markers.take(), now)
+            if told is not None:
+                self.tools.use(told)
+            self.tools.update(now, watchers, self._points, self._frame_id)
         return watched
 
     def close(self) -> None:
         """Let go of every tool."""
-        for poke in self._pokes:
-            poke.close()
+        self.tools.close()
 
     def _take_mesh(self, vertices: Any, triangles: Any) -> None:
         if self._organ is not None:
@@ -102,17 +102,6 @@ class Viewer:
         for watcher in self._server.get_clients().values():
             watcher.camera.position, watcher.camera.look_at = position, centre
 
-    def _take_tools(self, now: float) -> None:
-        message = self._tool_markers.take()
-        if message is None:
-            if now - self._tools_heard > SILENT_AFTER:
-                for view in self._tools:
-                    view.hide()
-            return
-        self._tools_heard = now
-        for view in self._tools:
-            view.show([marker for marker in message.markers if marker.ns == view.name])
-
     def _take_report(self) -> None:
         status = client.newest_status(self._reports.take_all(), self._target)
         now = time.monotonic()
@@ -122,9 +111,9 @@ class Viewer:
         if now - self._heard < SILENT_AFTER:
             self._panel.say(self._headline, self._values)
         elif self._organ is None:
-            self._panel.say(f"**Waiting for the mesh of /{self._target}.** Start `tissue_node`.", {})
+            self._panel.say(f"<b>Waiting for the mesh of /{self._target}.</b> Start tissue_node.", {})
         else:
-            self._panel.say(f"**/{self._target} is silent.** The picture shows where it stood.", {})
+            self._panel.say(f"<b>/{self._target} is silent.</b> The picture shows where it stood.", {})
 
     def _tell(self, text: str, good: bool) -> None:
         for watcher in self._server.get_clients().values():

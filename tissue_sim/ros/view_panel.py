@@ -12,6 +12,7 @@ import viser
 from tissue_sim.ros.colours import BANDS, TISSUE, Colour
 
 NO_VALUE = "-"
+LINES = 3  # that the headline has room for; more can be scrolled to
 LAST = 1e9  # order in the panel: below everything that comes later
 
 
@@ -57,12 +58,16 @@ def status_text(values: Mapping[str, str]) -> str:
 
 
 def headline(target: str, level: int, message: str) -> str:
-    """Who it is and how it does (level and message of its DiagnosticStatus), as Markdown."""
+    """Who it is and how it does (level and message of its DiagnosticStatus), as HTML."""
     if level == 0:
-        return f"**/{target}** {message}"
-    return (
-        f"**/{target}** <span style='color:#c92a2a'>{'warns' if level == 1 else 'fails'}: {html.escape(message)}</span>"
-    )
+        return f"<b>/{target}</b> {html.escape(message)}"
+    word = "warns" if level == 1 else "fails"
+    return f'<b>/{target}</b> <span style="color:#c92a2a">{word}: {html.escape(message)}</span>'
+
+
+def headline_html(line: str) -> str:
+    """A line of HTML, as high whatever it says: one that grew would push a button under somebody's mouse."""
+    return f'<div style="height:{LINES * 1.5:g}em;line-height:1.5;overflow-y:auto;margin:0 0.9em 0.6em">{line}</div>'
 
 
 def legend_html() -> str:
@@ -87,7 +92,7 @@ class Panel:
     def __init__(self, server: viser.ViserServer) -> None:
         self.wishes: queue.SimpleQueue[Wish] = queue.SimpleQueue()
         gui = server.gui
-        self._headline = gui.add_markdown("")
+        self._headline = gui.add_html(headline_html(""))
         self._status = gui.add_markdown("", visible=False, order=LAST)
         gui.add_html(legend_html())
         self.opacity = gui.add_slider(
@@ -102,11 +107,11 @@ class Panel:
         self._said: tuple[str, Mapping[str, str]] = ("", {})
 
     def say(self, headline: str, values: Mapping[str, str]) -> None:
-        """Show a headline (Markdown) and the node's values, if there are any."""
+        """Show a headline (HTML) and the node's values, if there are any."""
         if (headline, values) == self._said:
             return
         self._said = headline, dict(values)
-        self._headline.content = headline
+        self._headline.content = headline_html(headline)
         self._status.visible = bool(values)
         if values:
             self._status.content = status_text(values)

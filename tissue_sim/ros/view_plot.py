@@ -72,6 +72,10 @@ class ForcePlot:
             self._plot.scales = self._scales()
         self._plot.data = columns
 
+    def remove(self) -> None:
+        """Take it out of the panel."""
+        self._plot.remove()
+
     def _scales(self) -> dict[str, uplot.Scale]:
         return {"x": uplot.Scale(time=False, range=(-SPAN, 0.0)), "y": uplot.Scale(range=(0.0, self._top))}
 

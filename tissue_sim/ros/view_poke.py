@@ -1,4 +1,4 @@
-"""Poking from the browser: a checkbox takes a tool in hand, a gizmo or the tool itself drags it."""
+"""Poking from the browser: a checkbox takes a tool in hand, a gizmo or the tool itself drags it, a slider its jaws."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.ros.held_tool import Floats, HeldTool
+from tissue_sim.ros.tool_link import ToolLink
+from tissue_sim.ros.view_jaws import JawSlider
 from tissue_sim.ros.view_scene import VIEW, ToolView
 
 CLEAR = 0.008  # m between a tool that is taken and the organ
@@ -49,8 +51,10 @@ class Poke:
     """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses."""
 
     def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int) -> None:
-        self._server, self._view, self._name, self._index = server, view, view.name, index
-        self._tool = HeldTool(node, self._name)
+        self._server, self._view, self._index = server, view, index
+        self.name = view.name
+        self._tool = HeldTool(node, self.name)
+        self._ready = False  # it is known how to speak to the tool
         self._holder: int | None = None
         self._gizmo: Any = None
         self._offset = np.zeros(3)  # m, from where the mouse grabbed the tool to its goal
@@ -59,13 +63,25 @@ class Poke:
         self._next_look = -np.inf
         gui = server.gui
         self._box: Any = gui.add_checkbox(
-            f"Poke with {self._name}",
+            f"Poke with {self.name}",
             False,
             disabled=True,
-            hint=f"Takes the tool in hand: drag it, or an arrow at it. Publishes {self._tool.topic}",
+            hint=self._hint(),
         )
+        self.jaws = JawSlider(server, node, view)
         self._warning = gui.add_markdown("", visible=False)
         self._box.on_update(self._on_box)
+
+    def _hint(self) -> str:
+        return f"Takes the tool in hand: drag it, or an arrow at it. Publishes {self._tool.topic}"
+
+    def use(self, link: ToolLink | None) -> None:
+        """Speak to the tool like this; None: as by default."""
+        self._ready = True
+        if link is not None:
+            self._tool.use(link)
+            self.jaws.use(link)
+            self._box.hint = self._hint()
 
     def _on_box(self, event: Any) -> None:
         if event.client_id is not None:  # not our own change
@@ -76,27 +92,42 @@ class Poke:
 
         now s; watchers: ids of the browsers that look; points (n, 3) m of the organ in a frame, or None without one.
         """
-        self._box.disabled = points is None or self._view.reach == 0.0
+        self._box.disabled = points is None or self._view.reach == 0.0 or not self._ready
+        self.jaws.update(now)
         while not self._asked.empty():
             wanted, who = self._asked.get()
             if not wanted:
-                self.close()
+                self.let_go()
             elif who is not None and points is not None:
                 self._take(who, points, frame_id)
-        if self._holder is not None and self._holder not in watchers:
-            self.close()
+        if self._holder is not None and (self._holder not in watchers or not self._tool.held):
+            self.let_go()
         if now >= self._next_look:
             self._next_look = now + LOOK_EVERY
-            rivals = self._tool.rivals()
-            self._warning.visible = rivals > 0
+            rivals, jaws = self._tool.rivals(), self.jaws.rivals()
+            self._warning.visible = rivals + jaws > 0
             if rivals > 0:
                 self._warning.content = (
-                    f"**A bridge already moves `{self._name}`.** Stop it before you poke: the tool would jump"
+                    f"**A bridge already moves `{self.name}`.** Stop it before you poke: the tool would jump"
                     " between its hand and yours."
                 )
+            elif jaws > 0:
+                self._warning.content = f"**A bridge already moves the jaws of `{self.name}`**, and closes them again."
 
     def close(self) -> None:
-        """Let the tool go."""
+        """Let the tool go, and its jaws."""
+        self.jaws.close()
+        self.let_go()
+
+    def remove(self) -> None:
+        """Let the tool go, and take what it had out of the panel."""
+        self.close()
+        self.jaws.remove()
+        for handle in (self._box, self._warning):
+            handle.remove()
+
+    def let_go(self) -> None:
+        """Hold the tool no longer."""
         self._let_go()
         if self._box.value:
             self._box.value = False
@@ -110,7 +141,7 @@ class Poke:
         turn = pointing(inward)
         # Only the browser that asked for the tool gets the gizmo.
         self._gizmo = holder.scene.add_transform_controls(
-            f"/poke/{self._name}",
+            f"/poke/{self.name}",
             scale=GIZMO,
             disable_rotations=True,
             depth_test=False,

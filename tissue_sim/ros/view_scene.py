@@ -9,11 +9,12 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from tissue_sim.ros.bands import Floats, Ints, cut_into_bands
 from tissue_sim.ros.colours import BANDS, TISSUE, Colour
-from tissue_sim.ros.messages import ARROW_LENGTH
+from tissue_sim.ros.markers import ARROW_LENGTH
 
 SKELETON: Colour = (20, 30, 60)
 TOOL_COLOURS: tuple[Colour, ...] = ((120, 150, 190), (130, 175, 150), (170, 150, 190), (180, 170, 140))
@@ -179,6 +180,14 @@ class ToolView:
         self._label = self._scene.add_label(f"/forces/{name}/label", "", visible=False)
 
     @property
+    def opening(self) -> float | None:
+        """Angle in rad between its jaws, the first and the last part; None while nobody knows where the tool is."""
+        shafts = [
+            Rotation.from_quat(np.roll(p.wxyz, -1)).apply([0.0, 0.0, 1.0]) for p in self._parts.values() if p.visible
+        ]
+        return float(np.arccos(np.clip(shafts[0] @ shafts[-1], -1.0, 1.0))) if shafts else None
+
+    @property
     def reach(self) -> float:
         """From the tool's origin to its surface, across and ahead, m; 0 while its shape is not known."""
         return max(self._reaches.values(), default=0.0)
@@ -199,6 +208,11 @@ class ToolView:
         self._arrow.visible = self._label.visible = False
         for part in self._parts.values():
             part.visible = False
+
+    def remove(self) -> None:
+        """Take it out of the picture."""
+        for handle in (self._label, self._arrow, *self._parts.values()):
+            handle.remove()
 
     def _show_force(self, marker: Marker) -> None:
         start, end = marker.points

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--port", type=client.port_number, default=8080, help="port to serve at")
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
-    parser.add_argument("--tools", type=client.names, default="left,right", help="names of the tools")
+    parser.add_argument("--tools", type=client.names, help="names of the tools (default: the node's)")
 
 
 def run(args: argparse.Namespace) -> int:
