@@ -219,13 +219,13 @@ class Physics:
     def contact_forces(self) -> Floats:
         """Size of the contact force on each node, (n,) N, as the last substep had it."""
         state = self.simulation.state
-        count = state.count
+        count, _ = self.counts()  # of a whole tick: the running one has counted no contact until its first substep ends
+        forces = np.zeros(len(state.position))
+        if count[st.TOUCHING] == 0:
+            return forces
         entries = int(count[st.ENTRIES])
         pressed, held = state.contact_pressed[0, :entries], state.contact_held[0, :entries]
         touching = np.flatnonzero(pressed > 0.0)
-        forces = np.zeros(len(state.position))
-        if count[st.TOUCHING] == 0 or len(touching) == 0:
-            return forces
         impulse = np.sqrt(pressed[touching] ** 2 + np.einsum("ij,ij->i", held[touching], held[touching]))
         shares = state.contact_weight[touching] * impulse[:, None]
         np.add.at(forces, state.contact_node[touching], shares)
