@@ -162,6 +162,8 @@ def test_a_move_has_no_speed_at_its_ends():
     ends = np.array([0.0, 1e-3, 1.0 - 1e-3, 1.0])
     assert minimum_jerk(ends) == pytest.approx([0.0, 0.0, 1.0, 1.0], abs=2e-8)
     assert minimum_jerk(np.array([0.5])) == pytest.approx([0.5])
+    nearly = minimum_jerk(1.0 - np.logspace(-17, -4, 10_001))
+    assert nearly.max() == 1.0, "no rotation goes further than its end"
 
 
 def test_an_arc_keeps_its_distance_also_to_the_opposite_point():

@@ -22,7 +22,7 @@ def minimum_jerk(progress: Floats) -> Floats:
     Flash and Hogan (1985).
     """
     s = np.clip(progress, 0.0, 1.0)
-    return s**3 * (10.0 + s * (6.0 * s - 15.0))
+    return np.minimum(s**3 * (10.0 + s * (6.0 * s - 15.0)), 1.0)  # rounding takes it past 1 right before the end
 
 
 @dataclass(frozen=True)
