@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
-from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.state import MAX_ENTRIES
 
 from ..scenes import RADIUS, ball, kidney
@@ -249,45 +248,3 @@ def test_lattice_divides_a_triangle_evenly_without_its_corners(divisions):
         assert weights.max() < 1.0
         np.testing.assert_allclose(weights * m, np.round(weights * m), atol=1e-12)
         assert len(np.unique(np.round(weights, 9), axis=0)) == len(weights)
-
-
-def test_nearest_weights_give_the_nearest_point():
-    random = np.random.default_rng(0)
-    corners, points = random.standard_normal((200, 3, 3)), random.standard_normal((200, 3))
-    weights, distance = nearest_weights(corners, points)
-    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-9)
-    assert weights.min() > -1e-9
-    np.testing.assert_allclose(
-        np.linalg.norm(np.einsum("ij,ijk->ik", weights, corners) - points, axis=1), distance, atol=1e-9
-    )
-    # No other point of the triangle is nearer.
-    others = np.einsum("kj,ijx->ikx", random.dirichlet([1, 1, 1], 300), corners)
-    assert np.all(np.linalg.norm(others - points[:, None], axis=2).min(axis=1) >= distance - 1e-9)
-
-
-def test_nearest_point_of_a_fine_triangle_is_no_farther_than_its_middle():
-    """Half a millimetre in metres: products of its lengths are as small as 1e-13."""
-    random = np.random.default_rng(0)
-    corners = random.uniform(-3e-4, 3e-4, (500, 3, 3))
-    points = random.uniform(-4e-4, 4e-4, (500, 3))
-    _, distance = nearest_weights(corners, points)
-    sampled = random.dirichlet([0.7, 0.7, 0.7], 400)
-    near = np.linalg.norm(np.einsum("sk,tkc->tsc", sampled, corners) - points[:, None], axis=2).min(axis=1)
-    assert np.all(distance <= near + 1e-12)
-    assert np.all(distance >= near - 5e-5)
-
-
-@pytest.mark.parametrize(
-    "corners",
-    [
-        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
-        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
-        [[1.0, 1.0, 1.0]] * 3,
-    ],
-    ids=["line", "edge", "point"],
-)
-def test_triangle_without_area_gives_finite_weights(corners):
-    weights, distance = nearest_weights(0.01 * np.array([corners]), np.array([[0.012, 0.003, 0.001]]))
-    assert np.all(np.isfinite(weights))
-    assert np.all(np.isfinite(distance))
-    assert weights.sum() == pytest.approx(1.0)

@@ -42,7 +42,7 @@ def _grid_is_made_once(monkeypatch, grid):
         assert margin == MARGIN
         return grid
 
-    monkeypatch.setattr("tissue_sim.contact.tools.distance_grid", made)
+    monkeypatch.setattr("tissue_sim.contact.grid.distance_grid", made)
 
 
 def test_grid_of_a_ring_is_its_distance_inside_and_out(grid):

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import fcl
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import HalfspaceIntersection
 
-from tissue_sim.contact.grid import distance_grid
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.errors import UserError
 from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
 from tissue_sim.organ.organ import Floats
 from tissue_sim.organ.shipped import shipped_file
+
+if TYPE_CHECKING:
+    import trimesh
 
 SHAPE_NAMES = ("sphere", "capsule", "gripper", "mesh")
 MOST_PLANES = 256
@@ -128,6 +128,8 @@ def _check_length(tool: Tool) -> None:
 
 
 def _mesh_body(tool: Tool) -> _Body:
+    import trimesh  # a fifth of a node's start, and most have no tools of a mesh
+
     path = Path(tool.mesh) if Path(tool.mesh).is_file() else shipped_file(tool.mesh)
     if path is None:
         raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
@@ -150,6 +152,8 @@ def _mesh_body(tool: Tool) -> _Body:
             f"tool '{tool.name}': mesh '{tool.mesh}' is neither convex nor closed; close its holes, or save its"
             " convex hull"
         )
+    from tissue_sim.contact.grid import distance_grid
+
     mesh.fix_normals()
     thin = min(smallest, float(mesh.volume / mesh.area) * 2.0)  # half the thickness of a plate
     return _Body(GRID, (0.0, 0.0), corners, thin, grid=distance_grid(mesh, MARGIN), mesh=mesh)
@@ -173,6 +177,9 @@ def _grown(body: _Body) -> Any:
         return fcl.Sphere(body.size[0] + grow)
     if body.kind == CAPSULE:
         return fcl.Capsule(body.size[0] + grow, body.size[1])
+    import trimesh
+    from scipy.spatial import HalfspaceIntersection
+
     assert body.mesh is not None
     if body.kind == GRID:
         # A box around it: what lies within its arms is left to the distances.

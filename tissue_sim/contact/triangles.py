@@ -2,31 +2,77 @@
 
 from __future__ import annotations
 
-import numpy as np
-import trimesh
+import math
+from typing import Any
 
+import numpy as np
+
+from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Floats
+
+FLAT = 1e-7  # a triangle whose height is less of an edge is taken for its edges
 
 
 def closest_points(corners: Floats, points: Floats) -> Floats:
-    """Nearest point (k, 3) m of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m.
-
-    trimesh takes products of lengths below 1e-13 for zero, which those of fine meshes in metres are: it gets mm.
-    """
-    return trimesh.triangles.closest_point(1e3 * corners, 1e3 * points) * 1e-3
+    """Nearest point (k, 3) m of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m."""
+    weights, _ = nearest_weights(corners, points)
+    return np.einsum("kc,kcx->kx", weights, corners)
 
 
 def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Nearest point of each triangle, corners (k, 3, 3) m, to its point, (k, 3) m.
 
-    Returns the barycentric weights (k, 3) and the distances (k,) m.
+    Returns the barycentric weights (k, 3), none of them negative, and the distances (k,) m.
     """
-    nearest = closest_points(corners, points)
-    weights = trimesh.triangles.points_to_barycentric(corners, nearest)
-    # A triangle without area has no such weights: its nearest corner stands for it.
-    flat = ~np.all(np.isfinite(weights), axis=1)
-    if np.any(flat):
-        corner = np.argmin(np.linalg.norm(corners[flat] - points[flat, None], axis=2), axis=1)
-        weights[flat] = np.eye(3)[corner]
-        nearest[flat] = corners[flat, corner]
-    return weights, np.linalg.norm(nearest - points, axis=1)
+    weights, distances = np.empty((len(corners), 3)), np.empty(len(corners))
+    find_nearest(np.asarray(corners, dtype=np.float64), np.asarray(points, dtype=np.float64), weights, distances)
+    return weights, distances
+
+
+@kernel
+def find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> None:
+    """Write what `nearest_weights` returns."""
+    for t in range(len(corners)):
+        _nearest_of_face(corners[t], points[t], weights[t])
+        square = 0.0
+        for c in range(3):
+            at = weights[t, 0] * corners[t, 0, c] + weights[t, 1] * corners[t, 1, c] + weights[t, 2] * corners[t, 2, c]
+            square += (points[t, c] - at) ** 2
+        distances[t] = math.sqrt(square)
+
+
+@kernel
+def _nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
+    """Write the weights (3,) of the place right under the point, or of the nearest one of the edges."""
+    ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
+    bx, by, bz = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]
+    px, py, pz = point[0] - corner[0, 0], point[1] - corner[0, 1], point[2] - corner[0, 2]
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    square = nx * nx + ny * ny + nz * nz
+    longest = max(ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz)
+    if square > (FLAT * longest) ** 2:
+        v = (nx * (py * bz - pz * by) + ny * (pz * bx - px * bz) + nz * (px * by - py * bx)) / square
+        w = (nx * (ay * pz - az * py) + ny * (az * px - ax * pz) + nz * (ax * py - ay * px)) / square
+        if v >= 0.0 and w >= 0.0 and v + w <= 1.0:
+            weight[0], weight[1], weight[2] = 1.0 - v - w, v, w
+            return
+    least = math.inf
+    for c in range(3):
+        share, apart = _nearest_of_edge(corner[c], corner[(c + 1) % 3], point)
+        if apart < least:
+            least = apart
+            weight[c], weight[(c + 1) % 3], weight[(c + 2) % 3] = 1.0 - share, share, 0.0
+
+
+@kernel
+def _nearest_of_edge(start: Any, end: Any, point: Any) -> tuple[float, float]:
+    """Share of the way from start to end (3,) m where an edge is nearest to a point, and how near, m^2."""
+    along = length = 0.0
+    for c in range(3):
+        along += (end[c] - start[c]) * (point[c] - start[c])
+        length += (end[c] - start[c]) ** 2
+    share = 0.0 if length == 0.0 else min(max(along / length, 0.0), 1.0)
+    apart = 0.0
+    for c in range(3):
+        apart += (start[c] + share * (end[c] - start[c]) - point[c]) ** 2
+    return share, apart
