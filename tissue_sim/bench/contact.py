@@ -53,7 +53,10 @@ def run(args: argparse.Namespace) -> int:
 def measure(organ: Organ) -> dict[str, Any]:
     """Figures of every pair of tools; meant for a process of one thread."""
     with tempfile.TemporaryDirectory() as folder:
-        measured = [pressed(organ, name, tools) for name, tools in tqdm(pairs(Path(folder)), desc="tools", unit="pair")]
+        measured = [
+            pressed(organ, name, tools)
+            for name, tools in tqdm(pairs(Path(folder)), disable=None, desc="tools", unit="pair")
+        ]
     bursts = noise_burst(2000)
     rows: list[dict[str, Any]] = [
         {

@@ -45,7 +45,7 @@ def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
     bursts: dict[str, Ticks] = {}
     made: dict[int, tuple[Simulation, Simulation, Modes, float]] = {}
     coarse: tuple[Organ, Modes] | None = None
-    for points in tqdm(sizes, desc="organs", unit="organ", leave=False):
+    for points in tqdm(sizes, disable=None, desc="organs", unit="organ", leave=False):
         organ = bean(points)
         start = time.perf_counter()
         if coarse is None:

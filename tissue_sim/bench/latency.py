@@ -92,7 +92,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
         turns = max(1, round(seconds / TURN))
         node, echo, ticks, late = [], [], [], []
         bare_late: list[Floats] = []
-        for _ in tqdm(range(turns), desc="turns", unit="turn"):
+        for _ in tqdm(range(turns), disable=None, desc="turns", unit="turn"):
             probe.approach()
             before = probe.report()
             node.append(probe.trips(seconds / turns))

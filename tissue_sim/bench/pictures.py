@@ -111,7 +111,7 @@ def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Pa
     rest = organ.surface_positions
     most = max(float(np.linalg.norm(panel.positions - rest, axis=1).max()) for panel in panels)
     view = _view(organ, panels)
-    drawn = [_shaded(view, organ, panel, most) for panel in tqdm(panels, desc="pictures", leave=False)]
+    drawn = [_shaded(view, organ, panel, most) for panel in tqdm(panels, disable=None, desc="pictures", leave=False)]
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -77,7 +77,7 @@ def measure(organ: Organ, patches: int) -> list[Case]:
     centres = np.random.default_rng(SEED).choice(np.flatnonzero(far), patches)
     largest = whole.settings[st.REGION_FORCE]
     cases = []
-    for number, centre in enumerate(tqdm(centres, desc="region", unit="patch")):
+    for number, centre in enumerate(tqdm(centres, disable=None, desc="region", unit="patch")):
         nodes = patch(organ, int(centre), PATCH_NODES)
         core = np.flatnonzero(hops[nodes].min(axis=0) <= CORE_HOPS)
         unit = np.zeros((organ.n_surface, 3))

@@ -87,7 +87,7 @@ def sweep(cells: Sequence[Cell], jobs: int, backend: str = "loky") -> list[Recor
     except (ValueError, ImportError) as error:
         raise UserError(f"--backend {backend}: {str(error).splitlines()[0]}") from None
     done = parallel(delayed(run_cell)(cell) for cell in order)
-    for record in tqdm(done, total=len(cells), desc="cells", unit="cell"):
+    for record in tqdm(done, total=len(cells), disable=None, desc="cells", unit="cell"):
         found[record.axis, record.value, record.integrator, record.local_region] = record
     return [found[cell.axis, cell.value, cell.integrator, cell.local_region] for cell in cells]
 

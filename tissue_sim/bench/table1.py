@@ -110,7 +110,7 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
         for force in FORCES
         for variant, simulation in zip(VARIANTS, simulations, strict=True)
     ]
-    for force, variant, simulation in tqdm(jobs, desc="settle", leave=False):
+    for force, variant, simulation in tqdm(jobs, disable=None, desc="settle", leave=False):
         nodes, forces = load(organ, force, unit)
         whole = np.zeros((organ.n_surface, 3))
         whole[nodes] = forces

@@ -70,7 +70,7 @@ def interleave(phase: Phase) -> dict[str, Timing]:
     rounds = max(LEAST_SAMPLES, round(phase.seconds / BURST))
     counts = {name: max(1, int(BURST / max(float(burst(2).min()), 1e-9))) for name, burst in phase.bursts.items()}
     samples: dict[str, list[Floats]] = {name: [] for name in phase.bursts}
-    for turn in tqdm(range(rounds), desc=phase.label, unit="round", leave=False):
+    for turn in tqdm(range(rounds), disable=None, desc=phase.label, unit="round", leave=False):
         for name, burst in phase.bursts.items():
             spent = float(sum(part.sum() for part in samples[name]))
             # What takes long comes less often, spread over the run.

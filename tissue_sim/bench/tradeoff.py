@@ -146,7 +146,7 @@ def measure_rows(
     """
     bursts: dict[str, Burst] = {NOISE: noise_burst}
     measured: list[Measured] = []
-    for number, (row, size) in enumerate(tqdm(rows, desc="rows", unit="row")):
+    for number, (row, size) in enumerate(tqdm(rows, disable=None, desc="rows", unit="row")):
         engine, remark = made_or_skipped(row.make)
         if engine is None:
             measured.append(Measured(row.name, row.ours, row.points, remark, [], None, 1.0))
@@ -174,7 +174,7 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
     answers = body.settle_many(force for _, force in drawn)
     found = []
     for (kind, force), answer in zip(
-        drawn, tqdm(answers, desc="reference", total=len(drawn), unit="load"), strict=True
+        drawn, tqdm(answers, disable=None, desc="reference", total=len(drawn), unit="load"), strict=True
     ):
         if not answer.converged:
             raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")

@@ -96,7 +96,7 @@ def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
     springs = Springs(model)
     start = first_stiffness(model, springs)
     misfit = LinearMisfit(springs, cases.force, body.settle_linear(cases.force))
-    with tqdm(total=effort.steps, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
+    with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
         if method == "groups":
             group = group_of(organ, springs)
             stiffness = search(start, group, misfit, effort.steps, lambda *_: bar.update())

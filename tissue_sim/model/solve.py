@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     displacements = np.zeros_like(forces)
     seconds = np.zeros(len(forces))
     converged = np.zeros(len(forces), dtype=bool)
-    for load in tqdm(range(len(forces)), desc="solve", unit="load"):
+    for load in tqdm(range(len(forces)), disable=None, desc="solve", unit="load"):
         start = time.perf_counter()
         displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
         seconds[load] = time.perf_counter() - start

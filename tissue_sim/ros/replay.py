@@ -241,7 +241,9 @@ class _Player:
         settings = self.recording.settings
         start = max((s for s in settings if s <= self.taken[2]), default=min(settings))
         self.simulation.take_settings(settings[start])
-        for tick in tqdm(range(self.tick + 1, self.last + 1), desc="replay", unit="tick", mininterval=0.5):
+        for tick in tqdm(
+            range(self.tick + 1, self.last + 1), disable=None, desc="replay", unit="tick", mininterval=0.5
+        ):
             row = self.inputs.get(tick)
             if row is not None:
                 self._take(row, result)
