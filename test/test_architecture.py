@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "ros": {"organ", "model", "contact", "calibration"},
     "bench": {"organ", "model", "contact", "calibration", "ros"},
     "cli": {"organ", "model", "contact", "calibration", "ros", "bench"},
+    "__main__": {"cli"},
 }
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
 TOP_LEVEL = {

@@ -160,9 +160,10 @@ def test_file_without_a_mesh_is_refused(tmp_path, content, name):
         ToolSet([Tool("left", "mesh", mesh=str(tmp_path / name))])
 
 
-def test_flat_mesh_is_refused(tmp_path):
+@pytest.mark.filterwarnings("error")
+def test_flat_mesh_is_refused_in_one_line(tmp_path):
     flat = trimesh.Trimesh([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0.01, 0.01, 0]], [[0, 1, 2], [1, 3, 2]])
-    with pytest.raises(UserError, match="tool 'left'"):
+    with pytest.raises(UserError, match=r"tool 'left'.*flat; give it a thickness"):
         ToolSet([Tool("left", "mesh", mesh=mesh_file(tmp_path, flat))])
 
 

@@ -17,7 +17,7 @@ from tissue_sim.ros.probing import Surface
 from tissue_sim.ros.trajectory import plan
 
 STAND_IN = str(Path(__file__).with_name("stand_in.py"))
-BRIDGE = ["-m", "tissue_sim.cli", "bridge"]
+BRIDGE = ["-m", "tissue_sim", "bridge"]
 
 
 class RecordedTool:

@@ -25,7 +25,7 @@ from tissue_sim.ros.probing import Surface
 from tissue_sim.ros.trajectory import LIFT, plan
 
 PARAMETERS = Path(__file__).resolve().parents[2] / "config" / "gripper.yaml"
-BRIDGE = ["-m", "tissue_sim.cli", "bridge", "--script", "grip"]
+BRIDGE = ["-m", "tissue_sim", "bridge", "--script", "grip"]
 JAWS = Jaws(0.0, 0.06)
 RATE = 500.0
 

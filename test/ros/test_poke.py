@@ -135,7 +135,7 @@ def page(tmp_path):
         pytest.skip("no Chromium on this machine (apt install chromium)")
     port = 8000 + int(time.monotonic_ns() % 900)
     node = start_node(tmp_path, "tools:=[left]")
-    viewer = Process(["-m", "tissue_sim.cli", "view", "--port", str(port), "--tools", "left"], tmp_path / "view.log")
+    viewer = Process(["-m", "tissue_sim", "view", "--port", str(port), "--tools", "left"], tmp_path / "view.log")
     page = None
     try:
         viewer.wait_for("open http", 20.0)

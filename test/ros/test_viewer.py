@@ -267,7 +267,7 @@ def start(tmp_path):
 
 def test_the_page_is_there_before_the_node_and_the_viewer_ends_at_once(start):
     port = free_port()
-    viewer = start("-m", "tissue_sim.cli", "view", "--port", str(port))
+    viewer = start("-m", "tissue_sim", "view", "--port", str(port))
     viewer.wait_for(f"http://127.0.0.1:{port}", 20.0)
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5.0) as page:
         assert page.status == 200

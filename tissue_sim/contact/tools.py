@@ -135,7 +135,8 @@ def _mesh_body(tool: Tool) -> _Body:
         raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
     try:
         mesh = trimesh.load_mesh(path)
-        hull = mesh.convex_hull
+        with np.errstate(invalid="ignore"):  # a flat one has no centre of mass; it is refused below
+            hull = mesh.convex_hull
     except Exception as error:  # a mesh library's own errors are of many kinds
         raise UserError(f"tool '{tool.name}': cannot read mesh file '{tool.mesh}': {error}") from None
     if hull.extents.max() > 2.0:

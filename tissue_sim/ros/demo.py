@@ -203,4 +203,4 @@ def _program() -> str:
 
 
 def _command(*words: str) -> list[str]:
-    return [sys.executable, "-m", "tissue_sim.cli", *words]
+    return [sys.executable, "-m", "tissue_sim", *words]
