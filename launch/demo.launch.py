@@ -26,8 +26,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "profile",
                 default_value="",
-                description="Haptic bridge whose topics and types the tools take, as in tissue_node.launch.py;"
-                " goes with bridge:=false.",
+                description="Haptic bridge whose topics and types the tools take, as in tissue_node.launch.py; the"
+                " scripted bridge speaks as it does.",
             ),
             DeclareLaunchArgument(
                 "organ_file",

@@ -23,6 +23,8 @@ BRIDGE = ["-m", "tissue_sim", "bridge"]
 class RecordedTool:
     """Takes the place of a tool's topics."""
 
+    name, rivals = "left", 0
+
     def __init__(self):
         self.poses, self.stamps = [], []
 

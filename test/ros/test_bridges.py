@@ -1,12 +1,13 @@
 """The profiles in config/bridges, each against a stand-in that speaks as the bridge that it is for."""
 
+import re
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from haptic_bridges import BRIDGES, StandIn
-from processes import READY, poke_path, shipped, start_node
+from processes import READY, Process, poke_path, shipped, start_node
 from ruamel.yaml import YAML
 
 from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
@@ -37,10 +38,14 @@ def test_profiles_hold_known_parameters(name):
 
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_bridge_feels_the_kidney(name, tmp_path):
-    """It reaches the node, is pushed out along its own axes, and feels nothing once its poses are invalid or stop."""
+    """It reaches the node, is pushed out along its own axes, and feels nothing once its poses are invalid or stop.
+
+    And without that device, a scripted bridge takes its place.
+    """
     # A busy machine may hold these poses up.
     node = start_node(tmp_path, "stale_time:=5.0", profile=PROFILES[name], wait=False)
     stand_in = StandIn(BRIDGES[name])
+    tool = parameters(name)["tools"][-1 if name == "saw_force_dimension" else 0]
     try:
         node.wait_for(READY)
         assert stand_in.spin_until(stand_in.connected, 10.0), node.text()
@@ -63,9 +68,17 @@ def test_a_bridge_feels_the_kidney(name, tmp_path):
                 stand_in.send(touch + depth * inward, valid=False)
             stand_in.spin(0.02)
         assert not stand_in.forces[-1].any(), "the force fades"
-        key = next(iter(parameters(name)["tools"])) if name != "saw_force_dimension" else "right"
         if cisst:
-            assert stand_in.spin_until(lambda: f"{key}.refused.no_stamp" in stand_in.diagnostics, 5.0)
+            stand_in.send(touch, valid=False)
+            assert stand_in.spin_until(lambda: f"{tool}.refused.no_stamp" in stand_in.diagnostics, 5.0)
+        words = ["-m", "tissue_sim", "bridge", "--script", "poke", "--tools", tool]
+        script = Process(words, tmp_path / "bridge.log")
+        pressed = stand_in.spin_until(lambda: np.linalg.norm(stand_in.forces[-1]) > 0.15, 15.0)
+        assert pressed, "the scripted bridge plays this one"
+        script.wait_for(f"{BRIDGES[name].pose_topic} has another publisher: {tool} jumps between both", 10.0)
+        assert script.stop() == 0, script.text()
+        felt = re.findall(rf"{tool} ([\d.]+) N", script.text())
+        assert 0.1 < float(felt[0]) < 2.0, script.text()
         assert node.stop() == 0, node.text()
         assert "Traceback" not in node.text()
     finally:

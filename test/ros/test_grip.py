@@ -21,6 +21,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.ros import bridge
 from tissue_sim.ros.client import cloud_array
 from tissue_sim.ros.motion import Path as Motion
+from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
 from tissue_sim.ros.probing import Surface
 from tissue_sim.ros.trajectory import LIFT, plan
 
@@ -107,25 +108,36 @@ def test_what_cannot_be_gripped_is_said():
 
 
 # which tools -----------------------------------------------------------------------------------
-def told(**shapes):
+def told(frame_id="organ", **shapes):
     """What a node's parameters say that has tools of some shapes."""
-    values = {"tools": list(shapes)}
+    values = {spec.name: spec.default for spec in NODE_SPECS} | {"tools": list(shapes), "frame_id": frame_id}
     for name, shape in shapes.items():
+        values |= {f"{name}.{spec.name}": spec.default for spec in TOOL_SPECS}
         values |= {f"{name}.{key}": value for key, value in vars(Tool(name, shape, 0.003, 0.03)).items()}
     return values
 
 
 def chosen(values, *words):
+    """Names, script, jaws and radius."""
     parser = argparse.ArgumentParser()
     bridge.add_arguments(parser)
-    args = parser.parse_args(["--script", "grip", *words])
-    return bridge.grippers(values, args, args.script)
+    links, *others = bridge.cast(values, parser.parse_args(words))
+    return tuple(link.tool.name for link in links), *others
+
+
+def test_a_bridge_plays_the_nodes_tools():
+    three = told(left="sphere", right="gripper", third="sphere")
+    assert chosen(three) == (("left", "right", "third"), ("stroke", "poke", "nip"), {}, 0.003)
+    assert chosen(three, "--tools", "third")[:2] == (("third",), ("stroke", "poke"))
+    assert chosen(told(fd="capsule"), "--radius", "0.004") == (("fd",), ("stroke", "poke"), {}, 0.004)
+    assert chosen({}) == (("left", "right"), ("stroke", "poke", "nip"), {}, 0.005)
 
 
 def test_a_grip_takes_the_nodes_gripper():
     values = told(left="sphere", right="gripper")
-    assert chosen(values) == (("right",), {"right": Jaws(0.003, 0.03)})
-    assert chosen(values, "--tools", "right,left")[0] == ("right", "left")
+    jaws = {"right": Jaws(0.003, 0.03)}
+    assert chosen(values, "--script", "grip") == (("right",), ("grip",), jaws, 0.003)
+    assert chosen(values, "--script", "grip", "--tools", "right,left")[0] == ("right", "left")
     assert chosen(values, "--script", "poke,grip")[0] == ("left", "right")
 
 
@@ -134,12 +146,12 @@ def test_a_grip_takes_the_nodes_gripper():
     [
         (told(left="sphere"), [], "on /tissue_sim 'left' is a sphere: start it with --params-file config/gripper.yaml"),
         (told(left="gripper"), ["--tools", "right"], "/tissue_sim has no tool 'right'; it has left"),
-        ({}, [], "there is none"),
+        ({}, [], "'left' is a sphere, 'right' is a sphere"),
     ],
 )
 def test_a_node_without_a_gripper_is_told(values, words, message):
     with pytest.raises(UserError, match=message):
-        chosen(values, *words)
+        chosen(values, "--script", "grip", *words)
 
 
 def test_a_node_without_a_gripper_is_one_line_and_exit_code_2(tmp_path, capfd):

@@ -6,24 +6,23 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from tissue_sim.errors import UserError
 from tissue_sim.ros import client
-from tissue_sim.ros.cdr import parse_stamped
 from tissue_sim.ros.script import ACTIONS, SCRIPT
 
 if TYPE_CHECKING:
-    from rclpy.node import Node
-
     from tissue_sim.contact.gripper import Jaws
     from tissue_sim.ros.motion import Path
     from tissue_sim.ros.probing import Floats
+    from tissue_sim.ros.scripted_tool import ScriptedTool
+    from tissue_sim.ros.tool_link import ToolLink
 
-TOOLS = ("left", "right")
-LOOK_AGAIN = 1.0  # s between two looks for another organ
+TOOLS = ("left", "right")  # of a node that tells none
+LOOK_AGAIN = 1.0  # s between two looks for another organ, or another bridge
 MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 
 
@@ -36,17 +35,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tools",
         type=client.names,
-        help="names of the tools; a nip takes the first two, a grip the first gripper"
-        f" (default: {','.join(TOOLS)}; of a grip, those of the node)",
+        help="names of the tools; a nip takes the first two, a grip the first gripper (default: the node's)",
     )
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
-    parser.add_argument("--radius", type=client.number(1e-4, 0.1, "m"), default=0.005, help="of the spherical tools, m")
+    parser.add_argument(
+        "--radius",
+        type=client.number(1e-4, 0.1, "m"),
+        help="of the tools, m: how far from the organ they begin to touch it (default: the node's largest)",
+    )
     parser.add_argument(
         "--script",
         type=_script,
         help=f"what to do, in this order, of {','.join(ACTIONS)}; all but the grip unless given",
     )
-    parser.add_argument("--frame", default="organ", help="frame id of the poses")
     parser.add_argument(
         "--wait", type=client.number(0.0, 3600.0, "s"), default=30.0, help="how long to wait for the node, s"
     )
@@ -54,34 +55,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play the script; returns 0, or 1 when the node's mesh does not come."""
-    names: tuple[str, ...] = args.tools or TOOLS
-    script = args.script or SCRIPT[: len(SCRIPT) if len(names) > 1 else -1]
-    _check(script, names)
+    if args.script and args.tools:
+        _check(args.script, args.tools)
 
     from shape_msgs.msg import Mesh
 
+    from tissue_sim.ros.node_parameters import NodeParameters
+    from tissue_sim.ros.scripted_tool import ScriptedTool
     from tissue_sim.ros.trajectory import plan
 
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
-        jaws: dict[str, Jaws] = {}
-        if "grip" in script:
-            from tissue_sim.ros.node_parameters import NodeParameters
-
-            values = _wait_until(NodeParameters(args.node).poll, args.wait, stop)
-            if values is None:
-                return 0 if stop else _not_there(args, f"no answer from /{args.node}/get_parameters")
-            names, jaws = grippers(values, args, script)
-            _check(script, names)
-        tools = [ScriptedTool(node, name, args.frame, name in jaws) for name in names]
+        parameters = NodeParameters(args.node)
         meshes = client.Inbox(node, Mesh, f"/{args.node}/mesh", client.latched_qos())
         mesh = _wait_until(meshes.take, args.wait, stop)
         if mesh is None:
             return 0 if stop else _not_there(args, f"no mesh on /{args.node}/mesh")
+        values = _wait_until(parameters.poll, args.wait, stop)
+        if values is None:
+            return 0 if stop else _not_there(args, f"no answer from /{args.node}/get_parameters")
+        links, script, jaws, radius = cast(values, args)
+        tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
+        names = [tool.name for tool in tools]
         vertices, triangles = client.mesh_arrays(mesh)
         _wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
         player = Player(tools, args.rate, args.seconds)
         while True:
-            path = plan(vertices, triangles, args.radius, names, script, jaws)
+            path = plan(vertices, triangles, radius, names, script, jaws)
             print(
                 f"organ of {len(vertices)} nodes: {', '.join(script)} in {path.duration:.1f} s, again and again,"
                 f" at {args.rate:g} Hz",
@@ -117,73 +116,43 @@ def _not_there(args: argparse.Namespace, what: str) -> int:
     return 1
 
 
-def grippers(
-    values: Mapping[str, Any], args: argparse.Namespace, script: Sequence[str]
-) -> tuple[tuple[str, ...], dict[str, Jaws]]:
-    """The tools to play, and the jaws of those that have some, by a node's parameters."""
-    from tissue_sim.ros.parameters import tool_of
+class Cast(NamedTuple):
+    """How each tool is spoken to, what they play, the jaws of those that grip, and the radius m that a path is for."""
+
+    links: list[ToolLink]
+    script: tuple[str, ...]
+    jaws: dict[str, Jaws]
+    radius: float
+
+
+def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
+    """Who plays, by a node's parameters; one that tells none is taken for a node as it is by default.
+
+    Raises UserError when it lacks a tool, or a gripper to grip with.
+    """
+    from tissue_sim.ros.tool_link import ToolLink
 
     there = tuple(values.get("tools", ()))
-    names = args.tools or there
-    for name in names:
-        if name not in there:
+    links = [
+        ToolLink.told(values, name, args.node) or ToolLink.by_default(name, "organ")
+        for name in args.tools or there or TOOLS
+    ]
+    for name in args.tools or ():
+        if there and name not in there:
             raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there)}: choose with --tools")
-    tools = [tool_of(values, name) for name in names]
-    jaws = {tool.name: tool.jaws for tool in tools if tool.shape == "gripper"}
-    if not jaws:
-        shapes = ", ".join(f"'{tool.name}' is a {tool.shape}" for tool in tools) or "there is none"
-        raise UserError(
-            f"a grip needs a gripper; on /{args.node} {shapes}: start it with --params-file config/gripper.yaml"
-        )
-    return (names if args.tools or set(script) != {"grip"} else (next(iter(jaws)),)), jaws
-
-
-class ScriptedTool:
-    """One tool's topics, as a haptic device has them: poses out, the wrench for the hand in."""
-
-    def __init__(self, node: Node, name: str, frame_id: str, has_jaws: bool = False) -> None:
-        from geometry_msgs.msg import PoseStamped, WrenchStamped
-        from sensor_msgs.msg import JointState
-
-        from tissue_sim.ros.messages import NumbersTemplate
-
-        self.name = name
-        self._pose = NumbersTemplate(PoseStamped(), 7, frame_id)
-        self._publisher = node.create_publisher(PoseStamped, f"{name}/measured_cp", client.stream_qos())
-        self._joint = JointState(name=["jaw"], position=[0.0])
-        self._jaws = (
-            node.create_publisher(JointState, f"{name}/gripper/measured_js", client.stream_qos()) if has_jaws else None
-        )
-        self._wrenches = client.Inbox(node, WrenchStamped, f"{name}/servo_cf", client.stream_qos(), raw=True)
-        self.sent = self.received = 0
-        self.peak = 0.0  # N, largest force so far
-
-    def publish(self, stamp: int, pose: Floats) -> None:
-        """Send a pose (7,), position m and quaternion x y z w, with a stamp in ns."""
-        self._publisher.publish(self._pose.message(stamp, pose))
-        self.sent += 1
-
-    def open(self, stamp: int, angle: float) -> None:
-        """Send the angle in rad between the jaws, with a stamp in ns; nothing for a tool without jaws."""
-        if self._jaws is None:
-            return
-        self._joint.header.stamp.sec, self._joint.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-        self._joint.position[0] = angle
-        self._jaws.publish(self._joint)
-
-    @property
-    def heard(self) -> bool:
-        """Whether somebody subscribes to the poses, and to the jaws if there are some."""
-        publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
-        return all(publisher.get_subscription_count() for publisher in publishers)
-
-    def feel(self) -> None:
-        """Take the newest wrench, if one has come."""
-        raw = self._wrenches.take()
-        if raw is not None:
-            x, y, z = parse_stamped(raw, 6).values[:3]
-            self.peak = max(self.peak, (x * x + y * y + z * z) ** 0.5)
-            self.received += 1
+    script = args.script or SCRIPT[: len(SCRIPT) if len(links) > 1 else -1]
+    jaws: dict[str, Jaws] = {}
+    if "grip" in script:
+        jaws = {link.tool.name: link.tool.jaws for link in links if link.tool.shape == "gripper"}
+        if not jaws:
+            shapes = ", ".join(f"'{link.tool.name}' is a {link.tool.shape}" for link in links)
+            raise UserError(
+                f"a grip needs a gripper; on /{args.node} {shapes}: start it with --params-file config/gripper.yaml"
+            )
+        if set(script) == {"grip"} and not args.tools:
+            links = [link for link in links if link.tool.name in jaws][:1]
+    _check(script, [link.tool.name for link in links])
+    return Cast(links, script, jaws, args.radius or max(link.tool.radius for link in links))
 
 
 class Player:
@@ -193,6 +162,7 @@ class Player:
         self._tools, self._rate = tools, rate
         self._end = None if seconds is None else time.monotonic() + seconds
         self.skipped = 0
+        self._told: set[str] = set()  # of which tools it was told that others move them
 
     def play(self, path: Path, stop: client.Stop, meshes: client.Inbox, organ: Floats) -> Any:
         """Play a path again and again, until the time is over, a signal asks for it, or the node has another organ.
@@ -215,11 +185,19 @@ class Player:
             if now > next_look:
                 next_look = now + LOOK_AGAIN
                 found = _other_organ(meshes.take(), organ)
+                self._tell_of_rivals()
         start, last = time.monotonic(), max(tick - 1, 0) / self._rate
         leaving = zip(path.retreat(last, self._rate), path.retreat_jaws(last, self._rate), strict=True)
         for step, (poses, opened) in enumerate(leaving):
             self._send(poses, opened, start + step / self._rate)
         return found
+
+    def _tell_of_rivals(self) -> None:
+        for tool in self._tools:
+            if tool.name not in self._told and tool.rivals > 0:
+                self._told.add(tool.name)
+                what = f"{tool.topic} has another publisher: {tool.name} jumps between both"
+                sys.stderr.write(f"tissue_sim bridge: {what}\n")
 
     def _send(self, poses: Floats, angles: Floats, deadline: float) -> None:
         if (ahead := deadline - time.monotonic()) > 0.0:

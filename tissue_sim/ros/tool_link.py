@@ -31,7 +31,8 @@ class ToolLink:
     @classmethod
     def by_default(cls, name: str, frame_id: str) -> ToolLink:
         """For a tool whose parameters nobody tells: poses in the organ's frame, on the usual topics."""
-        names = {"measured_cp": f"{name}/measured_cp", "measured_js": f"{name}/gripper/measured_js"}
+        topics = ("measured_cp", "servo_cf")
+        names = {topic: f"{name}/{topic}" for topic in topics} | {"measured_js": f"{name}/gripper/measured_js"}
         return cls(ToolTopics(names, frame_id), Transform(), Tool(name))
 
     @classmethod
