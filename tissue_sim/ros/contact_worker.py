@@ -38,7 +38,8 @@ class ContactWorker:
         self.unchanged_skips = 0
         self.dropped = 0
         self.durations: list[float] = []
-        self.error = ""
+        self.failures = 0
+        self.error = ""  # of the last search, if it failed
         self._finder, self._physics, self._ports = finder, physics, list(ports)
         self._recorder, self._woken, self._warn = recorder, woken, warn
         self._stop = threading.Event()
@@ -83,6 +84,7 @@ class ContactWorker:
             "skipped.nothing_moved": self.unchanged_skips,
         }
         report.problems["dropped_contacts"] = self.dropped
+        report.problems["contact_failures"] = self.failures
         if self.error:
             report.failures.append(self.error)
 
@@ -94,11 +96,16 @@ class ContactWorker:
             try:
                 self._refresh(start)
             except Exception as error:  # the node goes on with the last set, and says so
-                self.error = f"contact search failed: {type(error).__name__}: {error}"
-                self._warn(self.error)
+                self._fail(f"contact search failed: {type(error).__name__}: {error}")
             rest = 1.0 / self.rate - (time.monotonic() - start)
             if rest > 0.0:
                 time.sleep(rest)
+
+    def _fail(self, what: str) -> None:
+        self.failures += 1
+        if what != self.error:  # at 250 Hz one line is enough
+            self._warn(what)
+        self.error = what
 
     def _refresh(self, now: float) -> None:
         settings = self._physics.settings()
@@ -145,6 +152,7 @@ class ContactWorker:
                 margins[tool] = reach[tool]
         self._last_pose, self._last_time = poses, now
         found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
+        self.error = ""
         empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
         sequence = self._physics.post_contacts(found)
         self._last_empty = empty
