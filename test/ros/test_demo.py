@@ -23,7 +23,7 @@ def start_demo(folder: Path, *words: str, node: str = "") -> Process:
     """`tissue_sim demo` whose node is the stand-in with further arguments."""
     code = (
         "import sys; from tissue_sim import cli; from tissue_sim.ros import demo;"
-        f"demo.node_command = lambda organ, folder: [sys.executable, {STAND_IN!r},"
+        f"demo.node_command = lambda organ, folder, priority: [sys.executable, {STAND_IN!r},"
         f" '--record-folder', str(folder), *{node.split()!r}];"
         f"sys.exit(cli.main({['demo', '--bag-folder', str(folder / 'bags'), *words]!r}))"
     )
@@ -77,7 +77,7 @@ def test_a_node_that_dies_is_named_with_its_last_line(tmp_path):
 def test_an_end_before_the_node_is_up_is_said(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     sleeper = [sys.executable, "-c", SLEEPER.format("0")]
-    monkeypatch.setattr(demo, "node_command", lambda organ, folder: sleeper)
+    monkeypatch.setattr(demo, "node_command", lambda organ, folder, priority: sleeper)
 
     class AtOnce(demo.client.Stop):
         def __bool__(self):
@@ -114,7 +114,7 @@ def test_the_users_graph_is_kept_and_a_free_one_is_found():
 
 
 def test_the_node_gets_paths_that_yaml_reads_as_text(tmp_path):
-    words = demo.node_command("a: b.npz", tmp_path)
+    words = demo.node_command("a: b.npz", tmp_path, 20)
     assert f'record_folder:="{tmp_path}"' in words
     assert f'organ_file:="{Path("a: b.npz").absolute()}"' in words
 

@@ -1,6 +1,8 @@
 """The loop's thread before all others, and the one that answers poses after it, where the system allows it."""
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -10,7 +12,7 @@ from processes import running_node
 
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.physics import Physics
-from tissue_sim.ros.priority import below
+from tissue_sim.ros.priority import below, is_allowed
 
 from ..scenes import ball
 
@@ -24,6 +26,15 @@ def preferred(process: int) -> dict[int, int]:
 
 def test_what_comes_after_a_priority():
     assert [below(priority) for priority in (0, 1, 2, 99)] == [0, 1, 1, 98], "none after none"
+
+
+def test_asking_whether_it_is_allowed_changes_nothing():
+    allowed = is_allowed(7)
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+    ask = "import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(7))"
+    run = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True)
+    assert allowed == (run.returncode == 0), run.stderr
+    assert not is_allowed(1000), "no priority at all"
 
 
 def test_only_the_loop_goes_first():

@@ -19,9 +19,11 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.ros import client
 from tissue_sim.ros.children import Child, stop_all, wait_a_little
+from tissue_sim.ros.priority import is_allowed
 from tissue_sim.ros.viewer import check_port, shown_host
 
 NODE = "tissue_sim"
+PRIORITY = 20  # of the node, where the system allows it
 WAIT = 600.0  # s that the bridge waits for the node, which may compile its kernels first
 DOMAINS = range(1, 102)  # those whose ports lie below Linux's range of ephemeral ports
 
@@ -59,10 +61,12 @@ def run(args: argparse.Namespace) -> int:
     watch = Watch(args.seconds)
     with client.Stop() as stop:
         # The node first: the others wait for it. Stopped the other way round.
-        children = [Child("node", node_command(args.organ, folder), os.environ)]
+        # A browser that draws without a GPU takes every core there is: the node goes first where it may.
+        priority = PRIORITY if is_allowed(PRIORITY) else 0
+        children = [Child("node", node_command(args.organ, folder, priority), os.environ)]
         print(
             f"node: {args.organ or 'the kidney that ships'}, records to {folder};"
-            f" ROS domain {os.environ['ROS_DOMAIN_ID']}"
+            f" ROS domain {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'}"
         )
         if not args.no_viewer:
             words = _command("view", "--host", args.host, "--port", str(args.port))
@@ -104,9 +108,10 @@ def free_domain() -> int:
     raise UserError("every ROS domain from 1 to 101 is in use on this machine; name one with ROS_DOMAIN_ID")
 
 
-def node_command(organ: str | None, folder: Path) -> list[str]:
+def node_command(organ: str | None, folder: Path, priority: int) -> list[str]:
     """How the node is started."""
     words = ["-p", "record:=true", "-p", f"record_folder:={json.dumps(str(folder.absolute()))}"]
+    words += ["-p", f"realtime_priority:={priority}"]
     if organ is not None:
         words += ["-p", f"organ_file:={json.dumps(str(Path(organ).absolute()))}"]
     return [sys.executable, "-m", "tissue_sim.ros.program", "--ros-args", *words]

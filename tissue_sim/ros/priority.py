@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -16,6 +17,23 @@ def prefer(priority: int, thread: int = 0) -> None:
     """
     if priority:
         os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def is_allowed(priority: int) -> bool:
+    """Whether a thread of this process may have a priority; tried in one that ends: not every one may give it back."""
+    found = []
+
+    def ask() -> None:
+        try:
+            prefer(priority)
+        except OSError:
+            return
+        found.append(True)
+
+    trial = threading.Thread(target=ask)
+    trial.start()
+    trial.join()
+    return bool(found)
 
 
 @contextmanager

@@ -55,6 +55,7 @@ class ForcePlot:
             cursor=uplot.Cursor(show=False),
             legend=uplot.Legend(show=True, live=False),
             height=150,
+            padding=(10, 12, 0, 0),  # px: half of the labels at the ends lies beyond the axes
         )
 
     def update(self, now: float, forces: Mapping[str, float | None], watched: bool) -> None:
