@@ -48,3 +48,11 @@ def test_short_run_with_real_processes(tmp_path, monkeypatch):
 def test_seconds_out_of_range_are_refused(capsys):
     assert main(["bench", "latency", "--seconds", "0"]) == 2
     assert "--seconds" in capsys.readouterr().err
+
+
+def test_a_priority_that_is_not_allowed_is_refused_in_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(latency, "is_allowed", lambda _: False)
+    assert main(["bench", "latency", "--realtime-priority", "20"]) == 2
+    error = capsys.readouterr().err
+    assert "real-time priority 20" in error
+    assert error.count("\n") == 1

@@ -10,6 +10,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+from patience import wait_for
 from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -122,14 +123,6 @@ class Browser:
         if file is not None:
             file.write_bytes(image)
         return image
-
-
-def wait_for(value: Any, timeout: float, problem: str) -> Any:
-    end = time.monotonic() + timeout
-    while not (found := value()):
-        assert time.monotonic() < end, problem
-        time.sleep(0.05)
-    return found
 
 
 def _port(file: Path) -> str:

@@ -1,7 +1,14 @@
-"""Signals where Python can't raise."""
+"""Ends of the node that nobody asked for in the usual way."""
 
 import subprocess
 import sys
+import threading
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+
+from tissue_sim.ros import serve
 
 IN_A_CALLBACK = """
 import ctypes, os, signal, time
@@ -28,5 +35,33 @@ def test_signal_in_a_callback_of_the_compiler_ends_without_a_traceback():
     assert (done.returncode, done.stderr) == (0, "tissue_node: ended while starting\n")
 
 
+def test_what_was_left_half_made_is_deleted_without_a_traceback():
+    half = "half = type('Half', (), {'__del__': lambda self: self.never_made})()"
+    done = run(f"{half}; os.kill(os.getpid(), signal.SIGINT); time.sleep(0.1)")
+    assert (done.returncode, done.stderr) == (0, "tissue_node: ended while starting\n")
+
+
 def test_other_errors_there_are_still_shown():
     assert "ZeroDivisionError" in run("1 / 0", then_sleeps=0.0).stderr
+
+
+def test_a_node_that_fails_leaves_no_force_standing(monkeypatch):
+    """An error in a callback reaches serve: what is published last is a wrench of zero."""
+    done = []
+    node = SimpleNamespace(**{name: partial(done.append, name) for name in ("start", "close", "destroy_node")})
+
+    def fail(timeout_sec):
+        raise KeyError("nobody thought of this")
+
+    executor = SimpleNamespace(add_node=lambda _: None, spin_once=fail)
+    monkeypatch.setattr(serve, "TissueNode", lambda: node)
+    monkeypatch.setattr(serve, "EventsExecutor", lambda: executor)
+    monkeypatch.setattr(serve, "_start_rclpy", lambda _: None)
+    ending = SimpleNamespace(asked=threading.Event(), started=lambda: None, closes=lambda: None)
+    interval = sys.getswitchinterval()
+    try:
+        with pytest.raises(KeyError):
+            serve.serve(["tissue_node"], ending)
+    finally:
+        sys.setswitchinterval(interval)
+    assert done == ["start", "close", "destroy_node"]

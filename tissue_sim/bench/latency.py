@@ -26,7 +26,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.realtime import now, sleep_until
 from tissue_sim.organ.organ import Floats, Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros.priority import HIGHEST, below, preferred
+from tissue_sim.ros.priority import HIGHEST, below, is_allowed, preferred
 
 if TYPE_CHECKING:
     from tissue_sim.ros.latency_probe import Trip
@@ -78,11 +78,8 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     from tissue_sim.ros.client import client_node
     from tissue_sim.ros.latency_probe import Probe, together
 
-    try:
-        with preferred(priority):
-            pass
-    except PermissionError:
-        raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'") from None
+    if not is_allowed(priority):
+        raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'")
 
     path = organ_file or str(shipped_organ())
     organ = Organ.load(path)

@@ -12,7 +12,7 @@ from tissue_sim.contact.finder import ContactFinder, reach_margins
 from tissue_sim.model import state as st
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.recorder import Recorder
-from tissue_sim.ros.report import Report
+from tissue_sim.ros.report import Report, Trouble
 from tissue_sim.ros.tool_port import ToolPort
 
 BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force after which it is looked whether they went stale
@@ -38,8 +38,7 @@ class ContactWorker:
         self.unchanged_skips = 0
         self.dropped = 0
         self.durations: list[float] = []
-        self.failures = 0
-        self.error = ""  # of the last search, if it failed
+        self._trouble = Trouble("contact search", warn)
         self._finder, self._physics, self._ports = finder, physics, list(ports)
         self._recorder, self._woken, self._warn = recorder, woken, warn
         self._stop = threading.Event()
@@ -84,9 +83,7 @@ class ContactWorker:
             "skipped.nothing_moved": self.unchanged_skips,
         }
         report.problems["dropped_contacts"] = self.dropped
-        report.problems["contact_failures"] = self.failures
-        if self.error:
-            report.failures.append(self.error)
+        self._trouble.report(report)
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -96,16 +93,10 @@ class ContactWorker:
             try:
                 self._refresh(start)
             except Exception as error:  # the node goes on with the last set, and says so
-                self._fail(f"contact search failed: {type(error).__name__}: {error}")
+                self._trouble.failed(error)
             rest = 1.0 / self.rate - (time.monotonic() - start)
             if rest > 0.0:
                 time.sleep(rest)
-
-    def _fail(self, what: str) -> None:
-        self.failures += 1
-        if what != self.error:  # at 250 Hz one line is enough
-            self._warn(what)
-        self.error = what
 
     def _refresh(self, now: float) -> None:
         settings = self._physics.settings()
@@ -152,7 +143,7 @@ class ContactWorker:
                 margins[tool] = reach[tool]
         self._last_pose, self._last_time = poses, now
         found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
-        self.error = ""
+        self._trouble.succeeded()
         empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
         sequence = self._physics.post_contacts(found)
         self._last_empty = empty

@@ -35,7 +35,7 @@ class Ending:
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
         for number in SIGNALS:
             signal.signal(number, self._on_signal)
-        sys.unraisablehook = _silent_when_interrupted
+        sys.unraisablehook = self._on_unraisable
         threading.Thread(target=self._watch, args=(read,), name="ending", daemon=True).start()
 
     def started(self) -> None:
@@ -55,6 +55,14 @@ class Ending:
             self._raised = True
             raise Interrupted
 
+    def _on_unraisable(self, unraisable: Any) -> None:
+        """Interrupted is lost in a callback from C, as the compiler has them; what it left half made fails once more.
+
+        The process ends all the same.
+        """
+        if not self._raised:
+            sys.__unraisablehook__(unraisable)
+
     def _watch(self, pipe: int) -> None:
         """In a thread of its own: the pipe is written to by the system's handler."""
         os.read(pipe, 1)
@@ -65,12 +73,6 @@ class Ending:
             _leave(0, "ended while starting")
         time.sleep(GRACE)
         _leave(1, f"could not close in {GRACE:g} s")
-
-
-def _silent_when_interrupted(unraisable: Any) -> None:
-    """Interrupted is lost in a callback from C, as the compiler has them; the process ends all the same."""
-    if not isinstance(unraisable.exc_value, Interrupted):
-        sys.__unraisablehook__(unraisable)
 
 
 def _leave(code: int, line: str) -> None:

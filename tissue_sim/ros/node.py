@@ -8,7 +8,6 @@ pose and publish the newest wrench.
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +23,12 @@ from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros import bag, degrade
+from tissue_sim.ros import bag
 from tissue_sim.ros.contact_worker import ContactWorker
 from tissue_sim.ros.diagnostics import Diagnostics, LoopReport
 from tissue_sim.ros.live_settings import LiveSettings
 from tissue_sim.ros.namesakes import Namesakes
+from tissue_sim.ros.outlet import Outlet
 from tissue_sim.ros.parameters import Parameters, frames_of, tool_of, topics_of
 from tissue_sim.ros.physics import Physics
 from tissue_sim.ros.presenter import Presenter
@@ -37,12 +37,9 @@ from tissue_sim.ros.recorder import Recorder
 from tissue_sim.ros.report import Report, Reports
 from tissue_sim.ros.sim_clock import SimClock
 from tissue_sim.ros.tf_lookup import TfLookup, tf_installed
-from tissue_sim.ros.timing import TimingReader
 from tissue_sim.ros.tool_port import ToolPort
 
 NAME = "tissue_sim"
-SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
-IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
 BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
 
 
@@ -76,7 +73,7 @@ class TissueNode(Node):
         self.simulation.set_substeps()
         self.physics = Physics(self.simulation)
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
-        self._woken, self._stop = threading.Event(), threading.Event()
+        self._woken = threading.Event()
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         self.recorder = Recorder(
             self.get_fully_qualified_name(), self.physics.n_tools, self._tool_topics(), self._config()
@@ -97,13 +94,13 @@ class TissueNode(Node):
             lambda sequence, posted: self.recorder.settings(sequence, posted),
             lambda: [port.period for port in self.ports],
         )
-        self.ladder = degrade.Ladder()
         self.namesakes = Namesakes(self)
         self.sim_clock = SimClock(self, self.physics, self._on_jump_back)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         values.changed.append(self._on_parameters)
-        self._outlet = threading.Thread(target=self._run_outlet, name="outlet", daemon=True)
+        self._outlet: Outlet | None = None
+        self._parts: list[Reports] = []
 
     # life --------------------------------------------------------------------------------------
     def start(self) -> None:
@@ -112,8 +109,18 @@ class TissueNode(Node):
         self.live.update()
         self.physics.start()
         self._prefer(self.parameters["realtime_priority"])
-        self._load = TimingReader(self.physics.box)
-        self._parts: list[Reports] = [
+        outlet = self._outlet = Outlet(
+            self.parameters,
+            self.physics,
+            self.ports,
+            self.presenter,
+            self.live,
+            self.sim_clock,
+            lambda: self.recorder.poll(self.physics),
+            self._tell,
+            self.get_logger(),
+        )
+        self._parts = [
             LoopReport(self.physics),
             self.sim_clock,
             self.live,
@@ -122,11 +129,13 @@ class TissueNode(Node):
             self.recorder,
             self.contacts,
             self.presenter,
+            outlet,
         ]
+        self.contacts.rate = self.parameters["contact_rate"]
         self.contacts.start()
         if self.parameters["record"]:
             self.get_logger().info(f"recording to {self._start_recording()}")
-        self._outlet.start()
+        outlet.start()
         organ = self.organ
         self.get_logger().info(
             f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
@@ -136,9 +145,8 @@ class TissueNode(Node):
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
-        self._stop.set()
-        if self._outlet.is_alive():
-            self._outlet.join(timeout=0.3)
+        if self._outlet is not None:
+            self._outlet.stop()
         for port in self.ports:
             port.publish_zero()
         self.presenter.close()
@@ -232,62 +240,9 @@ class TissueNode(Node):
         for port in self.ports:
             port.forget_stamps()
 
-    # the outlet --------------------------------------------------------------------------------
-    def _run_outlet(self) -> None:
-        """Markers at their rate, fading wrenches at the tick rate, journal, diagnostics at 1 Hz."""
-        next_marker = next_report = next_look = time.monotonic()
-        seen: tuple[int, ...] = ()
-        self.contacts.rate = self.parameters["contact_rate"]
-        while not self._stop.is_set():
-            fading = [port.keep_publishing(SILENCE) for port in self.ports]
-            now = time.monotonic()
-            if now >= next_marker:
-                # Nothing moves in an organ that sleeps, but somebody may have come to look.
-                rate = self.live.marker_rate
-                seen_before, seen = seen, (self.physics.surface_sequence, *(port.poses for port in self.ports))
-                rate = rate if seen != seen_before else min(rate, IDLE_MARKER_RATE)
-                next_marker = max(next_marker + 1.0 / rate, now)
-                self.presenter.present(self.parameters["record_markers"], self.parameters["marker_colour"])
-                self.presenter.present_tools()
-                self.recorder.poll(self.physics)
-            if now >= next_look:
-                next_look = max(next_look + degrade.LOOK_EVERY, now)
-                self._look(now)
-            if now >= next_report:
-                next_report = max(next_report + 1.0, now)
-                self._report()
-            wait = min(next_marker, next_look) - time.monotonic()
-            if any(fading):
-                wait = min(wait, self.physics.tick_time)
-            if wait > 0.0:
-                self._stop.wait(wait)
-
-    def _look(self, now: float) -> None:
-        """Whether the clock stands, and whether the machine keeps up."""
-        self.sim_clock.watch()
-        timing, ladder = self._load.read(), self.ladder
-        was_stuck = ladder.stuck
-        look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
-        if ladder.look(now, look, self.live.helps):
-            # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
-            threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
-        elif ladder.stuck and not was_stuck:
-            self.get_logger().warning("the machine is too slow, and there is nothing left to give up: time is lost")
-
-    def _degrade(self, level: int, why: str) -> None:
-        """Go to another level of degradation, and say so."""
-        worse = level > self.live.level
-        self.live.update(level)
-        line = f"{self.live.describe()} ({why})"
-        if worse:
-            self.get_logger().warning(f"the machine is too slow: {line}")
-        else:
-            self.get_logger().info(f"the machine keeps up again: {line}")
-
-    def _report(self) -> None:
+    def _tell(self, report: Report) -> None:
         if self.parameters["coupling_stiffness"] > 0.0:
             self.live.update()  # poses may come at another rate now
-        report = Report()
         for part in self._parts:
             part.report(report)
         self.diagnostics.publish(report)

@@ -39,18 +39,16 @@ def serve(arguments: list[str], ending: Ending) -> int:
         ending.started()
         while not ending.asked.is_set():
             executor.spin_once(timeout_sec=0.1)
-        node.close()
         return 0
     except Interrupted:
-        ending.closes()
-        if node is not None:
-            node.close()
         return 0
     except UserError as error:
         sys.stderr.write(f"tissue_node: error: {error}\n")
         return 2
     finally:
-        if node is not None:
+        if node is not None:  # whatever ended it: no force is left standing, no bag open
+            ending.closes()
+            node.close()
             node.destroy_node()
         rclpy.try_shutdown()
 

@@ -1,0 +1,93 @@
+"""The thread that lets forces fade and shows the organ, where showing fails."""
+
+from types import SimpleNamespace
+
+import pytest
+from patience import wait_for
+
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.outlet import Outlet
+from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.report import Report
+
+from ..scenes import ball
+
+
+class Logger:
+    def __init__(self):
+        self.warned = []
+
+    def info(self, message):
+        pass
+
+    def warning(self, message):
+        self.warned.append(message)
+
+
+class Port:
+    """A tool whose force fades; counts how often it was published."""
+
+    poses, turns = 0, 0
+
+    def keep_publishing(self, silence):
+        self.turns += 1
+        return True
+
+
+class Presenter:
+    fails = True
+
+    def present(self, record, colour):
+        if self.fails:
+            raise OSError("nobody takes pictures")
+
+    def present_tools(self):
+        pass
+
+
+@pytest.fixture
+def scene():
+    """An outlet that isn't started, with what it serves; reports that it told."""
+    parts = SimpleNamespace(port=Port(), presenter=Presenter(), logger=Logger(), told=[])
+    live = SimpleNamespace(marker_rate=60.0, helps=lambda _: False, level=0)
+
+    def tell(report):
+        parts.outlet.report(report)
+        parts.told.append(report)
+
+    parts.outlet = Outlet(
+        {"record_markers": False, "marker_colour": "none"},
+        Physics(Simulation(ball(1))),
+        [parts.port],
+        parts.presenter,
+        live,
+        SimpleNamespace(watch=lambda: None),
+        lambda: None,
+        tell,
+        parts.logger,
+    )
+    yield parts
+    parts.outlet.stop()
+
+
+def test_forces_fade_on_although_pictures_fail(scene):
+    scene.outlet.start()
+    wait_for(lambda: len(scene.told) >= 2, 30.0)
+    turns = scene.port.turns
+    wait_for(lambda: scene.port.turns > turns + 50, 30.0)
+    line = "outlet failed: OSError: nobody takes pictures"
+    assert scene.told[-1].failures == [line]
+    assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
+    assert set(scene.logger.warned) == {line}
+    assert len(scene.logger.warned) <= len(scene.told) + 1, "not one for every picture"
+    scene.presenter.fails = False
+    told = len(scene.told)
+    wait_for(lambda: len(scene.told) >= told + 2, 30.0)
+    assert scene.told[-1].failures == []
+
+
+def test_nothing_fails_in_a_report_of_what_works(scene):
+    report = Report()
+    scene.outlet.report(report)
+    assert report.failures == []
+    assert report.problems == {"outlet_failures": 0}
