@@ -115,7 +115,7 @@ def processor_seconds(process):
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-@pytest.mark.xfail(strict=False, reason="2.7 to 3.9 % plain, 3.5 to 5.4 % coloured, by the hour, on two shared cores")
+@pytest.mark.xfail(strict=False, reason="2.2 to 3.9 % plain, 2.6 to 5.4 % coloured, by the hour, on two shared cores")
 @pytest.mark.parametrize("colour", ["none", "displacement"])
 def test_sixty_markers_a_second_cost_little(client, node, tmp_path, colour):
     """Of the node's processor time with one subscriber of the markers, less without one, while the organ moves."""
