@@ -90,10 +90,8 @@ class ContactWorker:
             self._woken.wait(timeout=IDLE_WAIT if self._idle else BUSY_WAIT)
             self._woken.clear()
             start = time.monotonic()
-            try:
+            with self._trouble.noted():  # the node goes on with the last set
                 self._refresh(start)
-            except Exception as error:  # the node goes on with the last set, and says so
-                self._trouble.failed(error)
             rest = 1.0 / self.rate - (time.monotonic() - start)
             if rest > 0.0:
                 time.sleep(rest)

@@ -117,7 +117,7 @@ class TissueNode(Node):
             self.live,
             self.sim_clock,
             lambda: self.recorder.poll(self.physics),
-            self._tell,
+            self._report,
             self.get_logger(),
         )
         self._parts = [
@@ -240,9 +240,10 @@ class TissueNode(Node):
         for port in self.ports:
             port.forget_stamps()
 
-    def _tell(self, report: Report) -> None:
+    def _report(self) -> None:
         if self.parameters["coupling_stiffness"] > 0.0:
             self.live.update()  # poses may come at another rate now
+        report = Report()
         for part in self._parts:
             part.report(report)
         self.diagnostics.publish(report)

@@ -20,7 +20,6 @@ from tissue_sim.ros.tool_port import ToolPort
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
 REPORT_EVERY = 1.0  # s
-REST = 0.01  # s after something failed: fading wrenches go on
 
 
 class Logger(Protocol):
@@ -49,7 +48,7 @@ class Outlet:
         live: LiveSettings,
         sim_clock: SimClock,
         poll_bag: Callable[[], None],
-        tell: Callable[[Report], None],
+        tell: Callable[[], None],
         logger: Logger,
     ) -> None:
         self._values, self._physics, self._ports = values, physics, list(ports)
@@ -80,32 +79,35 @@ class Outlet:
     def _run(self) -> None:
         self._next_marker = self._next_look = self._next_report = time.monotonic()
         while not self._stop.is_set():
-            try:
-                wait = self._turn()
-            except Exception as error:  # whatever it is, forces must go on fading
-                self._trouble.failed(error)
-                wait = REST
-            if wait > 0.0:
+            if (wait := self._turn()) > 0.0:
                 self._stop.wait(wait)
 
     def _turn(self) -> float:
         """Do what is due; returns the s until something is."""
-        fading = [port.keep_publishing(SILENCE) for port in self._ports]
+        noted, fading = self._trouble.noted, False
+        for port in self._ports:
+            with noted():
+                fading |= port.keep_publishing(SILENCE)
         now = time.monotonic()
         if now >= self._next_marker:
             self._next_marker = max(self._next_marker + 1.0 / self._marker_rate(), now)
-            self._presenter.present(self._values["record_markers"], self._values["marker_colour"])
-            self._presenter.present_tools()
-            self._poll_bag()
+            with noted():
+                self._presenter.present(self._values["record_markers"], self._values["marker_colour"])
+            with noted():
+                self._presenter.present_tools()
+            with noted():
+                self._poll_bag()
         if now >= self._next_look:
             self._next_look = max(self._next_look + degrade.LOOK_EVERY, now)
-            self._look(now)
+            with noted():
+                self._look(now)
         if now >= self._next_report:
             self._next_report = max(self._next_report + REPORT_EVERY, now)
-            self._tell(Report())
-            self._trouble.succeeded()  # unless it goes on failing
+            with noted():
+                self._tell()
+                self._trouble.succeeded()  # unless it goes on failing
         wait = min(self._next_marker, self._next_look) - time.monotonic()
-        return min(wait, self._physics.tick_time) if any(fading) else wait
+        return min(wait, self._physics.tick_time) if fading else wait
 
     def _marker_rate(self) -> float:
         """Nothing moves in an organ that sleeps, but somebody may have come to look."""
