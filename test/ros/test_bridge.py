@@ -23,7 +23,7 @@ BRIDGE = ["-m", "tissue_sim", "bridge"]
 class RecordedTool:
     """Takes the place of a tool's topics."""
 
-    name, rivals = "left", 0
+    name = "left"
 
     def __init__(self):
         self.poses, self.stamps = [], []
@@ -37,6 +37,9 @@ class RecordedTool:
 
     def feel(self):
         pass
+
+    def rivals(self):
+        return 0
 
 
 class NoMesh:

@@ -78,8 +78,7 @@ def interpolation(source: Organ, target: Organ) -> csr_array:
     rows = np.arange(len(points))
     best = distance.reshape(len(points), count).argmin(axis=1)
     chosen = near[rows, best]
-    weight = np.clip(weights.reshape(len(points), count, 3)[rows, best], 0.0, 1.0)
-    weight /= weight.sum(axis=1, keepdims=True)
+    weight = weights.reshape(len(points), count, 3)[rows, best]
     return coo_array(
         (weight.ravel(), (np.repeat(rows, 3), triangles[chosen].ravel())),
         shape=(target.n_surface, source.n_surface),

@@ -25,12 +25,14 @@ def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
     Returns the barycentric weights (k, 3), none of them negative, and the distances (k,) m.
     """
     weights, distances = np.empty((len(corners), 3)), np.empty(len(corners))
-    find_nearest(np.asarray(corners, dtype=np.float64), np.asarray(points, dtype=np.float64), weights, distances)
+    # As they come, strided or not to be written to, each kind would be compiled anew.
+    corners, points = (np.ascontiguousarray(given, dtype=np.float64) for given in (corners, points))
+    _find_nearest(corners, points, weights, distances)
     return weights, distances
 
 
 @kernel
-def find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> None:
+def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> None:
     """Write what `nearest_weights` returns."""
     for t in range(len(corners)):
         _nearest_of_face(corners[t], points[t], weights[t])
@@ -53,8 +55,9 @@ def _nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
     if square > (FLAT * longest) ** 2:
         v = (nx * (py * bz - pz * by) + ny * (pz * bx - px * bz) + nz * (px * by - py * bx)) / square
         w = (nx * (ay * pz - az * py) + ny * (az * px - ax * pz) + nz * (ax * py - ay * px)) / square
-        if v >= 0.0 and w >= 0.0 and v + w <= 1.0:
-            weight[0], weight[1], weight[2] = 1.0 - v - w, v, w
+        u = 1.0 - v - w
+        if min(u, v, w) >= 0.0:
+            weight[0], weight[1], weight[2] = u, v, w
             return
     least = math.inf
     for c in range(3):

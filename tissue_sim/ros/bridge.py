@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play the script; returns 0, or 1 when the node's mesh does not come."""
+    """Play the script; returns 0, or 1 when the node's mesh or parameters do not come."""
     if args.script and args.tools:
         _check(args.script, args.tools)
 
@@ -133,13 +133,13 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
     from tissue_sim.ros.tool_link import ToolLink
 
     there = tuple(values.get("tools", ()))
+    for name in args.tools or ():
+        if there and name not in there:
+            raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there)}: choose with --tools")
     links = [
         ToolLink.told(values, name, args.node) or ToolLink.by_default(name, "organ")
         for name in args.tools or there or TOOLS
     ]
-    for name in args.tools or ():
-        if there and name not in there:
-            raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there)}: choose with --tools")
     script = args.script or SCRIPT[: len(SCRIPT) if len(links) > 1 else -1]
     jaws: dict[str, Jaws] = {}
     if "grip" in script:
@@ -194,7 +194,7 @@ class Player:
 
     def _tell_of_rivals(self) -> None:
         for tool in self._tools:
-            if tool.name not in self._told and tool.rivals > 0:
+            if tool.name not in self._told and tool.rivals() > 0:
                 self._told.add(tool.name)
                 what = f"{tool.topic} has another publisher: {tool.name} jumps between both"
                 sys.stderr.write(f"tissue_sim bridge: {what}\n")

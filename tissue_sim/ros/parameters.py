@@ -130,12 +130,16 @@ def tool_of(values: Values, name: str) -> Tool:
     return Tool(name, **get)
 
 
+def usual_topics(tool: str) -> dict[str, str]:
+    """The names of a tool's topics where its parameters give none, by the topics of bag.TOOL_TOPICS and measured_js."""
+    return {topic: f"{tool}/{topic}" for topic in bag.TOOL_TOPICS} | {"measured_js": f"{tool}/gripper/measured_js"}
+
+
 def topics_of(values: Values, tool: str) -> ToolTopics:
     """How the bridge of a tool speaks."""
     words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
     return ToolTopics(
-        names={topic: values[f"{tool}.{topic}"] or f"{tool}/{topic}" for topic in bag.TOOL_TOPICS}
-        | {"measured_js": values[f"{tool}.measured_js"] or f"{tool}/gripper/measured_js"},
+        names={topic: values[f"{tool}.{topic}"] or usual for topic, usual in usual_topics(tool).items()},
         frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
         wrench_rotation=unit_quaternion(values[f"{tool}.wrench_rotation"]),
         **{word: values[f"{tool}.{word}"] for word in words},

@@ -50,7 +50,6 @@ class ScriptedTool:
         publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
         return all(publisher.get_subscription_count() for publisher in publishers)
 
-    @property
     def rivals(self) -> int:
         """How many others publish the tool's poses."""
         return int(self._node.count_publishers(self.topic)) - 1

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.frames import Transform
 from tissue_sim.ros.messages import NumbersTemplate
-from tissue_sim.ros.parameters import frames_of, tool_of, topics_of
+from tissue_sim.ros.parameters import frames_of, tool_of, topics_of, usual_topics
 from tissue_sim.ros.qos import RELIABLE, STREAM
 from tissue_sim.ros.tool_messages import POSE_TYPES, ToolTopics
 
@@ -31,9 +31,7 @@ class ToolLink:
     @classmethod
     def by_default(cls, name: str, frame_id: str) -> ToolLink:
         """For a tool whose parameters nobody tells: poses in the organ's frame, on the usual topics."""
-        topics = ("measured_cp", "servo_cf")
-        names = {topic: f"{name}/{topic}" for topic in topics} | {"measured_js": f"{name}/gripper/measured_js"}
-        return cls(ToolTopics(names, frame_id), Transform(), Tool(name))
+        return cls(ToolTopics(usual_topics(name), frame_id), Transform(), Tool(name))
 
     @classmethod
     def told(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
