@@ -291,6 +291,7 @@ def test_pose_ends_a_nap():
             libc.sem_post(bell)
             while loop.box.row[mb.ROW_TOOLS] != turn + 1:
                 assert time.monotonic() < deadline
+                time.sleep(1e-4)  # where both cores are busy, the loop would wait for the one that is watched from here
             latencies.append(time.monotonic() - before)
         assert loop.simulation.state.count[st.TICK] == pytest.approx(loop.ticks(), abs=8)
     assert min(latencies) < 0.002
