@@ -11,18 +11,10 @@ import numpy as np
 import viser
 from rclpy.node import Node
 
-from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
 from tissue_sim.ros.view_loop import Viewer
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 HAND = 7  # the browser's number
-
-
-def values(tool: str = "left", **given: object) -> dict[str, object]:
-    """What a node's parameters say, by their defaults but for some."""
-    told = {spec.name: spec.default for spec in NODE_SPECS} | {"tools": [tool]}
-    told |= {f"{tool}.{spec.name}": spec.default for spec in TOOL_SPECS}
-    return told | {name.replace("__", "."): value for name, value in given.items()}
 
 
 class Page:

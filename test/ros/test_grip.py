@@ -12,16 +12,15 @@ from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState, PointCloud2
 from stand_in import ball
+from told import values
 
 from tissue_sim.cli import main
 from tissue_sim.contact.grasp import at_lower_pole
 from tissue_sim.contact.gripper import Jaws
-from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.ros import bridge
 from tissue_sim.ros.client import cloud_array
 from tissue_sim.ros.motion import Path as Motion
-from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
 from tissue_sim.ros.probing import Surface
 from tissue_sim.ros.trajectory import LIFT, plan
 
@@ -108,13 +107,14 @@ def test_what_cannot_be_gripped_is_said():
 
 
 # which tools -----------------------------------------------------------------------------------
-def told(frame_id="organ", **shapes):
+def told(**shapes):
     """What a node's parameters say that has tools of some shapes."""
-    values = {spec.name: spec.default for spec in NODE_SPECS} | {"tools": list(shapes), "frame_id": frame_id}
-    for name, shape in shapes.items():
-        values |= {f"{name}.{spec.name}": spec.default for spec in TOOL_SPECS}
-        values |= {f"{name}.{key}": value for key, value in vars(Tool(name, shape, 0.003, 0.03)).items()}
-    return values
+    given = {
+        f"{name}__{key}": value
+        for name, shape in shapes.items()
+        for key, value in (("shape", shape), ("radius", 0.003), ("length", 0.03))
+    }
+    return values(*shapes, **given)
 
 
 def chosen(values, *words):

@@ -12,7 +12,8 @@ from tissue_sim.ros.held_tool import TOP_SPEED
 from tissue_sim.ros.tool_link import ToolLink
 
 pytest.importorskip("viser")
-from page import CONFIG, values
+from page import CONFIG
+from told import values
 
 
 def test_jaws_turn_without_a_blow_and_then_are_silent(graph):

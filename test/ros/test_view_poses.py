@@ -20,7 +20,8 @@ from tissue_sim.ros.tool_link import PoseWriter, ToolLink
 from tissue_sim.ros.tool_messages import N_POSE, POSE_TYPES
 
 pytest.importorskip("viser")
-from page import CONFIG, values
+from page import CONFIG
+from told import values
 
 from tissue_sim.ros.view_poke import beside
 
