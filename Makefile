@@ -46,8 +46,8 @@ format: .venv/.installed ## ruff's formatting and safe fixes
 	@$(PY) -m ruff format
 
 organ: .venv/.installed ## rebuilds the kidney that ships from the phantom and calibrates it
-	@$(PY) -m tissue_sim.organ.ship
-	@.venv/bin/tissue_sim calibrate config/organs/kidney_as_built.npz --out config/organs/kidney.npz
+	@$(PY) -m tissue_sim.organ.build_shipped
+	.venv/bin/tissue_sim calibrate config/organs/kidney_as_built.npz --out config/organs/kidney.npz
 
 colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels, in .colcon
 	@$(COLCON) build --build-base .colcon/build --install-base .colcon/install
@@ -65,11 +65,11 @@ STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.in
 
 .venv/.installed: setup.py setup.cfg constraints.txt tissue_sim/__init__.py .ci/venv $(if $(STALE),FORCE)
 	$(if $(shell .ci/venv --python),,$(error $(NO_PYTHON)))
-	@.ci/venv $(EXTRAS)
+	.ci/venv $(EXTRAS)
 	@printf %s '$(CURDIR)' > $@
 
 .venv/.installed-colcon: .venv/.installed
-	@.ci/venv colcon
+	.ci/venv colcon
 	@printf %s '$(CURDIR)' > $@
 
 NO_PYTHON = tissue_sim needs CPython 3.12 and found none: install it \

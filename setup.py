@@ -58,7 +58,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "tissue_node = tissue_sim.ros.program:run",
+            "tissue_node = tissue_sim.ros.node.program:run",
             "tissue_sim = tissue_sim.cli:main",
         ],
     },

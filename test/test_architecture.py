@@ -105,7 +105,7 @@ def test_model_needs_neither_ros_nor_images_nor_meshes():
 def test_node_needs_no_extra():
     pytest.importorskip("rclpy")
     blocked = ("SimpleITK", "skimage", "viser", "skfem", "pytetwild", "matplotlib", "mujoco", "pypbd")
-    run = import_with_blocked("tissue_sim.ros.serve", *blocked)
+    run = import_with_blocked("tissue_sim.ros.node.serve", *blocked)
     assert run.returncode == 0, run.stderr
 
 

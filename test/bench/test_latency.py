@@ -9,7 +9,7 @@ import pytest
 from tissue_sim.bench import latency
 from tissue_sim.bench.latency import as_json, bare
 from tissue_sim.cli import main
-from tissue_sim.ros.latency_probe import Trip, together
+from tissue_sim.ros.latency.probe import Trip, together
 
 
 def test_bare_loop_sleeps_to_its_deadlines_and_is_busy_in_between():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue_sim.bench import table1
-from tissue_sim.bench.pictures import JAW, nip_and_release, write_figure
+from tissue_sim.bench.figure6 import JAW, nip_and_release, write_figure
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 

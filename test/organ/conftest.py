@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissue_sim.organ import ship
+from tissue_sim.organ import build_shipped as ship
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 from tissue_sim.organ.pipeline import Progress
 

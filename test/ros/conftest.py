@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from processes import Process, start_node
 
-from tissue_sim.ros import client
+from tissue_sim.ros.shared import client
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from rclpy.node import Node
 
-from tissue_sim.ros.view_loop import Viewer
+from tissue_sim.ros.viewer.loop import Viewer
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 HAND = 7  # the browser's number

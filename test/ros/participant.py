@@ -12,7 +12,7 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from tissue_sim.ros.client import newest_status
+from tissue_sim.ros.shared.client import newest_status
 
 
 class Participant:

@@ -70,7 +70,7 @@ def start_node(
     **environment: str,
 ) -> Process:
     """A node with a profile's parameters and some like `rate:=500.0`, remaps like `__ns:=/a`; waits until it ticks."""
-    words = ["-m", "tissue_sim.ros.program", "--ros-args"]
+    words = ["-m", "tissue_sim.ros.node.program", "--ros-args"]
     if profile is not None:
         words += ["--params-file", str(profile)]
     for rule in remap:

@@ -12,9 +12,9 @@ from shape_msgs.msg import Mesh
 from stand_in import ball
 
 from tissue_sim.cli import main
-from tissue_sim.ros.bridge import Player
-from tissue_sim.ros.probing import Surface
-from tissue_sim.ros.trajectory import plan
+from tissue_sim.ros.bridge.play import Player
+from tissue_sim.ros.bridge.probing import Surface
+from tissue_sim.ros.bridge.trajectory import plan
 
 STAND_IN = str(Path(__file__).with_name("stand_in.py"))
 BRIDGE = ["-m", "tissue_sim", "bridge"]
@@ -87,7 +87,7 @@ def test_another_organ_ends_the_path(monkeypatch):
         def take(self):
             return Mesh(vertices=[Point(x=1.0)], triangles=[])
 
-    monkeypatch.setattr("tissue_sim.ros.bridge.LOOK_AGAIN", 0.1)
+    monkeypatch.setattr("tissue_sim.ros.bridge.play.LOOK_AGAIN", 0.1)
     path = plan(vertices, triangles, 0.005)
     tools = [RecordedTool(), RecordedTool()]
     found = Player(tools, 200.0, 30.0).play(path, False, Meshes(), vertices)

@@ -10,7 +10,7 @@ from haptic_bridges import BRIDGES, StandIn
 from processes import READY, Process, poke_path, shipped, start_node
 from ruamel.yaml import YAML
 
-from tissue_sim.ros.parameters import NODE_SPECS, TOOL_SPECS
+from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILES = {path.stem: path for path in sorted((ROOT / "config" / "bridges").glob("*.yaml"))}

@@ -11,9 +11,9 @@ from patience import wait_for
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.ros.contact_worker import ContactWorker
-from tissue_sim.ros.physics import Physics
-from tissue_sim.ros.report import Report
+from tissue_sim.ros.node.contact_worker import ContactWorker
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
 
 from ..scenes import ball
 

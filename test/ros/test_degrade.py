@@ -10,10 +10,10 @@ from processes import poke_path, shipped, start_node
 
 from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.ros import degrade
-from tissue_sim.ros.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
-from tissue_sim.ros.live_settings import ANY_FORCE, LiveSettings
-from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.node import degrade
+from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
+from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings
+from tissue_sim.ros.shared.physics import Physics
 
 from ..scenes import ball
 

@@ -13,7 +13,7 @@ from processes import Process
 
 from tissue_sim.cli import main
 from tissue_sim.ros import demo
-from tissue_sim.ros.children import Child
+from tissue_sim.ros.shared.children import Child
 
 STAND_IN = str(Path(__file__).with_name("stand_in.py"))
 SLEEPER = "import signal,time;{};print('up',flush=True);time.sleep(60)"
@@ -121,8 +121,8 @@ def test_the_node_gets_paths_that_yaml_reads_as_text(tmp_path):
 
 # children --------------------------------------------------------------------------------------
 def test_a_child_that_ignores_signals_is_killed(monkeypatch):
-    monkeypatch.setattr("tissue_sim.ros.children.SECONDS_TO_END", 0.3)
-    monkeypatch.setattr("tissue_sim.ros.children.SECONDS_TO_TERMINATE", 0.3)
+    monkeypatch.setattr("tissue_sim.ros.shared.children.SECONDS_TO_END", 0.3)
+    monkeypatch.setattr("tissue_sim.ros.shared.children.SECONDS_TO_TERMINATE", 0.3)
     deaf = "signal.signal(signal.SIGINT, signal.SIG_IGN);signal.signal(signal.SIGTERM, signal.SIG_IGN)"
     child = Child("deaf", [sys.executable, "-c", SLEEPER.format(deaf)], os.environ)
     end = time.monotonic() + 10.0
@@ -134,7 +134,7 @@ def test_a_child_that_ignores_signals_is_killed(monkeypatch):
 
 def test_a_child_ends_when_its_parent_is_killed():
     code = (
-        "import os, sys, time; from tissue_sim.ros.children import Child;"
+        "import os, sys, time; from tissue_sim.ros.shared.children import Child;"
         f"c = Child('c', [sys.executable, '-c', {SLEEPER.format('0')!r}], os.environ);"
         "time.sleep(0.5); print(c._process.pid, flush=True); time.sleep(60)"
     )

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from tissue_sim.ros import serve
+from tissue_sim.ros.node import serve
 
 IN_A_CALLBACK = """
 import ctypes, os, signal, time
-from tissue_sim.ros.ending import Ending
+from tissue_sim.ros.shared.ending import Ending
 
 ending = Ending()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.ros.frames import Frames, Transform, UnknownFrame, rotate, rotate_back, unit_quaternion
+from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame, rotate, rotate_back, unit_quaternion
 
 RANDOM = np.random.default_rng(1)
 

@@ -18,11 +18,11 @@ from tissue_sim.cli import main
 from tissue_sim.contact.grasp import at_lower_pole
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
-from tissue_sim.ros import bridge
-from tissue_sim.ros.client import cloud_array
-from tissue_sim.ros.motion import Path as Motion
-from tissue_sim.ros.probing import Surface
-from tissue_sim.ros.trajectory import LIFT, plan
+from tissue_sim.ros.bridge import play as bridge
+from tissue_sim.ros.bridge.motion import Path as Motion
+from tissue_sim.ros.bridge.probing import Surface
+from tissue_sim.ros.bridge.trajectory import LIFT, plan
+from tissue_sim.ros.shared.client import cloud_array
 
 PARAMETERS = Path(__file__).resolve().parents[2] / "config" / "gripper.yaml"
 BRIDGE = ["-m", "tissue_sim", "bridge", "--script", "grip"]

@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
-from tissue_sim.ros.dds import PROFILE_VARIABLES, use_shipped_profile
+from tissue_sim.ros.shared.dds import PROFILE_VARIABLES, use_shipped_profile
 
 FREQUENCY = 45  # pieces that an edge of the icosahedron is cut into: 10 f^2 + 2 points
 
@@ -37,7 +37,7 @@ def test_the_profile_gives_large_shared_memory(reach):
     """Fast DDS reads the file, and drops what it doesn't understand without an error: look at what it made."""
     code = (
         "import os, time; before = set(os.listdir('/dev/shm'))\n"
-        "from tissue_sim.ros.client import client_node\n"
+        "from tissue_sim.ros.shared.client import client_node\n"
         "with client_node('x', 'x'):\n"
         "    print(max(os.path.getsize('/dev/shm/' + f) for f in set(os.listdir('/dev/shm')) - before))\n"
     )

@@ -19,9 +19,9 @@ from rosbags.rosbag2 import Reader, Writer
 from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros import bag
-from tissue_sim.ros.physics import Physics
-from tissue_sim.ros.recorder import Recorder
+from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 from ..scenes import ball
 
@@ -290,7 +290,7 @@ def test_bag_with_a_full_queue_is_closed_in_time(tmp_path, monkeypatch):
     """What a slow disk can't take in time is left out and counted; the bag can be read."""
     simulation = Simulation(ball(2))
     physics = Physics(simulation)
-    topics = {("left", topic): f"/left/{topic}" for topic in bag.TOOL_TOPICS}
+    topics = {("left", topic): f"/left/{topic}" for topic in TOOL_TOPICS}
     recorder = Recorder("/tissue_sim", 1, topics, {"tools": ["left"]})
     write = Writer.write
 

@@ -17,9 +17,9 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
-from tissue_sim.ros.client import cloud_array
-from tissue_sim.ros.colours import MOVING, SHADES, TISSUE
-from tissue_sim.ros.markers import OrganMarkers
+from tissue_sim.ros.node.markers import OrganMarkers
+from tissue_sim.ros.shared.appearance import MOVING, SHADES, TISSUE
+from tissue_sim.ros.shared.client import cloud_array
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

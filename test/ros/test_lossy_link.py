@@ -30,7 +30,7 @@ def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch)
     try:
         # Without damping it swings on when the tool is gone. Few ticks: a link is tried here, not the machine.
         words = [word for setting in SWINGS for word in ("-p", setting)]
-        node = start(here, "node", "-m", "tissue_sim.ros.program", "--ros-args", *words)
+        node = start(here, "node", "-m", "tissue_sim.ros.node.program", "--ros-args", *words)
         node.wait_for(READY)
         publisher = start(here, "publisher", str(PUBLISHER), "--depth=0.004", "--seconds=2")
         assert publisher.child.wait(30.0) == 0, publisher.text()

@@ -6,8 +6,8 @@ from processes import shipped
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from tissue_sim.ros.colours import SHADES
-from tissue_sim.ros.markers import ARROW_LENGTH, OrganMarkers, all_finite, write_displacement
+from tissue_sim.ros.node.markers import ARROW_LENGTH, OrganMarkers, all_finite, write_displacement
+from tissue_sim.ros.shared.appearance import SHADES
 
 CENTRE = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0]])
 WRENCH = np.zeros((2, 6))

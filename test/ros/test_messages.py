@@ -9,9 +9,9 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from std_msgs.msg import Float64MultiArray
 
-from tissue_sim.ros.cdr import UNSTAMPED, parse_plain, parse_stamped, unit_pose
-from tissue_sim.ros.messages import CloudTemplate, NumbersTemplate, rest_mesh
-from tissue_sim.ros.tool_messages import POSE_TYPES, ToolTopics
+from tissue_sim.ros.shared.cdr import UNSTAMPED, parse_plain, parse_stamped, unit_pose
+from tissue_sim.ros.shared.messages import CloudTemplate, NumbersTemplate, rest_mesh
+from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 
 FRAMES = ["", "o", "organ", "frames", "a_rather_long_frame/of_an_arm"]
 

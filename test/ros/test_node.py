@@ -221,8 +221,8 @@ REFUSED_STARTS = {
 # Nodes that never come up, one after the other in a process: to start one for each would take half a minute.
 STARTS = """
 import sys
-from tissue_sim.ros.ending import Ending
-from tissue_sim.ros.serve import serve
+from tissue_sim.ros.shared.ending import Ending
+from tissue_sim.ros.node.serve import serve
 
 ending = Ending()
 for parameter in sys.argv[1:]:
@@ -272,7 +272,7 @@ def test_sigterm_ends_in_a_second_with_the_bag_closed(tmp_path):
 
 
 def test_help_lists_every_parameter(tmp_path):
-    process = Process(["-m", "tissue_sim.ros.program", "--help"], tmp_path / "help.log")
+    process = Process(["-m", "tissue_sim.ros.node.program", "--help"], tmp_path / "help.log")
     assert process.child.wait(30.0) == 0
     for name in ("organ_file", "local_region", "<tool>.radius", "force_clamp"):
         assert name in process.text()

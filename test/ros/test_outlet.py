@@ -6,9 +6,9 @@ import pytest
 from patience import wait_for
 
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.ros.outlet import Outlet
-from tissue_sim.ros.physics import Physics
-from tissue_sim.ros.report import Report
+from tissue_sim.ros.node.outlet import Outlet
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
 
 from ..scenes import ball
 

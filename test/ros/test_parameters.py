@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from tissue_sim.ros.parameters import NODE_SPECS, SETTING_OF, TOOL_SPECS
+from tissue_sim.ros.shared.parameters import NODE_SPECS, SETTING_OF, TOOL_SPECS
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "tissue_node.yaml"
 

@@ -8,7 +8,7 @@ import pytest
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import state as st
-from tissue_sim.ros.physics import Physics
+from tissue_sim.ros.shared.physics import Physics
 
 from ..scenes import ball
 

@@ -13,13 +13,13 @@ from processes import Process, shipped, start_node
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.ros.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
+from tissue_sim.ros.viewer.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
 
 pytest.importorskip("viser")
 import browser as browsers
 
-from tissue_sim.ros.view_poke import beside, pointing
-from tissue_sim.ros.view_scene import FIELD_OF_VIEW, camera_for
+from tissue_sim.ros.viewer.poke import beside, pointing
+from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for
 
 RADIUS = 0.005
 SIZE = (900, 600)

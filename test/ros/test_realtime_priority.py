@@ -11,8 +11,8 @@ from client import Client
 from processes import running_node
 
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.ros.physics import Physics
-from tissue_sim.ros.priority import below, is_allowed
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.priority import below, is_allowed
 
 from ..scenes import ball
 

@@ -11,8 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
-from tissue_sim.ros import bag
-from tissue_sim.ros.replay import Recording, replay
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.replay import Recording, replay
 
 BAGS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / "bags").glob("*/metadata.yaml"))
 

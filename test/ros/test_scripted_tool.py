@@ -7,9 +7,9 @@ import pytest
 from geometry_msgs.msg import Wrench, WrenchStamped
 from std_msgs.msg import Float64MultiArray
 
-from tissue_sim.ros.qos import RELIABLE, STREAM
-from tissue_sim.ros.scripted_tool import ScriptedTool
-from tissue_sim.ros.tool_link import ToolLink
+from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
+from tissue_sim.ros.shared.qos import RELIABLE, STREAM
+from tissue_sim.ros.shared.tool_link import ToolLink
 
 FORCE = {"x": 0.3, "y": 0.0, "z": -0.4}
 

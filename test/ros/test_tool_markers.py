@@ -9,8 +9,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.shapes import rotation_matrix, signed_distance
-from tissue_sim.ros.markers import ARROW_LENGTH
-from tissue_sim.ros.tool_markers import ToolMarkers
+from tissue_sim.ros.node.markers import ARROW_LENGTH
+from tissue_sim.ros.node.tool_markers import ToolMarkers
 
 POSE = np.array([0.1, -0.2, 0.3, *Rotation.from_euler("xyz", (0.4, -1.1, 2.0)).as_quat()])
 

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.cli import main
-from tissue_sim.ros.tool_messages import POSE_TYPES
+from tissue_sim.ros.shared.tool_messages import POSE_TYPES
 
 TURN = Rotation.from_euler("zyx", (90.0, 20.0, -35.0), degrees=True)  # of a device's base in the base frame
 OFFSET = np.array([0.2, -0.3, 0.1])

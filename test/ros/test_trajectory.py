@@ -7,9 +7,9 @@ import trimesh
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros.motion import Move, Path, minimum_jerk
-from tissue_sim.ros.probing import Surface
-from tissue_sim.ros.trajectory import FAST, HOVER, POKE_DEPTH, SQUEEZE, STROKE_DEPTH, plan
+from tissue_sim.ros.bridge.motion import Move, Path, minimum_jerk
+from tissue_sim.ros.bridge.probing import Surface
+from tissue_sim.ros.bridge.trajectory import FAST, HOVER, POKE_DEPTH, SQUEEZE, STROKE_DEPTH, plan
 
 RADIUS = 0.005
 RATE = 500.0

@@ -7,9 +7,9 @@ from processes import UNHURRIED, start_node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
-from tissue_sim.ros.held_jaws import HeldJaws
-from tissue_sim.ros.held_tool import TOP_SPEED
-from tissue_sim.ros.tool_link import ToolLink
+from tissue_sim.ros.shared.tool_link import ToolLink
+from tissue_sim.ros.viewer.held_jaws import HeldJaws
+from tissue_sim.ros.viewer.held_tool import TOP_SPEED
 
 pytest.importorskip("viser")
 from page import CONFIG

@@ -13,17 +13,17 @@ from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.contact.tools import Tool
-from tissue_sim.ros.frames import Transform
-from tissue_sim.ros.held_tool import HeldTool
-from tissue_sim.ros.node_parameters import NodeParameters
-from tissue_sim.ros.tool_link import PoseWriter, ToolLink
-from tissue_sim.ros.tool_messages import N_POSE, POSE_TYPES
+from tissue_sim.ros.shared.frames import Transform
+from tissue_sim.ros.shared.node_parameters import NodeParameters
+from tissue_sim.ros.shared.tool_link import PoseWriter, ToolLink
+from tissue_sim.ros.shared.tool_messages import N_POSE, POSE_TYPES
+from tissue_sim.ros.viewer.held_tool import HeldTool
 
 pytest.importorskip("viser")
 from page import CONFIG
 from told import values
 
-from tissue_sim.ros.view_poke import beside
+from tissue_sim.ros.viewer.poke import beside
 
 PROFILES = {path.stem: path for path in sorted((CONFIG / "bridges").glob("*.yaml"))}
 

@@ -6,7 +6,7 @@ import trimesh
 
 pytest.importorskip("viser")
 
-from tissue_sim.ros.view_scene import outermost_first
+from tissue_sim.ros.viewer.scene import outermost_first
 
 
 def test_triangles_of_a_fold_are_drawn_after_those_before_it():

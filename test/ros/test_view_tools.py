@@ -9,8 +9,8 @@ from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.ros.tool_markers import ToolMarkers
-from tissue_sim.ros.view_tools import SILENT_AFTER, ToolsView
+from tissue_sim.ros.node.tool_markers import ToolMarkers
+from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 
 
 @pytest.fixture

@@ -20,11 +20,12 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from tissue_sim.cli import main
-from tissue_sim.ros import client
-from tissue_sim.ros.bands import cut_into_bands
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.viewer import scene as drawing
+from tissue_sim.ros.viewer.bands import cut_into_bands
 
 pytest.importorskip("viser")
-from tissue_sim.ros import view_panel, view_scene
+from tissue_sim.ros.viewer import panel
 
 STAND_IN = str(Path(__file__).with_name("stand_in.py"))
 
@@ -90,7 +91,7 @@ def test_a_face_never_names_a_vertex_that_is_not_there():
         scene = Scene()
 
     vertices, triangles = ball()
-    view = view_scene.OrganView(Server(), vertices, triangles)
+    view = drawing.OrganView(Server(), vertices, triangles)
     for size in (0.0, 0.004, 0.012, 0.002, 0.0):
         near = np.exp(-np.sum((vertices - vertices[0]) ** 2, axis=1) / (2 * 0.01**2))
         view.show(vertices + size * near[:, None] * (0.0, 0.0, 1.0))
@@ -102,12 +103,12 @@ def test_a_face_never_names_a_vertex_that_is_not_there():
 def test_the_camera_sees_all_of_the_organ():
     vertices, _ = ball()
     vertices = vertices + 3.0
-    position, looked_at = view_scene.camera_for(vertices)
+    position, looked_at = drawing.camera_for(vertices)
     forward = (looked_at - position) / np.linalg.norm(looked_at - position)
     rays = vertices - position
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    tangent = np.tan(0.5 * view_scene.FIELD_OF_VIEW)
+    tangent = np.tan(0.5 * drawing.FIELD_OF_VIEW)
     depth = rays @ forward
     assert depth.min() > 0.02  # beyond the near plane
     assert np.abs(rays @ np.cross(right, forward) / depth).max() < tangent
@@ -115,7 +116,7 @@ def test_the_camera_sees_all_of_the_organ():
 
 
 def test_an_arrow_starts_at_the_tool_and_is_as_long_as_the_force():
-    start, end = view_scene.arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0]), 0.005)[0]
+    start, end = drawing.arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0]), 0.005)[0]
     assert start == pytest.approx([1.0, 1.995, 3.0])
     assert end - start == pytest.approx([0.0, -0.06, 0.0], abs=1e-6)
 
@@ -160,7 +161,7 @@ class Handle:
 @pytest.fixture
 def tool():
     scene = Drawn()
-    return view_scene.ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
+    return drawing.ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
 
 
 def test_a_tool_looks_as_its_markers_say_and_shows_what_is_felt(tool):
@@ -199,14 +200,14 @@ def test_a_tool_of_another_node_is_drawn_anew_and_can_still_be_dragged(tool):
 
 
 def test_the_legend_names_every_band():
-    legend = view_panel.legend_html()
-    for level, colour in view_scene.BANDS:
+    legend = panel.legend_html()
+    for level, colour in drawing.BANDS:
         assert f">{level:g}<" in legend
         assert f"rgb{colour}" in legend
 
 
 def test_the_status_shows_what_is_there_and_survives_what_is_not():
-    text = view_panel.status_text(
+    text = panel.status_text(
         {"tick_rate_hz": "999.61", "force_n": "0.4567", "left.state": "fresh", "left.force_n": "x", "recording": "/a/b"}
     )
     assert "| Tick rate | 1000 Hz |" in text
@@ -230,10 +231,10 @@ def test_meshes_and_clouds_become_arrays():
 
 
 def test_the_headline_is_as_high_whatever_it_says():
-    warned = view_panel.headline("tissue_sim", 1, "a < b, " * 50)
+    warned = panel.headline("tissue_sim", 1, "a < b, " * 50)
     assert "a &lt; b" in warned
     assert "warns" in warned
-    height = [re.search(r"height:([^;]+);", view_panel.headline_html(line))[1] for line in ("", warned)]
+    height = [re.search(r"height:([^;]+);", panel.headline_html(line))[1] for line in ("", warned)]
     assert height[0] == height[1]
 
 

@@ -9,7 +9,7 @@ import time
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 
-from tissue_sim.ros import client
+from tissue_sim.ros.shared import client
 
 with client.client_node("watcher", "tissue_sim") as node:
     meshes = client.Inbox(node, Mesh, "/tissue_sim/mesh", client.latched_qos())

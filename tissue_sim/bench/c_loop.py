@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import clock_cost
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import TICK_TIME, WANTED_SUBSTEPS, Floats
+from tissue_sim.model.state import TICK_TIME, WANTED_SUBSTEPS
 
 PLAIN = ("-O3",)
 # The last two let it take square roots and choose between values in vectors, as Numba's compiler may.

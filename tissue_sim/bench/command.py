@@ -12,7 +12,7 @@ from types import ModuleType
 from tissue_sim.errors import UserError
 
 BENCHMARKS = {
-    "tick": ("tissue_sim.bench.tick", "time of a tick beside a C loop, MuJoCo flex and a precomputed compliance"),
+    "tick": ("tissue_sim.bench.tick_times", "time of a tick beside a C loop, MuJoCo flex and a precomputed compliance"),
     "table1": ("tissue_sim.bench.table1", "the paper's Table 1 and Figure 6"),
     "region": ("tissue_sim.bench.region", "how far the local regions are off the whole model"),
     "tradeoff": (

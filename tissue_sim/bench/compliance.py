@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import time_calls
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.modes import free_axes, stiffness_matrix
-from tissue_sim.model.state import Floats
 
 AT_ONCE = 300  # columns solved together
 

@@ -13,12 +13,13 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.report import aligned, emit, figure, noise_lines
+from tissue_sim.bench.printing import aligned, emit, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 DEPTH, SPEED, DRAWN = 0.004, 0.04, 0.01  # m, m/s, m: how deep, how fast, how far along the surface

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import time_calls
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
 STEP = 0.001  # s

@@ -11,13 +11,14 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import eigh
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.organs import bean, patch_load
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.model import reduction
 from tissue_sim.model.assembly import Model, assemble
 from tissue_sim.model.modes import Modes, lowest_modes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import ACTIVE, SUBSTEPS, Floats
+from tissue_sim.model.state import ACTIVE, SUBSTEPS
 from tissue_sim.organ.organ import Organ
 
 SIZES = (1000, 4000, 16000, 64000)

@@ -19,17 +19,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.report import Bound, aligned, bound_lines, emit
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.model.realtime import now, sleep_until
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros.priority import HIGHEST, below, is_allowed, preferred
+from tissue_sim.ros.shared.priority import HIGHEST, below, is_allowed, preferred
 
 if TYPE_CHECKING:
-    from tissue_sim.ros.latency_probe import Trip
+    from tissue_sim.ros.latency.probe import Trip
 
 NODE = "tissue_sim"
 TURN = 5.0  # s that each of them is measured for before the next one's turn
@@ -75,8 +76,8 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     """
     if importlib.util.find_spec("rclpy") is None:
         raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
-    from tissue_sim.ros.client import client_node
-    from tissue_sim.ros.latency_probe import Probe, together
+    from tissue_sim.ros.latency.probe import Probe, together
+    from tissue_sim.ros.shared.client import client_node
 
     if not is_allowed(priority):
         raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'")
@@ -127,9 +128,9 @@ def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
 @contextmanager
 def children(organ_file: str, priority: int) -> Iterator[None]:
     """The node, the echo and a listener in a ROS graph of their own."""
-    from tissue_sim.ros.children import Child, stop_all
     from tissue_sim.ros.demo import free_domain
-    from tissue_sim.ros.latency_probe import RADIUS
+    from tissue_sim.ros.latency.probe import RADIUS
+    from tissue_sim.ros.shared.children import Child, stop_all
 
     os.environ |= {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     python = [sys.executable, "-m"]
@@ -142,9 +143,9 @@ def children(organ_file: str, priority: int) -> Iterator[None]:
     ]
     words = [word for parameter in parameters for word in ("-p", parameter)]
     started = [
-        Child("tissue_node", [*python, "tissue_sim.ros.program", "--ros-args", *words], os.environ),
-        Child("echo", [*python, "tissue_sim.ros.echo", str(below(priority))], os.environ),
-        Child("listener", [*python, "tissue_sim.ros.echo", "0", f"/{NODE}/markers"], os.environ),
+        Child("tissue_node", [*python, "tissue_sim.ros.node.program", "--ros-args", *words], os.environ),
+        Child("echo", [*python, "tissue_sim.ros.latency.echo", str(below(priority))], os.environ),
+        Child("listener", [*python, "tissue_sim.ros.latency.echo", "0", f"/{NODE}/markers"], os.environ),
     ]
     try:
         end = time.monotonic() + START_TIME

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from tissue_sim.organ.organ import Floats, Ints, Organ
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 
 PATCH_NODES = 19  # a node and the two rings around it
@@ -16,8 +16,6 @@ HALF_AXES = np.array([0.016, 0.027, 0.055])  # m, of the shipped kidney, about
 BEND = 0.15  # how far the ends are bent sideways, as a share of the long half axis
 _FACING = 0.3  # least cosine between normals of the same side
 HELD = 0.05  # share of the points that is held, the lowest
-
-Longs = NDArray[np.int64]
 
 
 def bean(points: int) -> Organ:

@@ -9,15 +9,16 @@ import numpy as np
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, node_normals, patch
-from tissue_sim.bench.report import aligned, emit
+from tissue_sim.bench.printing import aligned, emit
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
 SMALL = 0.02  # N, under which the whole model is as good as linear

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Floats
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_like, node_area
 from tissue_sim.store import remembered
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.report import emit, told, write_json
+from tissue_sim.bench.printing import emit, told, write_json
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.errors import UserError

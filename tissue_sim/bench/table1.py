@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import node_normals, spread_nodes
-from tissue_sim.bench.report import aligned, emit, noise_lines, told
+from tissue_sim.bench.printing import aligned, emit, noise_lines, told
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import ACTIVE, SUBSTEPS
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
 GLOBAL_POINTS = 10
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     found = as_json(organ, unit, cells, noise)
     emit(found, text(found), args.json)
     if args.out:
-        from tissue_sim.bench.pictures import write_figure
+        from tissue_sim.bench.figure6 import write_figure
 
         told(write_figure(organ, panels(organ, unit, cells), Path(args.out)))
     return 0
@@ -209,7 +210,7 @@ def text(found: dict[str, Any]) -> str:
 
 def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Cell]], *, with_nip: bool = True) -> list[Any]:
     """The panels of Figure 6: nip and release, global deformation of the hybrid and of the surface model."""
-    from tissue_sim.bench.pictures import NO_JAWS, Panel, nip_and_release
+    from tissue_sim.bench.figure6 import NO_JAWS, Panel, nip_and_release
 
     force = FORCES[-1]
     nodes, forces = load(organ, force, unit)

@@ -21,6 +21,7 @@ from numba import types
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
 from tissue_sim.model import state as st
@@ -29,7 +30,6 @@ from tissue_sim.model.inputs import load_nodes, take_pose
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.world import tick_world
 
-Floats = NDArray[np.float64]
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")

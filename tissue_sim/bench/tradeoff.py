@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import Row, rows_of
-from tissue_sim.bench.report import emit, figure, made_or_skipped, noise_lines, told, with_remarks
+from tissue_sim.bench.printing import emit, figure, made_or_skipped, noise_lines, told, with_remarks
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.bench.variants import variants_of
@@ -27,7 +28,7 @@ from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
 from tissue_sim.calibration.fem import Body, volume_change
 from tissue_sim.calibration.reference import reference_error
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 POINTS = (250, 500, 2000, 4000)  # surface points, beside the organ's own

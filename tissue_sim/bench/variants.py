@@ -16,7 +16,7 @@ from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import LinearMisfit, fit
 from tissue_sim.calibration.groups import group_of, search
-from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass
+from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass
 from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble

@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body, Settled
 from tissue_sim.calibration.judge import Answer
 from tissue_sim.calibration.remote import Remote
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 
 class Task(NamedTuple):

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration import fit as fitting
 from tissue_sim.calibration.background import Reference, Task
 from tissue_sim.calibration.cases import DEEP, DEPTH, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
@@ -18,14 +19,14 @@ from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, SharedMisfit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
+from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
-from tissue_sim.calibration.motion import MODES, damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.reference import reference_error
 from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model, assemble
-from tissue_sim.model.stability import largest_frequency, model_step, substeps_for
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.model.critical_step import largest_frequency, model_step, substeps_for
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_like
 
 METHODS = ("springs", "groups")

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.organ.topology import node_area
-
-Longs = NDArray[np.int64]
 
 HELD_OUT_SHARE = 0.3  # of the nodes that may be pressed
 HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of the fit's seed

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk, dtrsm, sgemm, strsm
 from scipy.linalg.lapack import dpotrf
 
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.organ.organ import Floats, Ints
 
-Longs = NDArray[np.int64]
 BALANCE = 0.3  # the least share of elements in a part
 LEAF = 32  # elements that are not divided further
 

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from tissue_sim.calibration.calibrate import HARDENING, METHODS, Calibrated, Settings, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.report import lines, write_pictures
+from tissue_sim.calibration.verdict import lines, write_pictures
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import MOST_HARDENING, Organ
 

@@ -11,11 +11,11 @@ from scipy.sparse import eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigsh
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cholesky import Cholesky
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats
 
 TOLERANCE = 1e-3  # of the forces and inertia of a step, in the norm of its matrix
 MOST_ITERATIONS = 60  # in a time step

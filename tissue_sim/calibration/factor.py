@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from tissue_sim.calibration.cholesky import Cholesky, Longs, NotPositive, Pieces, dissect
-from tissue_sim.organ.organ import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.calibration.cholesky import Cholesky, NotPositive, Pieces, dissect
 
 LEAF = 250  # pairs of nodes that are not divided further: some 25 nodes
 

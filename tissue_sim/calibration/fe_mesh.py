@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats, Ints, Organ
+from tissue_sim.organ.organ import Organ
 
 MESHER_UNIT = 1e-3  # m; Netgen's tolerances are made for lengths around 1 to 1000
 LONGEST = 1.5  # an element's longest edge over its size, which stands for the mean

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats, Organ, signed_volume
+from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.topology import node_area
 
 FACET_QUADRATURE = 6  # order: a linear traction, quadratic shape functions, and quarter points

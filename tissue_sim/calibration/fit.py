@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy.optimize import minimize
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.factor import Factor
 from tissue_sim.calibration.remote import Remote
 from tissue_sim.calibration.static import Springs, settle
-from tissue_sim.organ.organ import Floats
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
 SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was

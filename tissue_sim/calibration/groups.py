@@ -12,9 +12,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.fit import Evaluation, Misfit
-from tissue_sim.calibration.static import Longs, Springs
-from tissue_sim.organ.organ import Floats, Organ, SpringKind
+from tissue_sim.calibration.static import Springs
+from tissue_sim.organ.organ import Organ, SpringKind
 
 GROUPS = ("edges", "inner", "skeleton", "angular", "return")
 FIRST_STEP = 0.25  # factor on one group's stiffness, in each corner of the first simplex but one

@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.dynamics import release
 from tissue_sim.calibration.fem import Body, volume_change
 from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 TOLERANCE = 1e-4  # residual force over load that counts as settled
 LONGEST = 20.0  # simulated seconds after which a load is given up

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel, part
-from tissue_sim.organ.organ import Floats, Ints
 
 NODES = 10  # of a quadratic tetrahedron
 

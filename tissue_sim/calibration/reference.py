@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import strongest
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.judge import errors
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.store import remembered
 

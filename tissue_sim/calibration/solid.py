@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 
-from tissue_sim.calibration.cholesky import Cholesky, Front, Longs, NotPositive, Pieces, add_elements, dissect
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.calibration.cholesky import Cholesky, Front, NotPositive, Pieces, add_elements, dissect
 from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.neo_hookean import NODES, energy_and_forces, tangent
-from tissue_sim.organ.organ import Floats, Ints
 
 QUADRATURE = 2  # order: four points, exact for the products of strains of straight quadratic elements
 MASS_QUADRATURE = 7  # elements at quarter points included

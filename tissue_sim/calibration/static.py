@@ -10,16 +10,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration import spring_kernels as kernels
 from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.modes import free_axes
-from tissue_sim.organ.organ import Floats
-
-Longs = NDArray[np.int64]
 
 TOLERANCE = 1e-8  # residual force over load that counts as settled
 MOST_ITERATIONS = 60

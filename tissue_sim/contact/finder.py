@@ -9,6 +9,7 @@ from typing import Any
 import fcl
 import numpy as np
 
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
     body_box,
     boxes_meet,
@@ -22,8 +23,7 @@ from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.inputs import take_contacts
 from tissue_sim.model.shapes import rotation_matrix
-from tissue_sim.model.state import MAX_ENTRIES, Floats, Longs, State
-from tissue_sim.organ.organ import Ints
+from tissue_sim.model.state import MAX_ENTRIES, State
 from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import Jaws
-from tissue_sim.organ.organ import Floats
 
 DEPTH = 0.022  # m from the tip of the pole to the tips of the jaws
 WITHIN = 0.4  # of a gripper's length that tissue may lie between its jaws: the hinge stays outside

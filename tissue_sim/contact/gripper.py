@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tissue_sim.organ.organ import Floats
+from tissue_sim.array_types import Floats
 
 WIDEST = 2.5  # rad; an angle beyond it is in another unit
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tissue_sim.array_types import Floats
 from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over, reach_margins
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model import state as st
 from tissue_sim.model.inputs import take_force, take_pose
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
-from tissue_sim.organ.organ import Floats
 
 FLAT = 1e-7  # a triangle whose height is less of an edge is taken for its edges
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.array_types import Ints
 from tissue_sim.model.assembly import Adjacency, Model
 from tissue_sim.model.blocks import BLOCK
-from tissue_sim.organ.organ import Ints
 
 
 def adjacency_of(model: Model) -> Adjacency:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks, pack
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
 from tissue_sim.organ.medial import nearest_atoms
-from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind
+from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import tetrahedral_edges
 
 ModelName = Literal["surface", "volume", "hybrid"]

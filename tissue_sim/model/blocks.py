@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.organ.organ import Floats, Ints
+from tissue_sim.array_types import Floats, Ints
 
 BLOCK = 16  # springs in a block: a few vectors of the processor; more only pads small regions
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.forces import stored
-from tissue_sim.organ.organ import Floats
 
 
 class Energy(NamedTuple):

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Factor, Model
-from tissue_sim.organ.organ import Floats, Ints
 
 
 class _Decomposition(NamedTuple):

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.organ.medial import neighbours, represent
-from tissue_sim.organ.organ import Floats, Ints, Organ
+from tissue_sim.organ.organ import Organ
 
 _POWER_STEPS = 40
 _NEWTON_STEPS = 8

@@ -13,22 +13,12 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.modal_region import place_outside
-from tissue_sim.model.state import (
-    ASLEEP,
-    MAX_ENTRIES,
-    MODAL,
-    N_COUNT,
-    N_SETTINGS,
-    REGION,
-    TICK,
-    Floats,
-    Longs,
-    StateBuffer,
-)
+from tissue_sim.model.state import ASLEEP, MAX_ENTRIES, MODAL, N_COUNT, N_SETTINGS, REGION, TICK, StateBuffer
 
 IN_SLOTS = 3
 OUT_SLOTS = 4

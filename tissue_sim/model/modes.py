@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model
-from tissue_sim.model.state import Floats
 
 N_MODES = 144  # a third of that triples the error of the region's surroundings
 _RIGID = 1e-9  # square of a frequency, over the largest diagonal, that is taken for 0

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model, Reduction
 from tissue_sim.model.blocks import BLOCK, pack
 from tissue_sim.model.modes import angular_slope, free_axes, lowest_modes, stiffness_matrix
-from tissue_sim.organ.organ import Floats
 from tissue_sim.store import remembered
 
 LARGEST_TABLE = 2048  # nodes: 144 MiB of compliance; above it modes stand for all

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
-
-Floats = NDArray[np.float64]
 
 SPHERE, CAPSULE, CONVEX, GRID = 0, 1, 2, 3
 

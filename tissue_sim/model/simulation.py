@@ -8,11 +8,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle
 from tissue_sim.model import state as st
 from tissue_sim.model.adjacency import adjacency_of
 from tissue_sim.model.assembly import Model, assemble
+from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.energy import Energy, energy_of
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.hops import hop_table
@@ -21,8 +23,7 @@ from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.scratch import make_scratch
 from tissue_sim.model.shapes import SPHERE, Shapes, make_shapes
-from tissue_sim.model.stability import SAFETY, largest_frequency, model_step, substeps_for
-from tissue_sim.model.state import Floats, State, StateBuffer
+from tissue_sim.model.state import State, StateBuffer
 from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_implied_world, tick_world
 from tissue_sim.organ.organ import Organ
 

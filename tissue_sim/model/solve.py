@@ -9,11 +9,11 @@ import zipfile
 import numpy as np
 from tqdm import tqdm
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
-from tissue_sim.model.state import Floats
 from tissue_sim.organ.organ import Organ
 
 

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
+from tissue_sim.array_types import Floats, Longs
 
 # Scalars in State.count, all 64-bit integers.
 TICK = 0  # ticks done

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.pipeline import (
     STAGES,
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
     from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
-Floats = NDArray[np.float64]
 
 # Parts of a hundred that a stage takes of a usual build: only the bar's pace depends on them.
 _SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
@@ -136,7 +135,7 @@ def _run(args: argparse.Namespace) -> int:
         organ = _build(args, request, progress)
         organ.save(out)
         if report:
-            from tissue_sim.organ.reporting.report import write_report
+            from tissue_sim.organ.reporting.page import write_report
 
             with progress.stage("report"):
                 write_report(progress.record, report, organ_file=out.name)

@@ -10,15 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.winding import inside
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _SHARES = np.linspace(0.1, 0.9, 17)  # of a spoke's length, from the medial atom
 _WALL = 2.0  # atoms keep half as far from the boundary as from each other

@@ -14,13 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _SHORTEST = 1e-12  # m
 _HALF_TURN = 1e-12  # square of the sum of two unit vectors that counts as none

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 
 SCHEMA_VERSION = 3  # 2: interior_spoke; 3: hardening
 MOST_HARDENING = 3.0  # beyond it a spring's force would fall while it is pulled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 class SpringKind(IntEnum):

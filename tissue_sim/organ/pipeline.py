@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from tissue_sim.organ.surfaces.balloon import Balloon
     from tissue_sim.organ.surfaces.surface import Wall
 
-Floats = NDArray[np.float64]
 Tell = Callable[[str], None]
 Watch = Callable[[str, float], None]  # stage, share of it that is done
 

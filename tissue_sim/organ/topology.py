@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, QhullError
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.interior import place_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
-from tissue_sim.organ.organ import Floats, Ints, Organ, SpringKind, check_surface, signed_volume
+from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volume
 from tissue_sim.organ.winding import inside
 
 NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from tissue_sim.array_types import Floats, Ints
 
 
 def winding_number(points: Floats, positions: Floats, triangles: Ints) -> Floats:

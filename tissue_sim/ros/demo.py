@@ -17,10 +17,10 @@ from datetime import datetime
 from pathlib import Path
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros import client
-from tissue_sim.ros.children import Child, stop_all, wait_a_little
-from tissue_sim.ros.priority import is_allowed
-from tissue_sim.ros.viewer import check_port, shown_host
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.children import Child, stop_all, wait_a_little
+from tissue_sim.ros.shared.priority import is_allowed
+from tissue_sim.ros.viewer.view import check_port, shown_host
 
 NODE = "tissue_sim"
 PRIORITY = 20  # of the node, where the system allows it
@@ -114,7 +114,7 @@ def node_command(organ: str | None, folder: Path, priority: int) -> list[str]:
     words += ["-p", f"realtime_priority:={priority}"]
     if organ is not None:
         words += ["-p", f"organ_file:={json.dumps(str(Path(organ).absolute()))}"]
-    return [sys.executable, "-m", "tissue_sim.ros.program", "--ros-args", *words]
+    return [sys.executable, "-m", "tissue_sim.ros.node.program", "--ros-args", *words]
 
 
 def status_line(values: Mapping[str, str]) -> str:

@@ -11,20 +11,18 @@ It knows no forces. What is loaded is moved to where the reference has it, and t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.bench.peers.engine import Answer, Load, timed
 from tissue_sim.bench.timing import Burst, time_calls
 from tissue_sim.jit import kernel
-from tissue_sim.organ.organ import Floats, Ints, Organ
+from tissue_sim.organ.organ import Organ
 
 STRETCH, SHEAR = 0.1, 0.1  # how far a link may be longer or shorter, and sheared
 SWEEPS = 5000  # of relaxation at most
 STILL = 1e-5  # of what it was moved by: a sweep that moves no node by more has settled it
 UPDATE = 0.001  # s that an update stands for: it is done once a tick
 SWELLING = 200  # updates in which a load swells and ebbs
-
-Longs = NDArray[np.int64]
 
 
 class ChainMail:

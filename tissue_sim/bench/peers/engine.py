@@ -10,8 +10,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import Burst
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 TOLERANCE = 1e-3  # of its displacement, by which a settled engine's may still change from one look to the next
 LOOK = 0.1  # simulated s between two looks

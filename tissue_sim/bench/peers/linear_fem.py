@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.compliance import Product
 from tissue_sim.bench.peers.engine import Answer, Load, timed
 from tissue_sim.bench.peers.tetrahedra import UNGRADED, Tetrahedra
 from tissue_sim.bench.timing import Burst, time_calls
 from tissue_sim.calibration.fe_mesh import libraries
 from tissue_sim.calibration.fem import Body
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 UPDATE = 0.001  # s that an update stands for: it is solved once a tick
 AT_ONCE = 64  # columns of a compliance solved together

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.flex import Flex
 from tissue_sim.bench.peers.engine import Answer, Load, settle_by_steps
 from tissue_sim.bench.peers.tetrahedra import Tetrahedra
 from tissue_sim.bench.timing import Burst
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 DAMPING = 0.1  # s, proportional to stiffness: it changes how an organ settles, not where
 

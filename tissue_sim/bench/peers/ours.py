@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.peers.engine import TOLERANCE, Answer, Load, timed
 from tissue_sim.bench.timing import Burst, Ticks
 from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 
 class Ours:

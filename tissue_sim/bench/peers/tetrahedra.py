@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.calibration.fe_mesh import Grading, fill
-from tissue_sim.organ.organ import Floats, Ints, Organ
+from tissue_sim.organ.organ import Organ
 
 UNGRADED = Grading(clamp=-10, near=-10)  # edges a thousand times the surface's are wanted: Netgen's stay as they are
 PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.bench.peers.engine import Answer, Load, settle_by_steps, timed
 from tissue_sim.bench.peers.tetrahedra import Tetrahedra
 from tissue_sim.bench.timing import Burst
-from tissue_sim.organ.organ import Floats, Organ
+from tissue_sim.organ.organ import Organ
 
 UNIT = 1e-6  # m
 DAMPING_RATE = 8.0  # 1/s: with what its steps lose, a kidney settles in a second or two

@@ -7,12 +7,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import trimesh
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.organs import press_node
 from tissue_sim.contact.finder import ContactFinder, hand_over
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.inputs import take_pose
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import Floats, Longs
 from tissue_sim.organ.organ import Organ
 
 # On a point at the far end from what holds the organ; on a patch on a broad side, at the far end, or pulled outward

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tissue_sim.model.state import Floats, Longs
-from tissue_sim.organ.organ import Ints, Organ, signed_volume
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.organ.organ import Organ, signed_volume
 
 _FLAT = 1e-3  # of the median, below which a volume at rest says nothing of its sign
 _FOLDED = -0.5  # cosine between the normals of two neighbours that lie on each other

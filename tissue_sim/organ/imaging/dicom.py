@@ -15,9 +15,8 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-
-Floats = NDArray[np.float64]
 
 _GAP = 0.1  # relative deviation of a slice distance that counts as a gap
 _ALIKE = 1e-3  # difference of direction cosines, relative one of pixel spacings, within a stack

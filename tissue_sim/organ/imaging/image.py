@@ -18,10 +18,9 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import ArrayLike, NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.dicom import read_stack
-
-Floats = NDArray[np.float64]
 
 MM = 1e-3  # metres in a millimetre
 AIR = -1024.0  # HU, for voxels without a value

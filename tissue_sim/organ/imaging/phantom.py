@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from tissue_sim.array_types import Singles
 from tissue_sim.organ.imaging.image import Volume
 
-Field = NDArray[np.float32]
-Grid = tuple[Field, Field, Field]
+Grid = tuple[Singles, Singles, Singles]
 Triple = tuple[float, float, float]
 
 # Hounsfield units at 120 kV without contrast agent
@@ -75,7 +75,7 @@ def make_phantom(parameters: PhantomParameters | None = None) -> Phantom:
     return Phantom(ct, mask, seed)
 
 
-def kidney_distance(grid: Grid) -> Field:
+def kidney_distance(grid: Grid) -> Singles:
     """Signed distance (approximate, mm) of the bean: a bent ellipsoid with a hilum cut into its inner side."""
     u, v, w = _local(grid)
     bean = _ellipsoid(u + np.float32(0.0035) * w * w - np.float32(3.0), v, w, KIDNEY_SEMI_AXES)
@@ -83,14 +83,14 @@ def kidney_distance(grid: Grid) -> Field:
     return _smooth_cut(bean, hilum, 4.0)
 
 
-def _scene(grid: Grid, kidney: Field, gap: float) -> list[tuple[Field, float]]:
+def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float]]:
     """Shapes in painting order with their HU. Neighbours are cut along the kidney's surface."""
     x, y, z = grid
     body = _ellipsoid(x, y - 5.0, 0.0 * z, (138.0, 97.0, 1e6))
     wall = np.maximum(body + 12.0, -body - 24.0)
     spine = np.hypot(x, y - 58.0) - 22.0
     canal = np.hypot(x, y - 83.0) - 8.0
-    neighbours: list[tuple[Callable[[Grid], Field], float]] = [
+    neighbours: list[tuple[Callable[[Grid], Singles], float]] = [
         (lambda g: _ellipsoid(g[0] - 110.0, g[1] - 30.0, g[2] - 46.0, (21.0, 42.0, 48.0)), SPLEEN),
         (lambda g: _ellipsoid(g[0] - 27.0 - 0.1 * (30.0 - g[2]), g[1] - 56.0, 0.0 * g[2], (16.0, 20.0, 1e6)), MUSCLE),
         (lambda g: _ellipsoid(g[0] - 62.0, g[1] - 80.0, 0.0 * g[2], (42.0, 18.0, 1e6)), MUSCLE),
@@ -98,7 +98,7 @@ def _scene(grid: Grid, kidney: Field, gap: float) -> list[tuple[Field, float]]:
         (lambda g: _tube(g, _VEIN, 4.5), BLOOD),
     ]
     cut = gap - kidney
-    painted: list[tuple[Field, float]] = [
+    painted: list[tuple[Singles, float]] = [
         (body, FAT),
         (np.maximum(wall, cut), MUSCLE),
         (np.maximum(_ellipsoid(x + 70.0, y + 2.0, z - 40.0, (66.0, 62.0, 62.0)), body + 14.0), LIVER),
@@ -139,7 +139,7 @@ def _local(grid: Grid) -> Grid:
     return tuple(sum(axes[k, m] * p[k] for k in range(3)) for m in range(3))  # type: ignore[return-value]
 
 
-def _ellipsoid(x: Field, y: Field, z: Field, semi_axes: Triple) -> Field:
+def _ellipsoid(x: Singles, y: Singles, z: Singles, semi_axes: Triple) -> Singles:
     """First-order distance to an ellipsoid: f (f - 1) / |grad f| with f the scaled radius."""
     a, b, c = (np.float32(s) for s in semi_axes)
     f = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
@@ -147,7 +147,7 @@ def _ellipsoid(x: Field, y: Field, z: Field, semi_axes: Triple) -> Field:
     return f * (f - 1.0) / np.maximum(slope, np.float32(1e-6))
 
 
-def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Field:
+def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Singles:
     """Distance to a polyline thickened to `radius`."""
     best = np.full(grid[0].shape, np.inf, dtype=np.float32)
     for start, end in itertools.pairwise(points):
@@ -158,13 +158,13 @@ def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Field:
     return best - np.float32(radius)
 
 
-def _smooth_cut(shape: Field, tool: Field, radius: float) -> Field:
+def _smooth_cut(shape: Singles, tool: Singles, radius: float) -> Singles:
     """`shape` without `tool`, the edge rounded over `radius` mm (polynomial smooth maximum)."""
     h = np.clip(0.5 + 0.5 * (shape + tool) / radius, 0.0, 1.0)
     return (-tool) * (1.0 - h) + shape * h + radius * h * (1.0 - h)
 
 
-def _noise(shape: tuple[int, ...], p: PhantomParameters) -> Field:
+def _noise(shape: tuple[int, ...], p: PhantomParameters) -> Singles:
     """Grainy noise as a scanner leaves it: correlated over a voxel, standard deviation as asked."""
     white = np.random.default_rng(p.seed).standard_normal(shape, dtype=np.float32)
     grain = gaussian_filter(white, 0.5)

@@ -16,8 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
+from tissue_sim.array_types import Floats, Longs
 
 _TRIMESH = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 # glTF 2.0, 3.4: +Y up, +Z forward, -X right; so these rows take it to LPS (x left, y back, z up).
@@ -30,7 +29,7 @@ class Piece:
 
     name: str
     positions: Floats
-    triangles: Index
+    triangles: Longs
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +175,7 @@ def _read_gmsh(source: Path) -> MeshFile:
     return _surface_of_cells(positions, place.get(_TRIANGLE), place.get(_QUAD), place.get(_TETRA))
 
 
-def _gmsh_nodes(section: bytes) -> tuple[Index, Floats]:
+def _gmsh_nodes(section: bytes) -> tuple[Longs, Floats]:
     words = section.split()
     table = np.array(words[1 : 1 + 4 * int(words[0])], dtype=np.float64).reshape(int(words[0]), 4)
     return table[:, 0].astype(np.int64), np.ascontiguousarray(table[:, 1:])
@@ -197,7 +196,7 @@ def _gmsh_elements(section: bytes, version: int) -> dict[int, list[int]]:
     return cells
 
 
-def _gmsh_4(sections: dict[str, bytes]) -> tuple[Index, Floats, dict[int, list[int]]]:
+def _gmsh_4(sections: dict[str, bytes]) -> tuple[Longs, Floats, dict[int, list[int]]]:
     words = sections["Nodes"].split()
     tags, places, at = [], [], 4
     for _ in range(int(words[0])):
@@ -285,7 +284,7 @@ def _read_vtk(source: Path) -> MeshFile:
     return MeshFile(found.pieces, (*found.notes, "turned from RAS to LPS")) if space else found
 
 
-def _vtk_cells(words: _Words) -> tuple[Index, Index]:
+def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
     """Offsets (cells + 1,) and corners of a cell section, in the layout of version 5 or the one before."""
     first, second = words.count(), words.count()
     start = words.at
@@ -313,7 +312,7 @@ def _skip_field(words: _Words) -> None:
         words.numbers(parts * count, _VTK_TYPES[words.word().lower()])
 
 
-def _fans(offsets: Index, corners: Index) -> Index:
+def _fans(offsets: Longs, corners: Longs) -> Longs:
     size = np.diff(offsets)
     if np.any(size < 3):
         raise ValueError("polygons with fewer than three corners")
@@ -324,7 +323,7 @@ def _fans(offsets: Index, corners: Index) -> Index:
     return np.concatenate(fans) if fans else np.empty((0, 3), dtype=np.int64)
 
 
-def _rows(offsets: Index, corners: Index, chosen: NDArray[np.bool_], width: int) -> Index:
+def _rows(offsets: Longs, corners: Longs, chosen: NDArray[np.bool_], width: int) -> Longs:
     return corners[offsets[:-1][chosen][:, None] + np.arange(width)]
 
 
@@ -352,7 +351,7 @@ def _surface_of_cells(positions: Floats, triangles: Any, quads: Any, tetras: Any
     return MeshFile((Piece("", positions, np.concatenate(found)),))
 
 
-def _checked(index: Index, count: int) -> Index:
+def _checked(index: Longs, count: int) -> Longs:
     if index.size and (index.min() < 0 or index.max() >= count):
         raise ValueError("a triangle names a point that isn't there")
     return index

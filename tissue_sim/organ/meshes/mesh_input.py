@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, read_pieces
@@ -17,9 +18,6 @@ from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, longest_
 from tissue_sim.organ.meshes.mesh_union import merged
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 from tissue_sim.organ.organ import signed_volume
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 UNITS = {"mm": MM, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
 ORGAN_SIZE = (0.005, 1.0)  # m, longest side

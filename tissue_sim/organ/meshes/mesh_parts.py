@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.meshes.mesh_formats import Piece
 from tissue_sim.organ.meshes.mesh_repair import (
@@ -26,9 +26,6 @@ from tissue_sim.organ.meshes.mesh_repair import (
     wound_alike,
 )
 
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 _DOMINANT = 0.9  # of the volume of all parts: the largest is meant, the others are scraps
 _HOLLOW = 0.5  # of the outer surface's volume: an inner surface that takes more makes a shell
 _SHOWN = 8  # parts named in a message
@@ -44,7 +41,7 @@ class Part:
 
     name: str
     positions: Floats
-    triangles: Index
+    triangles: Longs
     gaps: tuple[Hole, ...]
     volume: float
     flaw: str
@@ -84,7 +81,7 @@ def split(pieces: Sequence[Piece], scale: float) -> list[Part]:
     return [replace(part, number=k) for k, part in enumerate(ordered, 1)]
 
 
-def _part(names: Sequence[str], positions: Floats, triangles: Index, crowd: int, told: tuple[str, ...]) -> Part:
+def _part(names: Sequence[str], positions: Floats, triangles: Longs, crowd: int, told: tuple[str, ...]) -> Part:
     name = names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "") if names else ""
     wound = wound_alike(positions, triangles)
     if wound is None:

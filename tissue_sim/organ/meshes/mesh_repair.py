@@ -12,10 +12,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 WIDEST_HOLE = 0.1  # of the longest side: wider ones are refused
 _SAME = 1e-6  # of the longest side: rim points nearer than that are one
@@ -28,7 +26,7 @@ _LONGEST_RIM = 1500  # points: the triangulation takes their cube
 class Hole:
     """A hole: its rim (k,) point indices in the order that closes it, and its width (largest distance on the rim)."""
 
-    rim: Index
+    rim: Longs
     width: float
 
 
@@ -37,19 +35,19 @@ def longest_side(positions: Floats) -> float:
     return float(np.ptp(positions, axis=0).max()) if len(positions) else 0.0
 
 
-def once_used_edges(triangles: Index) -> Index:
+def once_used_edges(triangles: Longs) -> Longs:
     """Directed edges (k, 2) whose undirected edge belongs to one triangle only."""
     edges, _, count = _edges(triangles)
     return edges[count == 1]
 
 
-def crowded_edges(triangles: Index) -> int:
+def crowded_edges(triangles: Longs) -> int:
     """Number of edges with more than two triangles."""
     _, keys, count = _edges(triangles)
     return len(np.unique(keys[count > 2]))
 
 
-def _edges(triangles: Index) -> tuple[Index, Index, Index]:
+def _edges(triangles: Longs) -> tuple[Longs, Longs, Longs]:
     """All directed edges (k, 2), a key (k,) for each that its opposite shares, and how many triangles use it."""
     directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     n = int(triangles.max()) + 1 if len(triangles) else 1
@@ -58,7 +56,7 @@ def _edges(triangles: Index) -> tuple[Index, Index, Index]:
     return directed, keys, count[inverse]
 
 
-def close_seams(positions: Floats, triangles: Index, across: bool) -> tuple[Index, tuple[str, ...]]:
+def close_seams(positions: Floats, triangles: Longs, across: bool) -> tuple[Longs, tuple[str, ...]]:
     """Merge coinciding points where the surface is open, and says what was done.
 
     across: merge rim points across narrow seams too. positions (n, 3), triangles (t, 3); a closed surface keeps
@@ -86,12 +84,12 @@ def close_seams(positions: Floats, triangles: Index, across: bool) -> tuple[Inde
     return triangles, tuple(told)
 
 
-def _three_corners(triangles: Index) -> NDArray[np.bool_]:
+def _three_corners(triangles: Longs) -> NDArray[np.bool_]:
     a, b, c = triangles.T
     return (a != b) & (b != c) & (c != a)
 
 
-def _merge_equal(positions: Floats, triangles: Index) -> tuple[int, Index]:
+def _merge_equal(positions: Floats, triangles: Longs) -> tuple[int, Longs]:
     """Let triangles use the first of all points with equal coordinates; and how many points lost their use."""
     before = len(np.unique(triangles))
     order = np.lexsort((np.arange(len(positions)), *positions.T))
@@ -104,7 +102,7 @@ def _merge_equal(positions: Floats, triangles: Index) -> tuple[int, Index]:
     return before - len(np.unique(triangles)), triangles
 
 
-def _merge(positions: Floats, triangles: Index, among: Index, reach: float) -> tuple[int, Index]:
+def _merge(positions: Floats, triangles: Longs, among: Longs, reach: float) -> tuple[int, Longs]:
     """Let triangles use the first of all points within `reach`; and the number of points that lost their use."""
     pairs = cKDTree(positions[among]).query_pairs(reach, output_type="ndarray")
     if not len(pairs):
@@ -121,7 +119,7 @@ def _merge(positions: Floats, triangles: Index, among: Index, reach: float) -> t
     return before - len(np.unique(triangles)), triangles
 
 
-def without_doubles(triangles: Index) -> tuple[Index, int]:
+def without_doubles(triangles: Longs) -> tuple[Longs, int]:
     """Each triangle once, whatever its winding; and how many were left out."""
     corners = np.sort(triangles, axis=1)
     order = np.lexsort((np.arange(len(corners)), *corners.T[::-1]))
@@ -130,7 +128,7 @@ def without_doubles(triangles: Index) -> tuple[Index, int]:
     return triangles[np.sort(order[fresh])], int(np.count_nonzero(~fresh))
 
 
-def wound_alike(positions: Floats, triangles: Index) -> Index | None:
+def wound_alike(positions: Floats, triangles: Longs) -> Longs | None:
     """The triangles with one winding in each part (trimesh.repair.fix_winding); None where there is none."""
     mesh = trimesh.Trimesh(positions, triangles, process=False)
     if mesh.is_winding_consistent:
@@ -143,7 +141,7 @@ def wound_alike(positions: Floats, triangles: Index) -> Index | None:
     return found if len(kept) == len(twice) else None
 
 
-def components(triangles: Index) -> list[Index]:
+def components(triangles: Longs) -> list[Longs]:
     """Triangle indices of the parts that hang together over edges of two triangles, in order of the first."""
     mesh = trimesh.Trimesh(np.zeros((int(triangles.max()) + 1, 3)), triangles, process=False)
     label = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(triangles))
@@ -152,7 +150,7 @@ def components(triangles: Index) -> list[Index]:
     return sorted(parts, key=lambda part: int(part[0]))
 
 
-def holes(positions: Floats, triangles: Index) -> list[Hole]:
+def holes(positions: Floats, triangles: Longs) -> list[Hole]:
     """The holes of a consistently wound surface, widest first."""
     found = []
     for rim in _rims(once_used_edges(triangles)):
@@ -162,7 +160,7 @@ def holes(positions: Floats, triangles: Index) -> list[Hole]:
     return sorted(found, key=lambda hole: -hole.width)
 
 
-def _rims(edges: Index) -> list[Index]:
+def _rims(edges: Longs) -> list[Longs]:
     """Simple closed loops of the reversed edges; where rims touch in a point they are cut apart."""
     onward: dict[int, list[int]] = {}
     for a, b in edges.tolist():
@@ -185,7 +183,7 @@ def _rims(edges: Index) -> list[Index]:
     return [loop for loop in loops if len(loop) >= 3]
 
 
-def fill(positions: Floats, triangles: Index, gaps: Sequence[Hole]) -> Index | None:
+def fill(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> Longs | None:
     """The triangles with the holes closed by the triangulation of least area, without new points.
 
     After Barequet and Sharir (1995): dynamic programming over the rim; edges that the surface has already are not
@@ -210,7 +208,7 @@ def fill(positions: Floats, triangles: Index, gaps: Sequence[Hole]) -> Index | N
 
 
 @kernel
-def _least_area(points: Floats, taken: NDArray[np.bool_]) -> Index:
+def _least_area(points: Floats, taken: NDArray[np.bool_]) -> Longs:
     """Triangles (k - 2, 3) of the polygon points (k, 3) with the least area; chords that are `taken` are not used."""
     k = points.shape[0]
     cost = np.full((k, k), np.inf)
@@ -253,7 +251,7 @@ def _least_area(points: Floats, taken: NDArray[np.bool_]) -> Index:
     return triangles
 
 
-def capped_volume(positions: Floats, triangles: Index, gaps: Sequence[Hole]) -> float:
+def capped_volume(positions: Floats, triangles: Longs, gaps: Sequence[Hole]) -> float:
     """Signed volume of a wound surface whose holes are capped by fans around their rims' middles."""
     centre = positions[triangles[:, 0]].mean(axis=0)
     a, b, c = (positions[triangles[:, k]] - centre for k in range(3))
@@ -264,13 +262,13 @@ def capped_volume(positions: Floats, triangles: Index, gaps: Sequence[Hole]) -> 
     return total / 6.0
 
 
-def area_of(positions: Floats, triangles: Index) -> float:
+def area_of(positions: Floats, triangles: Longs) -> float:
     """Area of the triangles."""
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
-def winds_around(positions: Floats, triangles: Index, points: Floats) -> NDArray[np.bool_]:
+def winds_around(positions: Floats, triangles: Longs, points: Floats) -> NDArray[np.bool_]:
     """Whether the surface encloses each of points (k, 3): winding number by solid angles (van Oosterom 1983)."""
     found = []
     for point in points:

@@ -6,18 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
+from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.meshes.mesh_parts import Part
 from tissue_sim.organ.meshes.mesh_repair import capped_volume, components, fill
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
-
-Floats = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _AXIS = 128  # voxels along the longest side
 _SEAL = 0.1  # of the longest side: radius of the ball that must not pass an opening of a chamber
@@ -116,7 +112,7 @@ def _largest(solid: Mask) -> Mask:
     return solid if count < 2 else labels == int(np.bincount(labels.ravel())[1:].argmax()) + 1
 
 
-def _outermost(positions: Floats, triangles: Index) -> tuple[Floats, Index]:
+def _outermost(positions: Floats, triangles: Longs) -> tuple[Floats, Longs]:
     """The part that encloses most."""
     parts = components(triangles)
     volumes = [abs(capped_volume(positions, triangles[part], ())) for part in parts]

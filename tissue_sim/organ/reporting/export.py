@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tissue_sim.array_types import Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.vtp import polydata
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 UNITS = {"m": 1.0, "mm": 1e3}
 _OBJ_DIGITS = 12  # after the point: a millionth of a micrometre

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, SpringKind
 from tissue_sim.organ.surfaces.surface_quality import measure
-
-Floats = NDArray[np.float64]
 
 UNITS = "SI: m, kg, s, N, Pa"
 

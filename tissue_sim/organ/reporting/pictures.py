@@ -16,11 +16,10 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.reporting.render import Solid, View, balls, draw, rods, view_of
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Surface = tuple[Floats, Ints]
 
 # Okabe and Ito's colours, told apart by every eye.

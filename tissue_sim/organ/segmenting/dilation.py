@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from tissue_sim.array_types import Mask, Singles
 from tissue_sim.jit import kernel
 from tissue_sim.organ.segmenting.depth import depth_of
-
-Mask = NDArray[np.bool_]
-Field = NDArray[np.float32]
 
 _RIM = 6.0  # mm inwards of fat and gas to which an organ may be blurred darker
 _RIVAL = 2.0  # mL, from which a part of other intensity is a neighbour and no noise
@@ -33,9 +31,9 @@ _EVERY = 20  # steps between looks at the change
 
 
 def dilate(
-    sharp: Field,
-    smooth: Field,
-    level: Field,
+    sharp: Singles,
+    smooth: Singles,
+    level: Singles,
     core: Mask,
     others: Mask,
     inside: Mask,
@@ -94,7 +92,7 @@ def _open(mask: Mask, radius: float) -> Mask:
     return depth_of(~kept) <= radius if kept.any() else kept
 
 
-def local_mean(values: Field, where: Mask, sigma: float) -> tuple[Field, Field]:
+def local_mean(values: Singles, where: Mask, sigma: float) -> tuple[Singles, Singles]:
     """Gaussian-weighted mean of `values` over the voxels `where`, and the weight found (0..1); sigma in voxels.
 
     Taken on every third voxel when sigma allows, as the mean is smooth.
@@ -111,13 +109,13 @@ def local_mean(values: Field, where: Mask, sigma: float) -> tuple[Field, Field]:
     return total / np.maximum(weight, 1e-6), weight
 
 
-def _block_mean(values: NDArray[np.float32], every: int) -> Field:
+def _block_mean(values: NDArray[np.float32], every: int) -> Singles:
     padded = np.pad(values, [(0, -n % every) for n in values.shape], mode="edge")
     a, b, c = (n // every for n in padded.shape)
     return padded.reshape(a, every, b, every, c, every).mean(axis=(1, 3, 5), dtype=np.float32)
 
 
-def _upsample(values: Field, every: int, shape: tuple[int, ...]) -> Field:
+def _upsample(values: Singles, every: int, shape: tuple[int, ...]) -> Singles:
     for axis, n in enumerate(shape):
         at = np.clip((np.arange(n) - 0.5 * (every - 1)) / every, 0, values.shape[axis] - 1)
         low = np.minimum(at.astype(int), max(values.shape[axis] - 2, 0))
@@ -127,7 +125,7 @@ def _upsample(values: Field, every: int, shape: tuple[int, ...]) -> Field:
     return values
 
 
-def least_wall(cost: Field, free: Mask, inside: Mask, steps: int = 400) -> Mask:
+def least_wall(cost: Singles, free: Mask, inside: Mask, steps: int = 400) -> Mask:
     """The set that costs least: its wall's area plus `cost` over its voxels, both in voxels.
 
     cost (nz, ny, nx): above 0 where a voxel fits the outside better. Only `free` voxels are decided;
@@ -148,7 +146,7 @@ def least_wall(cost: Field, free: Mask, inside: Mask, steps: int = 400) -> Mask:
 
 
 @kernel
-def _raise_dual(lead: Field, dual: NDArray[np.float32], step: float) -> None:
+def _raise_dual(lead: Singles, dual: NDArray[np.float32], step: float) -> None:
     """The dual field follows the set's gradient, its length at most 1."""
     nz, ny, nx = lead.shape
     for k in range(nz - 1):
@@ -170,7 +168,7 @@ def _raise_dual(lead: Field, dual: NDArray[np.float32], step: float) -> None:
 
 
 @kernel
-def _lower_set(u: Field, lead: Field, dual: NDArray[np.float32], cost: Field, free: Mask, step: float) -> float:
+def _lower_set(u: Singles, lead: Singles, dual: NDArray[np.float32], cost: Singles, free: Mask, step: float) -> float:
     """Free voxels follow the dual's divergence less their cost, within 0..1. Returns the summed change."""
     nz, ny, nx = u.shape
     change = 0.0

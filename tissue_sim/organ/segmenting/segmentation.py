@@ -14,6 +14,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import ArrayLike, NDArray
 
+from tissue_sim.array_types import Mask, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.segmenting.anatomy import anatomy_of, measure_shape, misfits
@@ -33,8 +34,6 @@ from tissue_sim.organ.segmenting.working import default_spacing, resample, withi
 
 __all__ = ["Progress", "Segmentation", "SegmentationParameters", "check_seed", "dice", "segment", "working_grid"]
 
-Mask = NDArray[np.bool_]
-Field = NDArray[np.float32]
 Index = tuple[int, int, int]
 Progress = Callable[[str, float], None]
 
@@ -234,7 +233,7 @@ def _at_seed(
     return replace(p, smoothing=sigma), mean, deviation
 
 
-def _calmest(smooth: Field, at: Index, radius: float) -> tuple[float, float, Mask]:
+def _calmest(smooth: Singles, at: Index, radius: float) -> tuple[float, float, Mask]:
     """Median, robust deviation and voxels of the calmest ball of `radius` voxels that holds `at`.
 
     Near the wall the ball around the seed would mix the organ with what lies beyond (Kuwahara's idea).

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue_sim.array_types import Ints
 from tissue_sim.jit import kernel
-
-Mask = NDArray[np.bool_]
-Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +25,7 @@ class Parts:
     in the depth's unit, of every body.
     """
 
-    labels: Labels
+    labels: Ints
     volume: NDArray[np.int64]
     peak: NDArray[np.float64]
 

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.segmentation import watershed
 
+from tissue_sim.array_types import Mask, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.segmenting.depth import depth_of
 from tissue_sim.organ.segmenting.dilation import dilate, local_mean
 from tissue_sim.organ.segmenting.separation import Parts, necks, part
 
-Mask = NDArray[np.bool_]
-Field = NDArray[np.float32]
 Index = tuple[int, int, int]
 
 SMOOTHINGS = (2.5, 3.0)  # mm, tried until the tissue at the seed is calm
@@ -120,7 +119,7 @@ def point_text(point: NDArray[np.float64]) -> str:
     return ",".join(f"{value:g}" for value in np.round(point, 1))
 
 
-def gaussian(volume: Volume, sigma: float) -> Field:
+def gaussian(volume: Volume, sigma: float) -> Singles:
     """The image (nz, ny, nx), HU, smoothed by a Gaussian of deviation `sigma` mm."""
     return sitk.GetArrayFromImage(sitk.SmoothingRecursiveGaussian(volume.to_sitk(), sigma))
 
@@ -131,7 +130,7 @@ def voxel_at(crop: Volume, point: NDArray[np.float64]) -> Index:
     return int(k), int(j), int(i)
 
 
-def smooth_for(crop: Volume, p: SegmentationParameters) -> tuple[Field, Field]:
+def smooth_for(crop: Volume, p: SegmentationParameters) -> tuple[Singles, Singles]:
     """The crop (nz, ny, nx), HU, smoothed to compare intensities, and to locate the wall."""
     return gaussian(crop, float(p.smoothing or SMOOTHINGS[0])), gaussian(crop, p.wall_smoothing)
 
@@ -143,7 +142,7 @@ def segment_crop(
     p: SegmentationParameters,
     mean: float,
     deviation: float,
-    smoothed: tuple[Field, Field] | None = None,
+    smoothed: tuple[Singles, Singles] | None = None,
     largest: float = np.inf,
 ) -> Segmentation:
     """All stages on one isotropic crop, from a first mean; the deviation, both HU, is the seed's.
@@ -158,7 +157,7 @@ def segment_crop(
     smooth, sharp = smoothed or smooth_for(crop, p)
     seed = voxel_at(crop, point)
     dark = _dark_side(sharp, seed, mean, deviation, h)
-    level: Field = np.full(smooth.shape, mean, dtype=np.float32)
+    level: Singles = np.full(smooth.shape, mean, dtype=np.float32)
     for again in range(_REFINEMENTS):
         width = float(p.window or WINDOWS[1]) * deviation
         like = _majority(np.abs(smooth - level) < width, _MAJORITY / h) & inside
@@ -225,7 +224,7 @@ def segment_crop(
     )
 
 
-def _clarity(smooth: Field, mask: Mask, level: Field, contrast: float, h: float) -> float:
+def _clarity(smooth: Singles, mask: Mask, level: Singles, contrast: float, h: float) -> float:
     """Share of the mask's surroundings, 3 to 6 mm off, that differ clearly from the organ."""
     box = _box_around(mask, 8.0 / h)
     away = depth_of(~mask[box]) * h
@@ -234,9 +233,9 @@ def _clarity(smooth: Field, mask: Mask, level: Field, contrast: float, h: float)
 
 
 def _regrown(
-    smooth: Field,
-    sharp: Field,
-    level: Field,
+    smooth: Singles,
+    sharp: Singles,
+    level: Singles,
     depth: NDArray[np.float64],
     eroded: Mask,
     neighbours: Mask,
@@ -275,7 +274,7 @@ def _parted(depth: NDArray[np.float64], p: SegmentationParameters) -> Parts:
     return Parts(labels, np.bincount(labels.ravel(), minlength=count + 1), np.zeros(count + 1))
 
 
-def _closed(mask: Mask, sharp: Field, others: Mask, wall: float, radius: float) -> Mask:
+def _closed(mask: Mask, sharp: Singles, others: Mask, wall: float, radius: float) -> Mask:
     """The mask with its holes filled, and its hollows of under `radius` voxels where they hold no fat or gas."""
     if radius > 0.0:
         around = np.pad(mask, int(np.ceil(radius)) + 1)
@@ -314,7 +313,7 @@ def ball_at(shape: tuple[int, ...], centre: Index, radius: float) -> Mask:
     return np.asarray(squared <= radius**2)
 
 
-def _dark_side(sharp: Field, seed: Index, mean: float, deviation: float, h: float) -> float:
+def _dark_side(sharp: Singles, seed: Index, mean: float, deviation: float, h: float) -> float:
     """Intensity of what surrounds the organ: fat, or whatever is clearly darker than the organ."""
     near = sharp[ball_at(sharp.shape, seed, _NEIGHBOURHOOD / h)]
     fat = near[(near > _FAT[0]) & (near < _FAT[1])]
@@ -340,7 +339,7 @@ def _ascend(depth: NDArray[np.float64], start: Index) -> Index:
         at = tuple(s.start + int(b) for s, b in zip(window, best, strict=True))  # type: ignore[assignment]
 
 
-def _front(smooth: Field, eroded: Mask, apex: Index, mean: float, deviation: float, stop: float) -> Mask:
+def _front(smooth: Singles, eroded: Mask, apex: Index, mean: float, deviation: float, stop: float) -> Mask:
     """Fast marching from the seed through the eroded region, faster where the intensity fits.
 
     Stopped when the share `stop` of the region's voxels is reached: what is left is the reconstruction's.

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import SimpleITK as sitk
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tissue_sim.array_types import Floats, Mask
 from tissue_sim.organ.imaging.image import Volume, from_sitk
-
-Mask = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 _FINEST, _COARSEST = 1.0, 1.5  # mm
 

@@ -19,6 +19,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filt
 from scipy.spatial import cKDTree
 from skimage.measure import euler_number
 
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.skeletons.skeleton_tree import (
     Limb,
@@ -33,10 +34,6 @@ from tissue_sim.organ.skeletons.skeleton_tree import (
 from tissue_sim.organ.skeletons.voxel_tree import approach, grow_tree, middle_way
 from tissue_sim.organ.surfaces.solid_ball import flip_simple
 from tissue_sim.organ.surfaces.surface import Wall
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 BRANCHES = ("auto", "none")
 

@@ -13,15 +13,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label, map_coordinates, uniform_filter1d
 
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.skeletons.voxel_tree import approach
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 InnerEnd = Callable[[Floats, Floats], int]
 
 _PAST = 1.5  # radii of the parent: least length past its surface, to the branch's own tip

@@ -9,12 +9,9 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 
 @kernel

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import signed_volume
@@ -28,8 +29,6 @@ from tissue_sim.organ.surfaces.remesh import transport, vertex_normals
 from tissue_sim.organ.surfaces.surface import Wall, closed_wall, intersecting_pairs, marching_cubes_surface
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Progress = Callable[[float], None]
 
 FEWEST_POINTS = 50

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.surfaces.remesh import _normal
 from tissue_sim.organ.surfaces.surface_distance import _cells, _dot, _span, cells_of
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:

@@ -7,12 +7,9 @@ the point that became free. Compiled; arrays are changed in place.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 MOST_NEIGHBOURS = 32  # triangles at a point; the changes below never exceed it
 _KEEP_NORMAL = 0.3  # cosine: a change that turns a triangle further than this is refused

@@ -6,13 +6,10 @@ Both keep the surface closed and of its genus, so a sphere of N points always ha
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, along_edge, collapse_edge, sized_edges, split_edge, stars
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 @kernel

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import euler_number
 
+from tissue_sim.array_types import Mask
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
-
-Mask = NDArray[np.bool_]
 
 _WIDEST_HOLE = 0.75  # of the organ's depth: the radius of a hole that may be filled
 _THICKEST_CUT = 0.5  # of the organ's depth: the radius of a neck that may be cut

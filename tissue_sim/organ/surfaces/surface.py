@@ -15,6 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
+from tissue_sim.array_types import Floats, Ints, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
@@ -45,9 +46,6 @@ __all__ = [
     "wall_of_surface",
 ]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 
 _SMOOTHING = 0.8  # voxels of the mask: takes its steps away, shifts a wall of radius 20 mm by under 0.1 mm
 _MARGIN = 4  # voxels around the organ

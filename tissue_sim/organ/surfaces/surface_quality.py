@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _SAMPLES = 40_000  # on each surface
 

@@ -1,0 +1,220 @@
+"""`tissue_sim bench tick`: time of a tick, beside the same loop in C, MuJoCo flex and a precomputed compliance.
+
+Everything that is compared is measured in one run, in turns, in one process with one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tissue_sim.bench import growth
+from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
+from tissue_sim.bench.organs import PATCH_NODES, patch_load
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, noise_lines, told, with_remarks
+from tissue_sim.bench.start import Start, first_start
+from tissue_sim.bench.tick_rows import (
+    ASLEEP,
+    C_PLAIN,
+    FLEX,
+    FORCE,
+    GUARD,
+    MODAL,
+    PRODUCT,
+    SUBSTEP,
+    WHOLE,
+    make_bursts,
+    makers_of,
+)
+from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
+from tissue_sim.jit import is_compiled
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
+
+NOISE = "noise"
+
+
+class Row(NamedTuple):
+    """A line of the table: what was timed (None: skipped, and why), and a remark."""
+
+    name: str
+    timing: Timing | None
+    remark: str
+
+
+class Measured(NamedTuple):
+    """What the measuring process hands back."""
+
+    rows: list[Row]
+    noise: float  # p99 over median of a fixed loop
+    load_seconds: float  # s to the first tick with the kernels as they were found
+    compiled_before: bool
+    loop_seconds: float  # s of compiling the benchmark's own loop
+    grown: list[growth.Grown]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG")
+    parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points, no compiling")
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print the tables, write plots; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    path = Path(args.organ) if args.organ else shipped_organ(AS_BUILT)
+    organ = Organ.load(path)
+    measured = in_one_thread(measure, organ, args.quick)
+    # The kernels are on disk now.
+    starts = {"compiled": min((first_start(path, compiled=True) for _ in range(2)), key=lambda start: start.processor)}
+    if not args.quick:
+        starts["empty"] = first_start(path, compiled=False)
+    found = as_json(organ, measured, starts)
+    emit(found, text(found), args.json)
+    if args.out:
+        from tissue_sim.bench.plots import write_plots
+
+        told(write_plots(found, Path(args.out)))
+    return 1 if args.check and any(bound["met"] is False for bound in found["bounds"]) else 0
+
+
+# measuring -----------------------------------------------------------------------------------------
+
+
+def measure(organ: Organ, quick: bool) -> Measured:
+    """Time every row and the growth; meant for a process of one thread."""
+    compiled_before = is_compiled()
+    start = time.perf_counter()
+    Simulation(organ).step()
+    load_seconds = time.perf_counter() - start
+    start = time.perf_counter()
+    Ticks(Simulation(organ), *patch_load(organ, FORCE))(1)
+    loop_seconds = time.perf_counter() - start
+    bursts, remarks = make_bursts(makers_of(organ))
+    timings = interleave(Phase(bursts | {NOISE: noise_burst}, 0.3 if quick else 2.0, "ticks"))
+    noise = timings[NOISE]
+    rows = [Row(name, timings.get(name), remark) for name, remark in remarks.items()]
+    grown = growth.measure(growth.QUICK_SIZES if quick else growth.SIZES, 0.3 if quick else 2.0)
+    return Measured(rows, noise.p99 / noise.median, load_seconds, compiled_before, loop_seconds, grown)
+
+
+# results -------------------------------------------------------------------------------------------
+
+
+def bounds(measured: Measured, starts: dict[str, Start]) -> list[Bound]:
+    """Every bound with its figure."""
+    median = {row.name: row.timing.median for row in measured.rows if row.timing}
+    grown = growth.as_json(measured.grown)
+
+    def us(name: str) -> float | None:
+        return 1e6 * median[name] if name in median else None
+
+    def ratio(one: str, other: str) -> float | None:
+        return median[one] / median[other] if one in median and other in median else None
+
+    first, last = measured.grown[0].points, measured.grown[-1].points
+    return [
+        Bound("whole hybrid tick", us(WHOLE), 300.0, "us"),
+        Bound("guard, share of the whole hybrid tick", _percent(ratio(GUARD, WHOLE)), 2.0, "%"),
+        Bound("substep beside the same in C, -O3", ratio(SUBSTEP, C_PLAIN), 1.3, "x"),
+        Bound("modal tick, 19-node contact", us(MODAL), 25.0, "us"),
+        Bound("modal tick beside the compliance of that patch", ratio(MODAL, PRODUCT), 1.0, "x"),
+        Bound("asleep tick", us(ASLEEP), 3.0, "us"),
+        Bound("MuJoCo flex beside the whole hybrid tick", ratio(FLEX, WHOLE), 20.0, "x", least=True),
+        Bound(f"growth of a substep, {first} to {last} points", grown["substep_exponent"], 1.1, "power"),
+        Bound(f"modal tick at {last} beside {first} points", grown["modal_ratio"], 2.0, "x"),
+        Bound("first tick of a new process, kernels on disk", _processor(starts, "compiled"), 2.0, "s"),
+        Bound("first tick of a new process, kernels to compile", _processor(starts, "empty"), 30.0, "s"),
+    ]
+
+
+def _processor(starts: dict[str, Start], name: str) -> float | None:
+    return starts[name].processor if name in starts else None
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share
+
+
+def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[str, Any]:
+    """All figures for machines; units stand in the names."""
+    whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
+    return {
+        "benchmark": "tick",
+        "organ": organ.name,
+        "surface_points": organ.n_surface,
+        "threads": 1,
+        "patch_nodes": PATCH_NODES,
+        "force_n": FORCE,
+        "noise": measured.noise,
+        "compile": {
+            "kernels_found_on_disk": measured.compiled_before,
+            "first_tick_s": measured.load_seconds,
+            "benchmark_loop_s": measured.loop_seconds,
+        },
+        "rows": [
+            {
+                "name": row.name,
+                "median_us": 1e6 * row.timing.median if row.timing else None,
+                "p99_us": 1e6 * row.timing.p99 if row.timing else None,
+                "samples": row.timing.samples if row.timing else 0,
+                "of_whole_tick": row.timing.median / whole if row.timing and whole else None,
+                "remark": row.remark,
+            }
+            for row in measured.rows
+        ],
+        "growth": growth.as_json(measured.grown),
+        "first_start_s": {name: start._asdict() for name, start in starts.items()},
+        "bounds": [bound.as_json() for bound in bounds(measured, starts)],
+    }
+
+
+def text(found: dict[str, Any]) -> str:
+    """The tables for people."""
+    lines = [
+        f"organ '{found['organ']}', {found['surface_points']} surface points; a tick is 1 ms of simulated time;"
+        f" {1e3 * found['force_n']:g} mN on a {found['patch_nodes']}-node patch, swelling and ebbing 5 times a second",
+        "processor time of one thread; all rows measured in turns in one run",
+        "",
+    ]
+    table = [["", "median us", "p99 us", "samples", "of whole tick", ""]]
+    for row in found["rows"]:
+        if row["median_us"] is None:
+            table.append([row["name"], "-", "-", "0", "-", row["remark"]])
+            continue
+        figures = [figure(row[key]) for key in ("median_us", "p99_us")]
+        table.append([row["name"], *figures, str(row["samples"]), f"{row['of_whole_tick']:.3g}", row["remark"]])
+    lines += with_remarks(table)
+    lines += ["", *_growth_lines(found["growth"]), ""]
+    compiled = found["compile"]
+    kept = "read from disk" if compiled["kernels_found_on_disk"] else "compiled"
+    lines.append(
+        f"compile time, in no figure above: kernels {kept} in {compiled['first_tick_s']:.1f} s,"
+        f" the benchmark's own loop compiled in {compiled['benchmark_loop_s']:.1f} s"
+    )
+    for name, what in (("compiled", "on disk"), ("empty", "to compile")):
+        if name in found["first_start_s"]:
+            wall = found["first_start_s"][name]["wall"]
+            lines.append(
+                f"a new process with its kernels {what} took {wall:.1f} s to its first tick by the clock on the wall"
+            )
+    lines.append("")
+    lines += bound_lines(found["bounds"])
+    return "\n".join(lines + noise_lines(found["noise"]))
+
+
+def _growth_lines(found: dict[str, Any]) -> list[str]:
+    table = [["points", "whole us", "substeps", "us a substep", "modal us", "modal substeps", "nodes", "modes", "s"]]
+    for size in found["sizes"]:
+        row = [str(size["points"]), figure(size["whole_us"]), str(size["substeps"]), figure(size["substep_us"])]
+        row += [figure(size["modal_us"]), str(size["modal_substeps"]), str(size["modal_nodes"])]
+        table.append([*row, f"{size['modes']} by {size['modes_by']}", f"{size['modes_s']:.1f}"])
+    return [
+        *aligned(table, left=0),
+        f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
+        " shorter edges ask for more substeps; the same pressure on 19 nodes at every size",
+    ]

@@ -1,0 +1,84 @@
+"""How long a substep may be: the critical step of the assembled model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.model.assembly import Model
+from tissue_sim.model.forces import elastic_forces
+
+SAFETY = 0.9
+MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, the guard has to hold
+
+
+def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e-4) -> float:
+    """Largest angular frequency of the model about its rest shape, rad/s.
+
+    Power iteration on M^-1 K; K v is the central difference of the force kernels, so every kind
+    of spring counts without being assembled a second time.
+    """
+    n = len(model.rest)
+    root = np.sqrt(model.inverse_mass)[:, None]
+    vector = root * np.random.default_rng(0).standard_normal((n, 3))
+    length = float(np.ptp(model.rest, axis=0).max())
+    eigenvalue = 0.0
+    for _ in range(iterations):
+        norm = np.linalg.norm(vector)
+        if norm == 0.0:
+            return 0.0
+        vector /= norm
+        push = root * vector
+        small = 1e-7 * length / max(float(np.abs(push).max()), 1e-300)
+        product = -root * (_force(model, push * small) - _force(model, -push * small)) / (2.0 * small)
+        last, eigenvalue = eigenvalue, float(np.vdot(vector, product))
+        vector = product
+        if abs(eigenvalue - last) <= tolerance * abs(eigenvalue):
+            break
+    return math.sqrt(max(eigenvalue, 0.0))
+
+
+def critical_step(frequency: float, damping_ratio: float, integrator: str = "symplectic") -> float:
+    """Longest stable step, s, for angular frequency w (rad/s) and damping ratio z.
+
+    symplectic: symplectic Euler with implicit nodal damping, h = (2/w)(sqrt(1 + z^2) + z); explicit: forward Euler,
+    h = 2 z/w, none without damping, and 1/(w z) of an overdamped oscillator at most; implicit: any.
+    """
+    if integrator == "implicit" or frequency == 0.0:
+        return math.inf
+    if integrator == "symplectic":
+        return 2.0 / frequency * (math.sqrt(1.0 + damping_ratio**2) + damping_ratio)
+    if damping_ratio <= 1.0:
+        return 2.0 * damping_ratio / frequency
+    return 2.0 / frequency / (damping_ratio + math.sqrt(damping_ratio**2 - 1.0))
+
+
+def model_step(
+    model: Model,
+    frequency: float,
+    stiffness_scale: float = 1.0,
+    damping_scale: float = 1.0,
+    integrator: str = "symplectic",
+) -> float:
+    """Critical step, s, of a model with a largest frequency of rad/s and scaled stiffness and damping."""
+    scaled = frequency * math.sqrt(stiffness_scale)
+    moving = model.moving
+    if scaled == 0.0 or not len(moving):
+        return math.inf
+    least_damping = damping_scale * float((model.damping[moving] * model.inverse_mass[moving]).min())
+    return critical_step(scaled, least_damping / (2.0 * scaled), integrator)
+
+
+def substeps_for(tick_time: float, longest_step: float) -> int:
+    """Substeps in a tick of tick_time s so that each is under 0.9 of the critical step, s; 10,000 at the most."""
+    if longest_step <= SAFETY * tick_time / MOST_SUBSTEPS:
+        return MOST_SUBSTEPS
+    return max(1, math.ceil(tick_time / (SAFETY * longest_step)))
+
+
+def _force(model: Model, displacement: Floats) -> Floats:
+    force = np.zeros_like(model.rest)
+    elastic_forces(model, model.rest + displacement, force)
+    return force

@@ -1,0 +1,1 @@
+"""A haptic bridge that plays a script."""

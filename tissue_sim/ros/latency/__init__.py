@@ -1,0 +1,1 @@
+"""What `tissue_sim bench latency` runs beside the node."""

@@ -1,0 +1,154 @@
+"""Finds contact sets beside the physics loop, at a rate of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tissue_sim.contact.finder import ContactFinder, reach_margins
+from tissue_sim.model import state as st
+from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report, Trouble
+
+BUSY_WAIT, IDLE_WAIT = 0.05, 0.5  # s without a new pose or force after which it is looked whether they went stale
+
+
+class ContactWorker:
+    """A thread that turns the newest poses and surface into contact sets.
+
+    Nothing is found when no pose and no position changed; a tool that appears inside the organ
+    is held off until it has been outside.
+    """
+
+    def __init__(
+        self,
+        finder: ContactFinder,
+        physics: Physics,
+        ports: Sequence[ToolPort],
+        recorder: Callable[[], Recorder],
+        woken: threading.Event,
+        warn: Callable[[str], None],
+    ) -> None:
+        self.rate = 250.0  # Hz, may change while running
+        self.unchanged_skips = 0
+        self.dropped = 0
+        self.durations: list[float] = []
+        self._trouble = Trouble("contact search", warn)
+        self._finder, self._physics, self._ports = finder, physics, list(ports)
+        self._recorder, self._woken, self._warn = recorder, woken, warn
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
+        # The port of each body, and whether it is the port's first one.
+        self._port_of = [port for port in ports for _ in port.bodies]
+        self._is_first = [k == 0 for port in ports for k in range(len(port.bodies))]
+        n_tools = len(self._port_of)
+        self._positions = np.zeros((len(physics.simulation.model.rest), 3))
+        self._engaged = np.zeros(n_tools, dtype=np.int64)
+        self._held_off = [False] * n_tools
+        self._last_pose = np.zeros((n_tools, 7))
+        self._last_time = time.monotonic()
+        self._last_key: tuple[int, ...] = ()
+        self._last_empty = False
+        self._last_resets = physics.resets
+        self._idle = False
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        self._woken.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=0.5)
+
+    def engaged(self, tool: int) -> bool:
+        """True while a tool may touch."""
+        return bool(self._engaged[tool])
+
+    def report(self, report: Report) -> None:
+        """Add what was found, what was not looked for, and how long it took."""
+        durations = self.durations[-250:]
+        counters = self._finder.counters
+        report.values |= {
+            "contact_p99_us": 1e6 * float(np.percentile(durations, 99)) if durations else 0.0,
+            "contact_sets": counters.sets,
+            "skipped.tool_far": counters.far_skips,
+            "skipped.nothing_moved": self.unchanged_skips,
+        }
+        report.problems["dropped_contacts"] = self.dropped
+        self._trouble.report(report)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            self._woken.wait(timeout=IDLE_WAIT if self._idle else BUSY_WAIT)
+            self._woken.clear()
+            start = time.monotonic()
+            with self._trouble.noted():  # the node goes on with the last set
+                self._refresh(start)
+            rest = 1.0 / self.rate - (time.monotonic() - start)
+            if rest > 0.0:
+                time.sleep(rest)
+
+    def _refresh(self, now: float) -> None:
+        settings = self._physics.settings()
+        alive = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
+        newest = [port.newest for port in self._ports]
+        sequences = [one.sequence for one in newest for _ in one.placed]
+        poses = np.concatenate([one.placed for one in newest])
+        if self._physics.resets != self._last_resets:  # the organ has jumped back under the tools
+            self._last_resets = self._physics.resets
+            self._engaged[:] = 0
+        # While the clock stands no tool touches, so that none bears on the organ at once when it goes on.
+        standing = self._physics.standing
+        fresh = [now - port.pose_clock < alive and not standing for port in self._port_of]
+        pushed = [now - port.force_clock < alive for port in self._port_of]
+        pushing = np.logical_and(pushed, self._is_first).astype(np.int64)
+        if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
+            self.unchanged_skips += 1
+            self._idle = True
+            return
+        self._idle = False
+        key = (*sequences, self._physics.surface_sequence, *map(int, fresh), *map(int, pushing))
+        if key == self._last_key:
+            self.unchanged_skips += 1
+            return
+        self._last_key = key
+        tick = self._physics.positions(self._positions)
+        elapsed = max(now - self._last_time, 1e-4)
+        reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (self.rate * elapsed))
+        margins = np.zeros(len(poses))
+        for tool, is_fresh in enumerate(fresh):
+            if not is_fresh:
+                self._engaged[tool] = 0
+                continue
+            if not self._engaged[tool]:
+                if self._finder.is_inside(tool, self._positions, poses[tool]):
+                    if not self._held_off[tool]:
+                        name = self._port_of[tool].name
+                        self._warn(f"tool '{name}' appeared inside the organ; move it out to engage it")
+                    self._held_off[tool] = True
+                    continue
+                self._engaged[tool] = 1
+                self._held_off[tool] = False
+            else:
+                margins[tool] = reach[tool]
+        self._last_pose, self._last_time = poses, now
+        found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
+        self._trouble.succeeded()
+        empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
+        sequence = self._physics.post_contacts(found)
+        self._last_empty = empty
+        self.dropped += found.dropped
+        pairs = [int(value) for pair in zip(sequences, np.rint(1e3 * margins), strict=True) for value in pair]
+        bits = sum(int(flag) << tool for tool, flag in enumerate(pushing))
+        self._recorder().contacts(sequence, tick, found, bits, pairs)
+        self.durations.append(time.monotonic() - now)
+        if len(self.durations) > 1000:
+            del self.durations[:500]

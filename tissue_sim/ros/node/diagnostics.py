@@ -1,0 +1,105 @@
+"""What the node tells about itself once a second."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from tissue_sim.model import state as st
+from tissue_sim.ros.node.loop_timing import MOST_BEHIND, TimingReader
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
+
+MOST_LATE = 0.01  # share of late ticks; single ones come with every kernel that is not a real-time one
+DRIFT = 0.01  # of the real-time factor from 1
+
+
+class Diagnostics:
+    """Publishes the node's state on /diagnostics."""
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._clock = node.get_clock()
+        # With the namespace, if there is one: several nodes share the topic.
+        self._name = f"{node.get_fully_qualified_name().strip('/')}: physics"
+        self._hardware_id = hardware_id
+        self._last_problems: dict[str, int] = {}
+
+    def publish(self, report: Report) -> None:
+        """Publish a report: WARN with a warning or a problem that has grown since the last, ERROR with a failure."""
+        problems = report.problems
+        status = DiagnosticStatus(name=self._name, hardware_id=self._hardware_id)
+        grown = [name for name, count in problems.items() if count > self._last_problems.get(name, 0)]
+        self._last_problems = dict(problems)
+        status.level = DiagnosticStatus.OK
+        status.message = "running"
+        lines = [*report.warnings, *(["new since last second: " + ", ".join(grown)] if grown else [])]
+        if lines:
+            status.level, status.message = DiagnosticStatus.WARN, "; ".join(lines)
+        if report.failures:
+            status.level, status.message = DiagnosticStatus.ERROR, report.failures[0]
+        status.values = [KeyValue(key=key, value=_text(value)) for key, value in {**report.values, **problems}.items()]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._clock.now().to_msg()
+        self._publisher.publish(message)
+
+
+class LoopReport:
+    """Tells how the physics loop keeps time, and what it did."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
+        self._timing = TimingReader(physics.box)
+
+    def report(self, report: Report) -> None:
+        """Add the loop's times and counters since the last report."""
+        timing, (count, _) = self._timing.read(), self._physics.counts()
+        busy = np.percentile(timing.busy, [50.0, 99.0]) if timing.ticks else np.zeros(2)
+        region = "asleep" if count[st.ASLEEP] else ("whole", "frozen", "modal")[count[st.REGION]]
+        report.values |= {
+            "tick": int(count[st.TICK]),
+            "tick_rate_hz": timing.rate,
+            "realtime_priority": self._physics.priority,
+            "tick_p50_us": 1e6 * float(busy[0]),
+            "tick_p99_us": 1e6 * float(busy[1]),
+            "late_p99_us": 1e6 * float(np.percentile(timing.late, 99.0)) if timing.ticks else 0.0,
+            "overruns": timing.overruns,
+            "real_time_factor": timing.real_time_factor,
+            "behind_ms": 1e3 * timing.behind,
+            "load": timing.load,
+            "region": region,
+            "active_nodes": int(count[st.ACTIVE]),
+            "contact_count": int(count[st.TOUCHING]),
+            "substeps": int(count[st.SUBSTEPS]),
+            "frozen_ticks": int(count[st.FROZEN_TICKS]),
+            "modal_ticks": int(count[st.MODAL_TICKS]),
+            "slewed_ticks": int(count[st.SLEWED]),
+            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
+            "turned_cells": int(count[st.TURNED]),
+            "skipped.asleep": int(count[st.ASLEEP_TICKS]),
+            "skipped.small_load": int(count[st.FROZEN_TICKS] + count[st.MODAL_TICKS]),
+        }
+        report.problems |= {
+            "faults": int(count[st.FAULTS]),
+            "false_rest_shapes": int(count[st.SNAPS]),
+            "clamped_ticks": int(count[st.CLAMPED]),
+            "dropped_ticks": timing.dropped,
+        }
+        if timing.behind > MOST_BEHIND or abs(timing.real_time_factor - 1.0) > DRIFT:
+            report.warnings.append(
+                f"simulated time was {1e3 * timing.behind:.1f} ms behind,"
+                f" real-time factor {timing.real_time_factor:.3f}"
+            )
+        if timing.late_share > MOST_LATE:
+            report.warnings.append(f"{timing.late_ticks} ticks were late by more than a period")
+        if not self._physics.alive:
+            report.failures.append("the physics loop has ended")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4f}" if abs(value) < 10.0 else f"{value:.1f}"
+    return str(value)

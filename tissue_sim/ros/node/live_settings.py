@@ -1,0 +1,123 @@
+"""The simulation's settings while the node runs: what the parameters say, less what the machine is too slow for."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+
+from tissue_sim.array_types import Floats
+from tissue_sim.model import state as st
+from tissue_sim.model.coupling import passive_stiffness
+from tissue_sim.model.critical_step import SAFETY, substeps_for
+from tissue_sim.model.simulation import LONGEST_STEP, Simulation
+from tissue_sim.ros.node import degrade
+from tissue_sim.ros.shared.parameters import Parameters
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
+
+LEAST_RATE = 50.0  # Hz
+ANY_FORCE = 1e9  # N, under which every load is small
+WORTH = 0.9  # share of the substeps a second that half the rate may leave at the most, to be worth it
+
+
+class LiveSettings:
+    """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
+
+    post is told the sequence number and the settings (N_SETTINGS,) that were posted; periods gives the s between two
+    poses of each tool.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        physics: Physics,
+        parameters: Parameters,
+        post: Callable[[int, Floats], None],
+        periods: Callable[[], Sequence[float]],
+    ) -> None:
+        self._periods = periods
+        self._simulation, self._physics, self._parameters, self._post = simulation, physics, parameters, post
+        self._lock = threading.Lock()
+        self.level = degrade.NONE
+
+    def update(self, level: int | None = None) -> None:
+        """Post the settings anew if they changed; level: the new level of degradation."""
+        with self._lock:
+            self.level = self.level if level is None else level
+            settings = self._simulation.settings
+            before = settings.copy()
+            self._parameters.apply(settings)
+            settings[st.TICK_TIME] = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
+            settings[st.COUPLING_STIFFNESS] = min(
+                settings[st.COUPLING_STIFFNESS], self._passive(settings[st.TICK_TIME])
+            )
+            if self.level >= degrade.REGION and self._parameters["local_region"] == "auto":
+                settings[st.REGION_FORCE] = ANY_FORCE
+            if (settings != before).any():
+                self._simulation.set_substeps()
+                posted = settings.copy()
+                self._post(self._physics.post_settings(posted), posted)
+
+    def _passive(self, tick_time: float) -> float:
+        """Stiffest coupling, N/m, that the devices whose damping is known render passively.
+
+        A force answers the pose before the newest one, and a tick later.
+        """
+        bounds = [
+            passive_stiffness(self._parameters[f"{tool}.device_damping"], period, period + tick_time)
+            for tool, period in zip(self._parameters.tools, self._periods(), strict=True)
+        ]
+        return min(bounds, default=math.inf)
+
+    @property
+    def coupling_stiffness(self) -> float:
+        """N/m between hands and tools, as it is in use."""
+        return float(self._simulation.settings[st.COUPLING_STIFFNESS])
+
+    def describe(self) -> str:
+        """What is given up at the present level, or that nothing is."""
+        words = []
+        if self.level >= degrade.MARKERS and self._parameters["marker_rate"] > degrade.MARKER_RATE:
+            words.append(f"markers at {degrade.MARKER_RATE:g} Hz")
+        if self.level >= degrade.REGION and self._parameters["local_region"] == "auto":
+            words.append("a modal region under any load")
+        if degrade.halvings(self.level):
+            words.append(f"{1.0 / self._physics.tick_time:g} Hz")
+        return ", ".join(words) or "nothing is given up"
+
+    def report(self, report: Report) -> None:
+        """Add what is given up, and a coupling that is softer than asked for."""
+        report.values |= {
+            "degraded": degrade.name(self.level),
+            "coupling_stiffness": self.coupling_stiffness,
+        }
+        if self.level != degrade.NONE:
+            report.warnings.append(f"degraded: {self.describe()}")
+        if self.coupling_stiffness < self._parameters["coupling_stiffness"]:
+            report.warnings.append(
+                f"coupling_stiffness is {self.coupling_stiffness:.0f} N/m: more is not passive with this"
+                " device_damping and rate of poses"
+            )
+
+    @property
+    def marker_rate(self) -> float:
+        """Markers and surfaces a second, Hz."""
+        wanted = float(self._parameters["marker_rate"])
+        return min(wanted, degrade.MARKER_RATE) if self.level >= degrade.MARKERS else wanted
+
+    def helps(self, level: int) -> bool:
+        """Whether a level of degradation gives anything up that the one before didn't."""
+        if level == degrade.MARKERS:
+            return bool(self._parameters["marker_rate"] > degrade.MARKER_RATE)
+        if level == degrade.REGION:  # the other kinds of region either are as small already, or have no tables
+            return bool(self._parameters["local_region"] == "auto")
+        tick_time = 2.0 ** degrade.halvings(level) / self._parameters["rate"]
+        return tick_time * LEAST_RATE <= 1.0 and self._work(tick_time) <= WORTH * self._work(0.5 * tick_time)
+
+    def _work(self, tick_time: float) -> float:
+        """Substeps a second with ticks of so many s. Beyond one in a tick, fewer ticks leave as many substeps."""
+        longest = self._simulation.critical_step
+        if self._simulation.integrator != "implicit":
+            longest = min(longest, LONGEST_STEP / SAFETY)
+        return substeps_for(tick_time, longest) / tick_time

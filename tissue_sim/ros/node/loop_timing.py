@@ -1,0 +1,109 @@
+"""How the loop keeps time, from what it notes about every tick."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.model import mailboxes as mb
+from tissue_sim.model import state as st
+
+MOST_BEHIND = 0.005  # s that simulated and wall time may be apart before it is told
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How the loop kept time since the last look."""
+
+    ticks: int
+    seconds: float  # of wall time
+    late: Floats  # (ticks,) s that each began after it was due
+    busy: Floats  # (ticks,) s that each took
+    behind: float  # s, farthest that simulated time was behind the clock
+    late_ticks: int  # ticks that began more than a period late
+    dropped_ticks: int  # ticks that were given up
+    overruns: int  # ticks that began more than a period late, in all
+    dropped: int  # ticks given up because the loop was too far behind, in all
+    real_time_factor: float  # simulated time over that of the clock; 1 while the clock stands
+
+    @property
+    def rate(self) -> float:
+        """Ticks a second of wall time."""
+        return self.ticks / self.seconds
+
+    @property
+    def load(self) -> float:
+        """Share of the wall time that the ticks took."""
+        return float(self.busy.sum()) / self.seconds
+
+    @property
+    def late_share(self) -> float:
+        """Share of the ticks that began more than a period late."""
+        return self.late_ticks / max(self.ticks, 1)
+
+
+class TimingReader:
+    """Looks at a loop's mailboxes now and then; each reader has its own last look."""
+
+    def __init__(self, box: mb.Mailboxes) -> None:
+        self._box = box
+        self._last = self._look()
+
+    def read(self) -> Timing:
+        """Timing since the last call."""
+        control, last = self._box.control, self._last
+        due, napping = int(control[mb.DUE]), int(control[mb.NAPPING])
+        new = self._last = self._look()
+        first = max(last.ticks, new.ticks - mb.TIMING_ROWS + 64)
+        rows: Floats = self._box.timing[np.arange(first, new.ticks) % mb.TIMING_ROWS] / 1e9
+        behind = float(rows[:, 0].max(initial=0.0))
+        # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
+        if due and not new.posted and not napping:
+            behind = max(behind, 1e-9 * (new.clock - due) - self._tick_time())
+        # After a change of the clock or a jump back there is nothing to compare.
+        elapsed = new.clock - last.clock if new.posted == last.posted else 0
+        return Timing(
+            ticks=new.ticks - last.ticks,
+            seconds=max(new.wall - last.wall, 1e-9),
+            late=rows[:, 0],
+            busy=rows[:, 1],
+            behind=behind,
+            late_ticks=new.overruns - last.overruns,
+            dropped_ticks=new.dropped - last.dropped,
+            overruns=new.overruns,
+            dropped=new.dropped,
+            real_time_factor=(new.simulated - last.simulated) / elapsed if elapsed > 0 else 1.0,
+        )
+
+    def _look(self) -> _Counters:
+        control = self._box.control
+        posted = int(control[mb.SIM_TIME])
+        return _Counters(
+            wall=time.monotonic(),
+            posted=posted,
+            clock=int(control[mb.POSTED_TIME]) if posted else time.monotonic_ns(),
+            ticks=int(control[mb.LOOP_TICKS]),
+            simulated=int(control[mb.SIMULATED]),
+            overruns=int(control[mb.OVERRUNS]),
+            dropped=int(control[mb.DROPPED]),
+        )
+
+    def _tick_time(self) -> float:
+        """s, of the newest settings."""
+        return float(self._box.settings[int(self._box.settings_sequence[0]) % mb.IN_SLOTS, st.TICK_TIME])
+
+
+@dataclass(frozen=True)
+class _Counters:
+    """The loop's counters at one look."""
+
+    wall: float  # s
+    posted: int  # 1 while ticks follow a posted time
+    clock: int  # ns
+    ticks: int
+    simulated: int  # ns
+    overruns: int
+    dropped: int

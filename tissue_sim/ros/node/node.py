@@ -1,0 +1,249 @@
+"""`tissue_node`: serves one organ at a fixed rate.
+
+Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the outlet (markers,
+fading wrenches, journal, diagnostics); and the executor here, whose callbacks leave the newest
+pose and publish the newest wrench.
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+import tissue_sim
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.tools import ToolSet
+from tissue_sim.errors import UserError
+from tissue_sim.jit import is_compiled
+from tissue_sim.model import state as st
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.contact_worker import ContactWorker
+from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
+from tissue_sim.ros.node.live_settings import LiveSettings
+from tissue_sim.ros.node.namesakes import Namesakes
+from tissue_sim.ros.node.outlet import Outlet
+from tissue_sim.ros.node.presenter import Presenter
+from tissue_sim.ros.node.sim_clock import SimClock
+from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
+from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.parameters import Parameters, frames_of, tool_of, topics_of
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.priority import below, prefer
+from tissue_sim.ros.shared.report import Report, Reports
+
+NAME = "tissue_sim"
+BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
+
+
+class TissueNode(Node):
+    """The node: wires parameters, simulation, tools and topics together.
+
+    Raises UserError for a parameter or file that can't be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(NAME)
+        self.parameters = Parameters(self)
+        values = self.parameters
+        self.frame_id: str = values["frame_id"]
+        self.organ_path = Path(values["organ_file"] or shipped_organ())
+        self.organ = Organ.load(self.organ_path)
+        self._organ_bytes = self.organ_path.read_bytes()
+        tools = ToolSet([tool_of(values, name) for name in values.tools])
+        if not is_compiled():
+            self.get_logger().info("compiling the kernels, once for this machine: a minute or so")
+        self.simulation = Simulation(
+            self.organ,
+            values["model"],
+            values["rate"],
+            values["local_region"],
+            tools.shapes,
+            values["return_target"],
+            values["integrator"],
+        )
+        values.apply(self.simulation.settings)
+        self.simulation.set_substeps()
+        self.physics = Physics(self.simulation)
+        self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
+        self._woken = threading.Event()
+        self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
+        self.recorder = Recorder(
+            self.get_fully_qualified_name(), self.physics.n_tools, self._tool_topics(), self._config()
+        )
+        finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
+        self.contacts = ContactWorker(
+            finder, self.physics, self.ports, lambda: self.recorder, self._woken, self.get_logger().warning
+        )
+        self.finder = finder
+        self.presenter = Presenter(
+            self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder, tools
+        )
+        self.diagnostics = Diagnostics(self, self.organ.name)
+        self.live = LiveSettings(
+            self.simulation,
+            self.physics,
+            values,
+            lambda sequence, posted: self.recorder.settings(sequence, posted),
+            lambda: [port.period for port in self.ports],
+        )
+        self.namesakes = Namesakes(self)
+        self.sim_clock = SimClock(self, self.physics, self._on_jump_back)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetBool, "~/record", self._on_record)
+        values.changed.append(self._on_parameters)
+        self._outlet: Outlet | None = None
+        self._parts: list[Reports] = []
+
+    # life --------------------------------------------------------------------------------------
+    def start(self) -> None:
+        """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
+        self.finder.warm_up(self.organ.rest_positions)
+        self.live.update()
+        self.physics.start()
+        self._prefer(self.parameters["realtime_priority"])
+        outlet = self._outlet = Outlet(
+            self.parameters,
+            self.physics,
+            self.ports,
+            self.presenter,
+            self.live,
+            self.sim_clock,
+            lambda: self.recorder.poll(self.physics),
+            self._report,
+            self.get_logger(),
+        )
+        self._parts = [
+            LoopReport(self.physics),
+            self.sim_clock,
+            self.live,
+            self.namesakes,
+            *self.ports,
+            self.recorder,
+            self.contacts,
+            self.presenter,
+            outlet,
+        ]
+        self.contacts.rate = self.parameters["contact_rate"]
+        self.contacts.start()
+        if self.parameters["record"]:
+            self.get_logger().info(f"recording to {self._start_recording()}")
+        outlet.start()
+        organ = self.organ
+        self.get_logger().info(
+            f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
+            f" model {self.parameters['model']}, {self.simulation.rate:g} Hz,"
+            f" {int(self.simulation.settings[st.WANTED_SUBSTEPS])} substeps; tools: {', '.join(self.parameters.tools)}"
+        )
+
+    def close(self) -> None:
+        """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
+        if self._outlet is not None:
+            self._outlet.stop()
+        for port in self.ports:
+            port.publish_zero()
+        self.presenter.close()
+        self.contacts.stop()
+        path = self.recorder.stop(self.physics, BAG_PATIENCE)
+        self.physics.stop()
+        if path is not None and self.recorder.error:
+            self.get_logger().error(self.recorder.error)
+        elif path is not None:
+            lost = f", without {self.recorder.lost} messages" if self.recorder.lost else ""
+            self.get_logger().info(f"bag closed: {path}{lost}")
+
+    def _prefer(self, priority: int) -> None:
+        """The loop before all other threads, and after it the calling one, which answers poses."""
+        try:
+            self.physics.prefer(priority)
+            prefer(below(priority))
+        except OSError as error:
+            self.get_logger().warning(
+                f"realtime_priority {priority} is refused ({error.strerror}): the loop is a thread like others;"
+                " allow it with a line like '@haptics - rtprio 99' in /etc/security/limits.conf, and log in again"
+            )
+
+    # wiring ------------------------------------------------------------------------------------
+    def _port(self, index: int, name: str, tools: ToolSet) -> ToolPort:
+        values = self.parameters
+        return ToolPort(
+            self,
+            index,
+            name,
+            tools,
+            topics_of(values, name),
+            frames_of(values, name, self._lookup),
+            self.frame_id,
+            self.physics,
+            lambda: self.recorder,
+            self._woken,
+        )
+
+    def _tool_topics(self) -> dict[tuple[str, str], str]:
+        return {(port.name, topic): name for port in self.ports for topic, name in port.bag_names.items()}
+
+    def _config(self) -> dict[str, Any]:
+        return {
+            "format": bag.FORMAT,
+            "package_version": tissue_sim.__version__,
+            "node": self.get_fully_qualified_name(),
+            "organ": {"name": self.organ.name, "digest": self.organ.digest()},
+            "parameters": self.parameters.values(),
+            "tools": self.parameters.tools,
+            "topics": {f"{tool}/{topic}": name for (tool, topic), name in self._tool_topics().items()},
+        }
+
+    # services and parameters -------------------------------------------------------------------
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.physics.reset()
+        response.success, response.message = True, "the organ is back at rest"
+        return response
+
+    def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        try:
+            if request.data:
+                response.success, response.message = True, str(self._start_recording())
+            else:
+                path = self.recorder.stop(self.physics)
+                response.success = path is not None
+                response.message = str(path) if path is not None else "nothing was being recorded"
+        except UserError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _start_recording(self) -> Path:
+        newest = {}
+        for port in self.ports:
+            pose = port.newest
+            for topic, (sequence, raw) in (
+                ("measured_cp", (pose.sequence, pose.raw)),
+                ("measured_js", (pose.sequence, pose.angle)),
+                ("measured_cf", port.newest_force),
+            ):
+                if raw:
+                    newest[port.bag_names[topic]] = (sequence, raw)
+        folder = Path(self.parameters["record_folder"]).absolute()
+        return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest)
+
+    def _on_parameters(self, _: set[str]) -> None:
+        self.contacts.rate = self.parameters["contact_rate"]
+        self.live.update()
+
+    def _on_jump_back(self) -> None:
+        for port in self.ports:
+            port.forget_stamps()
+
+    def _report(self) -> None:
+        if self.parameters["coupling_stiffness"] > 0.0:
+            self.live.update()  # poses may come at another rate now
+        report = Report()
+        for part in self._parts:
+            part.report(report)
+        self.diagnostics.publish(report)

@@ -1,0 +1,138 @@
+"""What leaves the node at rates of its own: fading wrenches, markers, diagnostics; in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from tissue_sim.ros.node import degrade
+from tissue_sim.ros.node.live_settings import LiveSettings
+from tissue_sim.ros.node.loop_timing import TimingReader
+from tissue_sim.ros.node.presenter import Presenter
+from tissue_sim.ros.node.sim_clock import SimClock
+from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.parameters import Values
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report, Trouble
+
+SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
+IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
+REPORT_EVERY = 1.0  # s
+
+
+class Logger(Protocol):
+    """What takes lines for people."""
+
+    def info(self, message: str) -> Any:
+        """Something that happens."""
+
+    def warning(self, message: str) -> Any:
+        """Something to look after."""
+
+
+class Outlet:
+    """Fading wrenches at the tick rate, markers at their rate, journal; four looks a second at whether the machine
+    keeps up, and a report every second.
+
+    Where one of them fails, the others go on: no force is left standing because a picture could not be sent.
+    """
+
+    def __init__(
+        self,
+        values: Values,
+        physics: Physics,
+        ports: Sequence[ToolPort],
+        presenter: Presenter,
+        live: LiveSettings,
+        sim_clock: SimClock,
+        poll_bag: Callable[[], None],
+        tell: Callable[[], None],
+        logger: Logger,
+    ) -> None:
+        self._values, self._physics, self._ports = values, physics, list(ports)
+        self._presenter, self._live, self._sim_clock = presenter, live, sim_clock
+        self._poll_bag, self._tell, self._logger = poll_bag, tell, logger
+        self._trouble = Trouble("outlet", logger.warning)
+        self._load = TimingReader(physics.box)
+        self._ladder = degrade.Ladder()
+        self._seen: tuple[int, ...] = ()
+        self._next_marker = self._next_look = self._next_report = 0.0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="outlet", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=0.3)
+
+    def report(self, report: Report) -> None:
+        """Add what failed here."""
+        self._trouble.report(report)
+
+    def _run(self) -> None:
+        self._next_marker = self._next_look = self._next_report = time.monotonic()
+        while not self._stop.is_set():
+            if (wait := self._turn()) > 0.0:
+                self._stop.wait(wait)
+
+    def _turn(self) -> float:
+        """Do what is due; returns the s until something is."""
+        noted, fading = self._trouble.noted, False
+        for port in self._ports:
+            with noted():
+                fading |= port.keep_publishing(SILENCE)
+        now = time.monotonic()
+        if now >= self._next_marker:
+            self._next_marker = max(self._next_marker + 1.0 / self._marker_rate(), now)
+            with noted():
+                self._presenter.present(self._values["record_markers"], self._values["marker_colour"])
+            with noted():
+                self._presenter.present_tools()
+            with noted():
+                self._poll_bag()
+        if now >= self._next_look:
+            self._next_look = max(self._next_look + degrade.LOOK_EVERY, now)
+            with noted():
+                self._look(now)
+        if now >= self._next_report:
+            self._next_report = max(self._next_report + REPORT_EVERY, now)
+            with noted():
+                self._tell()
+                self._trouble.succeeded()  # unless it goes on failing
+        wait = min(self._next_marker, self._next_look) - time.monotonic()
+        return min(wait, self._physics.tick_time) if fading else wait
+
+    def _marker_rate(self) -> float:
+        """Nothing moves in an organ that sleeps, but somebody may have come to look."""
+        before, self._seen = self._seen, (self._physics.surface_sequence, *(port.poses for port in self._ports))
+        rate = self._live.marker_rate
+        return rate if self._seen != before else min(rate, IDLE_MARKER_RATE)
+
+    def _look(self, now: float) -> None:
+        """Whether the clock stands, and whether the machine keeps up."""
+        self._sim_clock.watch()
+        timing, ladder = self._load.read(), self._ladder
+        was_stuck = ladder.stuck
+        look = degrade.Look(timing.load, timing.late_share, timing.dropped_ticks)
+        if ladder.look(now, look, self._live.helps):
+            # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
+            threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
+        elif ladder.stuck and not was_stuck:
+            self._logger.warning("the machine is too slow, and there is nothing left to give up: time is lost")
+
+    def _degrade(self, level: int, why: str) -> None:
+        """Go to another level of degradation, and say so."""
+        worse = level > self._live.level
+        self._live.update(level)
+        line = f"{self._live.describe()} ({why})"
+        if worse:
+            self._logger.warning(f"the machine is too slow: {line}")
+        else:
+            self._logger.info(f"the machine keeps up again: {line}")

@@ -1,0 +1,74 @@
+"""Ticks that follow /clock when use_sim_time is set; parameter and subscription are rclpy's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.clock import ClockChange, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
+
+NANOSECOND = Duration(nanoseconds=1)
+
+
+class SimClock:
+    """Hands every time of /clock to the loop. Without a clock there is no tick; a jump back resets the organ.
+
+    jumped_back is called before the organ goes back to rest.
+    """
+
+    def __init__(self, node: Node, physics: Physics, jumped_back: Callable[[], None]) -> None:
+        self._clock, self._log = node.get_clock(), node.get_logger()
+        self._physics, self._jumped_back = physics, jumped_back
+        self._active = self._waiting = self._stood = False
+        threshold = JumpThreshold(min_forward=NANOSECOND, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
+        self._handle = self._clock.create_jump_callback(threshold, post_callback=self._on_jump)
+        self._follow(bool(node.get_parameter("use_sim_time").value))
+
+    def state(self) -> str:
+        """wall, /clock, or why nothing ticks: no /clock yet, /clock stands."""
+        if not self._active:
+            return "wall"
+        if self._waiting:
+            return "no /clock yet"
+        return "/clock stands" if self._physics.standing else "/clock"
+
+    def report(self, report: Report) -> None:
+        """Add the state."""
+        report.values["clock"] = self.state()
+
+    def watch(self) -> None:
+        """Say once when the clock stands, and when it goes on; call it often."""
+        stands = self._active and not self._waiting and self._physics.standing
+        if stands and not self._stood:
+            self._log.info("/clock stands: no ticks, and no forces until it goes on")
+        self._stood = stands
+
+    def _on_jump(self, jump: TimeJump) -> None:
+        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
+            self._follow(jump.clock_change == ClockChange.ROS_TIME_ACTIVATED)
+            return
+        if not self._active:
+            return
+        if self._waiting:
+            self._waiting = False
+            self._log.info("ticks follow /clock")
+        elif jump.delta.nanoseconds < 0:
+            self._log.warning(
+                f"/clock jumped back by {-1e-9 * jump.delta.nanoseconds:.3f} s: the organ is back at rest"
+            )
+            self._jumped_back()
+            self._physics.reset()
+        self._physics.post_time(self._clock.now().nanoseconds)
+
+    def _follow(self, active: bool) -> None:
+        self._active = active
+        time = self._clock.now().nanoseconds if active else 0
+        self._waiting = active and time == 0
+        if self._waiting:
+            self._log.info("use_sim_time is set: waiting for /clock before the first tick")
+        self._physics.post_time(time)
+        self._physics.follow_posted_time(active)

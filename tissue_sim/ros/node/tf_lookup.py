@@ -1,0 +1,57 @@
+"""Frames looked up in tf, where tf2_ros is installed (apt)."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.time import Time
+
+from tissue_sim.ros.shared.frames import Transform, UnknownFrame
+
+try:
+    import tf2_ros
+except ImportError:  # the PyPI wheels have none
+    tf2_ros = None
+
+KEPT = 0.01  # s that an answer is used again; tf is published less often
+
+
+def tf_installed() -> bool:
+    """True where frames can be looked up."""
+    return tf2_ros is not None
+
+
+class TfLookup:
+    """Looks up frames against one target. Listens to /tf only after the first question, since that costs time.
+
+    Call it from the executor's thread alone.
+    """
+
+    def __init__(self, node: Node, target: str) -> None:
+        self._node, self.target = node, target
+        self._buffer: Any = None
+        self._listener: Any = None
+        self._answers: dict[str, tuple[float, Transform]] = {}
+
+    def __call__(self, frame_id: str) -> Transform:
+        """The newest transform from a frame to the target; raises UnknownFrame with tf's reason."""
+        now = time.monotonic()
+        asked, answer = self._answers.get(frame_id, (-KEPT, None))
+        if answer is not None and now - asked < KEPT:
+            return answer
+        if self._buffer is None:
+            self._buffer = tf2_ros.Buffer()
+            self._listener = tf2_ros.TransformListener(self._buffer, self._node)
+        try:
+            found = self._buffer.lookup_transform(self.target, frame_id, Time()).transform
+        except tf2_ros.TransformException as error:
+            raise UnknownFrame(f"tf leads from none of that name to '{self.target}' ({error})") from None
+        offset, turn = found.translation, found.rotation
+        try:
+            answer = Transform.of_pose((offset.x, offset.y, offset.z, turn.x, turn.y, turn.z, turn.w))
+        except ValueError as error:
+            raise UnknownFrame(f"tf's transform to '{self.target}' {error}") from None
+        self._answers[frame_id] = (now, answer)
+        return answer

@@ -1,0 +1,1 @@
+"""What the node and the programs beside it share."""

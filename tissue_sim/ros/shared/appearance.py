@@ -1,0 +1,38 @@
+"""What the organ's colours mean, for markers and viewer alike."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Colour = tuple[int, int, int]
+
+TISSUE: Colour = (146, 52, 46)
+# Where the surface has moved by more than so many mm, it has this colour.
+BANDS: tuple[tuple[float, Colour], ...] = (
+    (0.5, (176, 66, 48)),
+    (1.0, (201, 86, 48)),
+    (2.0, (222, 110, 49)),
+    (3.0, (237, 138, 54)),
+    (4.0, (246, 168, 66)),
+    (6.0, (250, 198, 88)),
+    (8.0, (252, 224, 122)),
+    (10.0, (255, 244, 178)),
+)
+MARKER_COLOURS = ("none", "displacement", "force", "region")
+FULL_DISPLACEMENT = 1e-3 * BANDS[-1][0]  # m with the last colour
+FULL_FORCE = 0.1  # N on a node with the last colour
+MOVING = 0.4  # share of the scale for a node that the last tick moved
+
+_AT = np.array([0.0, *(level for level, _ in BANDS)]) / BANDS[-1][0]
+_N_SHADES = 256
+
+
+def _shades() -> NDArray[np.float32]:
+    ramp = np.linspace(0.0, 1.0, _N_SHADES)
+    colours = np.array([TISSUE, *(colour for _, colour in BANDS)]) / 255.0
+    channels = [np.interp(ramp, _AT, channel) for channel in colours.T]
+    return np.stack([*channels, np.ones(_N_SHADES)], axis=1).astype(np.float32)
+
+
+SHADES = _shades()  # (256, 4) red, green, blue, alpha along the scale

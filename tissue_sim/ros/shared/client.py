@@ -1,0 +1,184 @@
+"""What the programs beside the node share: arguments, signals, a rclpy node that is polled, messages as arrays."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.ros.shared.dds import use_shipped_profile
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+    from rclpy.subscription import Subscription
+
+WANTED = "wanted: letters, digits and _, not beginning with a digit"
+
+
+# arguments -------------------------------------------------------------------------------------
+def number(low: float, high: float, unit: str) -> Callable[[str], float]:
+    """An argparse type: a number within bounds."""
+
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"'{text}' is no number ({unit})") from None
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is outside {low:g}..{high:g} {unit}")
+        return value
+
+    return convert
+
+
+def port_number(text: str) -> int:
+    """An argparse type: a TCP port."""
+    if not text.isdecimal() or not 1 <= int(text) <= 65535:
+        raise argparse.ArgumentTypeError(f"'{text}' is no port; choose one in 1..65535")
+    return int(text)
+
+
+def names(text: str) -> tuple[str, ...]:
+    """An argparse type: names of tools, separated by commas."""
+    found = tuple(word.strip() for word in text.split(","))
+    for name in found:
+        if not (name.isidentifier() and name.isascii()) or found.count(name) > 1:
+            raise argparse.ArgumentTypeError(f"'{name}' in '{text}' is no name of its own ({WANTED})")
+    return found
+
+
+def node_name(text: str) -> str:
+    """An argparse type: a node's name, with its namespace if it has one."""
+    for part in text.strip("/").split("/"):
+        if not (part.isidentifier() and part.isascii()):
+            raise argparse.ArgumentTypeError(f"'{text}' is no name of a node ({WANTED})")
+    return text.strip("/")
+
+
+# signals ---------------------------------------------------------------------------------------
+class Stop:
+    """True after SIGINT, SIGTERM or SIGHUP, while entered as a context in the main thread; polled."""
+
+    def __init__(self) -> None:
+        # A plain attribute: an Event's lock could be held by the very thread that the handler interrupts.
+        self._asked = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Stop:
+        for asked_by in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self._before[asked_by] = signal.signal(asked_by, self._ask)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for asked_by, handler in self._before.items():
+            signal.signal(asked_by, handler)
+
+    def _ask(self, *_: Any) -> None:
+        self._asked = True
+
+    def __bool__(self) -> bool:
+        return self._asked
+
+
+# ROS -------------------------------------------------------------------------------------------
+@contextmanager
+def client_node(name: str, target: str) -> Iterator[Node]:
+    """A node of its own beside the node `target`, in the same namespace; rclpy is running meanwhile."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    use_shipped_profile()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(
+            name,
+            namespace="/" + target.rpartition("/")[0],
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def stream_qos() -> QoSProfile:
+    """Of poses, wrenches and surfaces."""
+    from tissue_sim.ros.shared.qos import STREAM
+
+    return STREAM
+
+
+def latched_qos() -> QoSProfile:
+    """Of mesh and markers."""
+    from tissue_sim.ros.shared.qos import LATCHED
+
+    return LATCHED
+
+
+class Inbox:
+    """The newest message of a topic, fetched when asked for.
+
+    No callback runs for the messages in between: a 1 kHz stream costs what its reader's rate costs.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile, raw: bool = False) -> None:
+        self._node = node
+        self._subscription: Subscription = node.create_subscription(kind, topic, _unused, qos, raw=raw)
+
+    def take(self) -> Any:
+        """The newest message since the last call (bytes when raw), or None."""
+        return next(reversed(self.take_all()), None)
+
+    def take_all(self) -> list[Any]:
+        """The messages since the last call that the topic's depth has kept, oldest first."""
+        messages, subscription = [], self._subscription
+        with subscription.handle:
+            while (found := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                messages.append(found[0])
+        return messages
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._node.destroy_subscription(self._subscription)
+
+
+def _unused(_: Any) -> None:
+    """Never called: nothing spins the node."""
+
+
+# messages --------------------------------------------------------------------------------------
+def mesh_arrays(message: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (n, 3) m and triangles (t, 3) of a shape_msgs/Mesh."""
+    vertices = np.array([(p.x, p.y, p.z) for p in message.vertices], dtype=np.float64).reshape(-1, 3)
+    triangles = np.array([t.vertex_indices for t in message.triangles], dtype=np.int64).reshape(-1, 3)
+    return vertices, triangles
+
+
+def cloud_array(message: Any) -> NDArray[np.float32]:
+    """Columns (n, k) of a PointCloud2 that holds nothing but little-endian float32."""
+    return np.frombuffer(message.data, dtype="<f4").reshape(-1, message.point_step // 4)
+
+
+def newest_status(reports: Sequence[Any], target: str) -> Any:
+    """A node's newest physics DiagnosticStatus in DiagnosticArrays, or None when it isn't in there."""
+    name = f"{target.strip('/')}: physics"
+    for report in reversed(reports):
+        for status in report.status:
+            if status.name == name:
+                return status
+    return None
+
+
+def physics_status(reports: Sequence[Any], target: str) -> dict[str, str] | None:
+    """Values of a node's newest physics status in DiagnosticArrays, or None when it isn't in there."""
+    status = newest_status(reports, target)
+    return None if status is None else {item.key: item.value for item in status.values}

@@ -1,0 +1,76 @@
+"""Messages as bytes: typed once as a template, then patched in place and published as they are."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+from shape_msgs.msg import Mesh, MeshTriangle
+
+from tissue_sim.array_types import Floats
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.shared.cdr import CDR_HEADER
+
+
+class NumbersTemplate:
+    """A message that ends in doubles, ready to be patched: a wrench or a pose, with or without a header.
+
+    message: a PoseStamped, WrenchStamped, Wrench or Float64MultiArray (empty layout), its numbers to be replaced.
+    """
+
+    def __init__(self, message: Any, n_numbers: int, frame_id: str = "") -> None:
+        self._stamped = hasattr(message, "header")
+        if self._stamped:
+            message.header.frame_id = frame_id
+        self._bytes = bytearray(serialize_message(message))
+        self._n = n_numbers
+        self._body = len(self._bytes) - 8 * n_numbers
+
+    def message(self, stamp: int, numbers: Sequence[float] | Floats) -> bytes:
+        """The message with a stamp in ns, if it has one, and as many of the numbers as it holds; the rest are zero."""
+        if self._stamped:
+            struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        n = min(self._n, len(numbers))
+        struct.pack_into(f"<{n}d", self._bytes, self._body, *numbers[:n])
+        return bytes(self._bytes)
+
+
+class CloudTemplate:
+    """A PointCloud2 of float32 columns, ready to be patched."""
+
+    def __init__(self, frame_id: str, n_points: int, columns: tuple[str, ...]) -> None:
+        message = PointCloud2()
+        message.header.frame_id = frame_id
+        message.height, message.width = 1, n_points
+        message.fields = [
+            PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+            for index, name in enumerate(columns)
+        ]
+        message.point_step = 4 * len(columns)
+        message.row_step = message.point_step * n_points
+        message.is_dense = True
+        block = np.zeros((n_points, len(columns)), dtype="<f4")
+        block.reshape(-1)[:1] = 1.2345e30
+        message.data = block.tobytes()
+        self._bytes = bytearray(serialize_message(message))
+        start = self._bytes.find(block.tobytes())
+        self.points = np.frombuffer(self._bytes, dtype="<f4", offset=start, count=block.size).reshape(block.shape)
+
+    def message(self, stamp: int) -> bytes:
+        """The message as `points` stand, with a stamp in ns."""
+        struct.pack_into("<iI", self._bytes, CDR_HEADER, stamp // 1_000_000_000, stamp % 1_000_000_000)
+        return bytes(self._bytes)
+
+
+def rest_mesh(organ: Organ) -> bytes:
+    """The rest surface as a shape_msgs/Mesh."""
+    message = Mesh(
+        triangles=[MeshTriangle(vertex_indices=row) for row in organ.surface_triangles.astype(np.uint32)],
+        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in organ.surface_positions],
+    )
+    return bytes(serialize_message(message))

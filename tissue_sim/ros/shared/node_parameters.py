@@ -1,0 +1,70 @@
+"""What a running node's parameters say, for the programs beside it; asked for without waiting."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import parameter_value_to_python
+
+from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+
+NODE_NAMES = ("tools", *(spec.name for spec in NODE_SPECS))
+ASK_AGAIN = 1.0  # s: a server drops the answer to a client that it has not wholly found yet
+
+
+class NodeParameters:
+    """Reads the parameters of the node `target` and of its tools.
+
+    It has a node of its own, for an executor that takes up nothing but the answers.
+    """
+
+    def __init__(self, target: str) -> None:
+        self._node = rclpy.create_node("parameter_reader", enable_rosout=False, start_parameter_services=False)
+        self._client = self._node.create_client(GetParameters, f"/{target}/get_parameters")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._values: dict[str, Any] = {}
+        self._to_ask: list[Sequence[str]] = []
+        self._pending: Any = None
+        self._asked = 0.0  # monotonic s
+        self.ask()
+
+    def ask(self) -> None:
+        """Read all of them anew."""
+        self._values, self._to_ask = {}, [NODE_NAMES]
+        self._forget()
+
+    def poll(self) -> dict[str, Any] | None:
+        """All of them by name, once they have come after `ask`; until then, and after that, None."""
+        if not self._to_ask:
+            return None
+        if self._pending is not None:
+            self._executor.spin_once(timeout_sec=0.0)
+            if self._pending.done():
+                self._take(self._to_ask.pop(0), self._pending.result().values)
+                self._pending = None
+                if not self._to_ask:
+                    return self._values
+        if self._pending is None or time.monotonic() - self._asked > ASK_AGAIN:
+            self._forget()
+            if self._client.service_is_ready():
+                self._pending = self._client.call_async(GetParameters.Request(names=self._to_ask[0]))
+                self._asked = time.monotonic()
+        return None
+
+    def _take(self, names: Sequence[str], values: Sequence[Any]) -> None:
+        # A node that lacks one of them tells none: then nothing is known of it.
+        found = dict(zip(names, map(parameter_value_to_python, values), strict=False))
+        self._values |= found
+        if names is NODE_NAMES:
+            self._to_ask += [[f"{tool}.{spec.name}" for spec in TOOL_SPECS] for tool in found.get("tools", ())]
+
+    def _forget(self) -> None:
+        if self._pending is not None:
+            self._client.remove_pending_request(self._pending)
+            self._pending = None

@@ -1,0 +1,275 @@
+"""The node's parameters: descriptor, range and unit of each, and which may change while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.tools import SHAPE_NAMES, Tool
+from tissue_sim.errors import UserError
+from tissue_sim.model import state as st
+from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
+from tissue_sim.model.integrators import INTEGRATORS
+from tissue_sim.model.simulation import LOCAL_REGIONS
+from tissue_sim.ros.shared.appearance import MARKER_COLOURS
+from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform, unit_quaternion
+from tissue_sim.ros.shared.priority import HIGHEST
+from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
+from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter. `setting` is the entry of the simulation's settings that it changes, if any."""
+
+    name: str
+    default: Any
+    text: str
+    low: float | None = None
+    high: float | None = None
+    live: bool = False
+    choices: tuple[str, ...] = ()
+    setting: int | None = None
+    check: Callable[[Any], object] | None = None  # raises ValueError with the reason
+
+
+def _check_pose(value: Any) -> None:
+    Transform.of_pose(value)
+
+
+NODE_SPECS = (
+    Spec("organ_file", "", "organ file (.npz); empty for the kidney that ships"),
+    Spec("frame_id", "organ", "frame of the organ and of everything published"),
+    Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
+    Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
+    Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
+    Spec(
+        "realtime_priority",
+        0,
+        "of the loop's thread, SCHED_FIFO, one less for the one that answers poses; 0: as every thread",
+        0,
+        HIGHEST,
+    ),
+    Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
+    Spec("marker_colour", "none", "what colours the markers", live=True, choices=MARKER_COLOURS),
+    Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
+    Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
+    Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
+    Spec("return_target", "rest", "where return springs pull to", choices=RETURN_TARGETS),
+    Spec("local_region", "off", "what moves under a small load", choices=LOCAL_REGIONS),
+    Spec("region_force", 0.3, "N above which the local region is skipped", 0.0, 100.0, True, setting=st.REGION_FORCE),
+    Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting=st.FRICTION),
+    Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting=st.FORCE_CLAMP),
+    Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting=st.FORCE_SLEW),
+    Spec(
+        "coupling_stiffness",
+        0.0,
+        "N/m between hand and tool, no more than each device_damping bears; 0: the tool is where the hand is",
+        0.0,
+        2e4,
+        True,
+        setting=st.COUPLING_STIFFNESS,
+    ),
+    Spec("coupling_damping", 1.0, "N s/m on a coupled tool", 0.1, 100.0, True, setting=st.COUPLING_DAMPING),
+    Spec("stale_time", 0.05, "s without input after which it is stale", 0.005, 5.0, True, setting=st.STALE_TIME),
+    Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting=st.RAMP_TIME),
+    Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting=st.STIFFNESS_SCALE),
+    Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting=st.DAMPING_SCALE),
+    Spec("record", False, "record a bag from the start"),
+    Spec("record_folder", "recordings", "folder in which bags are made", live=True),
+    Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
+)
+
+TOOL_SPECS = (
+    Spec("shape", "sphere", "shape of the tool; its origin is the tip", choices=SHAPE_NAMES),
+    Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
+    Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
+    Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
+    Spec("device_damping", 0.0, "N s/m of the haptic device, which bounds the coupling; 0: unknown", 0.0, 100.0, True),
+    Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
+    Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
+    Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
+    Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
+    Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
+    Spec("pose_type", "PoseStamped", "message type of measured_cp", choices=tuple(POSE_TYPES)),
+    Spec("force_type", "WrenchStamped", "message type of measured_cf", choices=tuple(FORCE_TYPES)),
+    Spec("wrench_type", "WrenchStamped", "message type of servo_cf", choices=tuple(WRENCH_TYPES)),
+    Spec("array_length", 3, "numbers in a Float64MultiArray: 3 forces, then up to 3 torques, then a zero", 3, 7),
+    Spec("base_pose", list(IDENTITY), "its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
+    Spec("motion_scale", 1.0, "m of the tool for one m of the hand; forces are not scaled", 0.01, 1.0),
+    Spec("wrench_frame", "base", "axes of servo_cf: those of its poses' frame, or its own", choices=WRENCH_FRAMES),
+    Spec(
+        "wrench_rotation",
+        [0.0, 0.0, 0.0, 1.0],
+        "quaternion of the wrench's axes in wrench_frame, for a bridge that turns its poses",
+        check=unit_quaternion,
+    ),
+    Spec("reliable", False, "reliable instead of best effort for this tool's topics"),
+)
+
+
+class Values(Protocol):
+    """Parameters by name: a node's own, or a dictionary of those that another node has told."""
+
+    def __getitem__(self, name: str, /) -> Any:
+        """The value of a parameter."""
+
+
+def tool_of(values: Values, name: str) -> Tool:
+    """The tool of a name as its parameters describe it."""
+    get = {key: values[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh")}
+    return Tool(name, **get)
+
+
+def usual_topics(tool: str) -> dict[str, str]:
+    """The names of a tool's topics where its parameters give none, by the topics of TOOL_TOPICS and measured_js."""
+    return {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS} | {"measured_js": f"{tool}/gripper/measured_js"}
+
+
+def topics_of(values: Values, tool: str) -> ToolTopics:
+    """How the bridge of a tool speaks."""
+    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
+    return ToolTopics(
+        names={topic: values[f"{tool}.{topic}"] or usual for topic, usual in usual_topics(tool).items()},
+        frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
+        wrench_rotation=unit_quaternion(values[f"{tool}.wrench_rotation"]),
+        **{word: values[f"{tool}.{word}"] for word in words},
+    )
+
+
+def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
+    """The frames that a tool's poses may come in; lookup leads others to the node's `tf_target`, None without tf."""
+    organ_id, base_id = values["frame_id"], values["base_frame"]
+    to_organ = Transform.of_pose(values["organ_pose"]).inverse()
+    known = {organ_id: Transform()}
+    if base_id:
+        known[base_id] = to_organ
+    known[values[f"{tool}.frame_id"] or organ_id] = to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"]))
+    if lookup is None:
+        return Frames(known, values[f"{tool}.motion_scale"])
+    # Without a name for the base, tf itself knows where the organ is.
+    led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
+    return Frames(known, values[f"{tool}.motion_scale"], led)
+
+
+class Parameters:
+    """Declares the parameters on a node and reads them.
+
+    Raises UserError naming the parameter when a value is out of range or of the wrong type.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._specs: dict[str, Spec] = {}
+        self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
+        for spec in NODE_SPECS:
+            self._declare(spec.name, spec)
+        self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))
+        self.tools: list[str] = list(self["tools"])
+        for tool in self.tools:
+            if not tool.isidentifier() or self.tools.count(tool) > 1:
+                raise UserError(f"parameter 'tools': '{tool}' is no name of its own; use letters, digits and _")
+            for spec in TOOL_SPECS:
+                self._declare(f"{tool}.{spec.name}", spec)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._tell)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._node.get_parameter(name).value
+
+    @property
+    def tf_target(self) -> str:
+        """The frame that other frames are looked up against."""
+        return self["base_frame"] or self["frame_id"]
+
+    def apply(self, settings: Floats) -> None:
+        """Write the parameters that are settings of the simulation."""
+        for spec in NODE_SPECS:
+            if spec.setting is not None:
+                settings[spec.setting] = self[spec.name]
+
+    def values(self) -> dict[str, Any]:
+        """All parameters by name, as plain values."""
+        return {name: _plain(self[name]) for name in self._specs}
+
+    # inside ------------------------------------------------------------------------------------
+    def _declare(self, name: str, spec: Spec) -> None:
+        descriptor = ParameterDescriptor(description=spec.text)
+        if spec.choices:
+            descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
+        if spec.low is not None and spec.high is not None:
+            if isinstance(spec.default, int):
+                bounds = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
+                descriptor.integer_range = [bounds]
+            else:
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=spec.low, to_value=spec.high, step=0.0)
+                ]
+        descriptor.dynamic_typing = False
+        self._specs[name] = spec
+        try:
+            self._node.declare_parameter(name, spec.default, descriptor)
+        except InvalidParameterTypeException:
+            kind = type(spec.default).__name__
+            if kind == "list":
+                kind = f"list like {spec.default}"
+            raise UserError(f"parameter '{name}' is of the wrong type; it takes a {kind}: {spec.text}") from None
+        except InvalidParameterValueException:
+            given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
+            value = given.value if given is not None else "its value"
+            raise UserError(
+                f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})"
+            ) from None
+        if problem := _problem(name, spec, self[name]):
+            raise UserError(problem)
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Accept live parameters in range; refuse others with the reason."""
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None:
+                continue
+            if not spec.live:
+                reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
+                return SetParametersResult(successful=False, reason=reason)
+            if problem := _problem(parameter.name, spec, parameter.value):
+                return SetParametersResult(successful=False, reason=problem)
+        return SetParametersResult(successful=True)
+
+    def _tell(self, parameters: list[Parameter]) -> None:
+        """After a change that nobody refused."""
+        names = {parameter.name for parameter in parameters} & set(self._specs)
+        for call in self.changed if names else []:
+            call(names)
+
+
+def _problem(name: str, spec: Spec, value: Any) -> str:
+    if spec.choices and value not in spec.choices:
+        return f"parameter '{name}': '{value}' is unknown; choose one of {', '.join(spec.choices)}"
+    if spec.low is not None and spec.high is not None:
+        if not np.isfinite(value) or not spec.low <= value <= spec.high:
+            return f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})"
+    if spec.check is not None:
+        try:
+            spec.check(value)
+        except ValueError as error:
+            return f"parameter '{name}' {error}"
+    return ""
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    return list(value) if isinstance(value, (list, tuple)) else value
+
+
+SETTING_OF = {spec.name: spec.setting for spec in NODE_SPECS if spec.setting is not None}

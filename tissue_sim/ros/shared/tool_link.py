@@ -1,0 +1,72 @@
+"""How a tool of a running node is spoken to, by that node's parameters: its topics, its frame, its shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.qos import QoSProfile
+
+from tissue_sim.contact.tools import Tool
+from tissue_sim.ros.shared.frames import Transform
+from tissue_sim.ros.shared.messages import NumbersTemplate
+from tissue_sim.ros.shared.parameters import frames_of, tool_of, topics_of, usual_topics
+from tissue_sim.ros.shared.qos import RELIABLE, STREAM
+from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
+
+
+@dataclass(frozen=True)
+class ToolLink:
+    """What a program beside the node needs to move a tool as its bridge would.
+
+    topics: names as the node resolves them, types, QoS; to_organ: from the frame that poses are sent in to the organ's;
+    tool: its shape.
+    """
+
+    topics: ToolTopics
+    to_organ: Transform
+    tool: Tool
+
+    @classmethod
+    def by_default(cls, name: str, frame_id: str) -> ToolLink:
+        """For a tool whose parameters nobody tells: poses in the organ's frame, on the usual topics."""
+        return cls(ToolTopics(usual_topics(name), frame_id), Transform(), Tool(name))
+
+    @classmethod
+    def told(cls, values: Mapping[str, Any], name: str, target: str) -> ToolLink | None:
+        """By the parameters of the node `target`; None when it has no tool of that name."""
+        if name not in values.get("tools", ()):
+            return None
+        topics = topics_of(values, name)
+        for topic, given in topics.names.items():
+            if given.startswith("~"):  # below the node's own name, not below the asker's
+                topics.names[topic] = f"/{target}{given[1:]}"
+        return cls(topics, frames_of(values, name, None).to_organ(topics.frame_id), tool_of(values, name))
+
+    @property
+    def qos(self) -> QoSProfile:
+        """What the node's subscriptions match."""
+        return RELIABLE if self.topics.reliable else STREAM
+
+    @property
+    def pose_type(self) -> type:
+        """The message class of its poses."""
+        return POSE_TYPES[self.topics.pose_type].message
+
+
+class PoseWriter:
+    """Bytes of a tool's poses, of the type and in the frame that a link names."""
+
+    def __init__(self, link: ToolLink) -> None:
+        message, kind = link.pose_type(), POSE_TYPES[link.topics.pose_type]
+        if hasattr(message, "child_frame_id"):
+            message.child_frame_id = link.tool.name
+        self._template = NumbersTemplate(message, kind.n_numbers, link.topics.frame_id)
+        self._scale = link.to_organ.scale
+        self._from_organ = link.to_organ.scaled(1.0).inverse()
+
+    def message(self, stamp: int, pose: Sequence[float]) -> bytes:
+        """A pose (7,) in the organ's frame, m and quaternion xyzw, as its message with a stamp in ns."""
+        x, y, z, *turn = self._from_organ.of(pose)
+        return self._template.message(stamp, (x / self._scale, y / self._scale, z / self._scale, *turn))

@@ -1,0 +1,1 @@
+"""A running node in the browser, and a tool to poke it with."""

@@ -1,0 +1,77 @@
+"""The slider that opens and closes a gripper's jaws from the browser."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import viser
+from rclpy.node import Node
+
+from tissue_sim.ros.shared.tool_link import ToolLink
+from tissue_sim.ros.viewer.held_jaws import HeldJaws
+from tissue_sim.ros.viewer.scene import ToolView
+
+WIDEST = 90.0  # degrees
+STEP = 0.5  # degrees
+UNTOUCHED = 1.0  # s after which the slider shows again what the jaws do
+
+
+class JawSlider:
+    """Opening angle of a tool's jaws in degrees; not shown for a tool without.
+
+    It shows how the jaws are open, whoever moves them, and publishes only what somebody in a browser asks for.
+    """
+
+    def __init__(self, server: viser.ViserServer, node: Node, view: ToolView) -> None:
+        self._node, self._view = node, view
+        self._jaws: HeldJaws | None = None
+        self._touched = -math.inf  # monotonic s
+        self._slider: Any = server.gui.add_slider(
+            f"Jaws of {view.name}, degrees", min=0.0, max=WIDEST, step=STEP, initial_value=0.0, visible=False
+        )
+        # In the server's own loop: in a pool of threads an older value could come last.
+        self._slider.on_update(self._on_slider)
+
+    def use(self, link: ToolLink) -> None:
+        """Speak to the tool like this from now on."""
+        if self._jaws is not None and self._jaws.link == link:
+            return
+        self.close()
+        if link.tool.shape == "gripper":
+            self._jaws = HeldJaws(self._node, link)
+            self._slider.hint = f"How far they are open. Moving it publishes {self._jaws.topic}"
+        self._slider.visible = self._jaws is not None
+
+    def update(self, now: float) -> None:
+        """Show how the jaws are open, unless somebody moves the slider; now s."""
+        opening = self._view.opening
+        if self._jaws is None or self._jaws.moving or opening is None or now - self._touched < UNTOUCHED:
+            return
+        shown = round(min(math.degrees(opening), WIDEST) / STEP) * STEP
+        if shown != self._slider.value:
+            self._slider.value = shown
+
+    def rivals(self) -> int:
+        """How many others move the jaws that the slider has just moved."""
+        return self._jaws.rivals() if self._jaws is not None and self._jaws.moving else 0
+
+    def close(self) -> None:
+        """Let the jaws be."""
+        if self._jaws is not None:
+            self._jaws.close()
+            self._jaws = None
+
+    def remove(self) -> None:
+        """Let the jaws be, and take the slider out of the panel."""
+        self.close()
+        self._slider.remove()
+
+    async def _on_slider(self, event: Any) -> None:
+        jaws = self._jaws
+        if event.client_id is None or jaws is None:  # our own change
+            return
+        self._touched = time.monotonic()
+        goal = math.radians(float(event.target.value))
+        jaws.turn(goal, goal if self._view.opening is None else self._view.opening)

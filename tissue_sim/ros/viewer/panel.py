@@ -1,0 +1,120 @@
+"""The viewer's panel: what the node says of itself, the legend, and buttons."""
+
+from __future__ import annotations
+
+import html
+import queue
+from collections.abc import Mapping
+from enum import Enum
+
+import viser
+
+from tissue_sim.ros.shared.appearance import BANDS, TISSUE, Colour
+
+NO_VALUE = "-"
+LINES = 3  # that the headline has room for; more can be scrolled to
+LAST = 1e9  # order in the panel: below everything that comes later
+
+
+class Wish(Enum):
+    """What a button asks the node for."""
+
+    RESET = "reset"
+    RECORD = "start recording"
+    STOP_RECORDING = "stop recording"
+
+
+def status_text(values: Mapping[str, str]) -> str:
+    """The node's physics status as a Markdown table."""
+
+    def value(key: str, unit: str = "", digits: int | None = None) -> str:
+        text = values.get(key, "")
+        if digits is not None:
+            try:
+                text = f"{float(text):.{digits}f}"
+            except ValueError:
+                text = ""
+        return f"{text} {unit}".strip() if text else NO_VALUE
+
+    rows = {
+        "Tick rate": value("tick_rate_hz", "Hz", 0),
+        "Tick time p50": value("tick_p50_us", "µs", 0),
+        "Tick time p99": value("tick_p99_us", "µs", 0),
+        "Late ticks": value("overruns"),
+        "Real-time factor": value("real_time_factor", digits=2),
+        "Region": value("region"),
+        "Active nodes": value("active_nodes"),
+        "Contacts": value("contact_count"),
+        "Force": value("force_n", "N", 2),
+    }
+    for key in values:
+        tool, _, field = key.rpartition(".")
+        if field == "state":
+            rows[f"Tool {tool}"] = f"{values[key]}, {value(f'{tool}.force_n', 'N', 2)}"
+    lines = ["| | |", "|:--|--:|", *(f"| {name} | {text} |" for name, text in rows.items())]
+    if values.get("recording"):
+        lines += ["", f"Recording to `{values['recording']}`"]
+    return "\n".join(lines)
+
+
+def headline(target: str, level: int, message: str) -> str:
+    """Who it is and how it does (level and message of its DiagnosticStatus), as HTML."""
+    if level == 0:
+        return f"<b>/{target}</b> {html.escape(message)}"
+    word = "warns" if level == 1 else "fails"
+    return f'<b>/{target}</b> <span style="color:#c92a2a">{word}: {html.escape(message)}</span>'
+
+
+def headline_html(line: str) -> str:
+    """A line of HTML, as high whatever it says: one that grew would push a button under somebody's mouse."""
+    return f'<div style="height:{LINES * 1.5:g}em;line-height:1.5;overflow-y:auto;margin:0 0.9em 0.6em">{line}</div>'
+
+
+def legend_html() -> str:
+    """The colours of the organ and the displacements that they stand for."""
+
+    def swatch(colour: Colour, text: str) -> str:
+        return (
+            f'<div style="flex:1;text-align:center"><div style="height:14px;background:rgb{colour}"></div>'
+            f'<span style="font-size:11px">{text}</span></div>'
+        )
+
+    cells = swatch(TISSUE, "0") + "".join(swatch(colour, f"{level:g}") for level, colour in BANDS)
+    return (
+        '<div style="padding:0 0.9em 0.6em"><div style="font-size:12px;padding-bottom:3px">'
+        f'Displacement from rest, mm (from)</div><div style="display:flex">{cells}</div></div>'
+    )
+
+
+class Panel:
+    """Builds the panel. What the buttons ask for waits in `wishes`."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.wishes: queue.SimpleQueue[Wish] = queue.SimpleQueue()
+        gui = server.gui
+        self._headline = gui.add_html(headline_html(""))
+        self._status = gui.add_markdown("", visible=False, order=LAST)
+        gui.add_html(legend_html())
+        self.opacity = gui.add_slider(
+            "Opacity", min=0.2, max=1.0, step=0.05, initial_value=0.8, hint="Of the tissue over the skeleton"
+        )
+        self._reset = gui.add_button("Reset", hint="Back to the rest shape")
+        self._record = gui.add_button("Record", hint="Start or stop a bag")
+        self._recording = False
+        self._reset.disabled = self._record.disabled = True
+        self._reset.on_click(lambda _: self.wishes.put(Wish.RESET))
+        self._record.on_click(lambda _: self.wishes.put(Wish.STOP_RECORDING if self._recording else Wish.RECORD))
+        self._said: tuple[str, Mapping[str, str]] = ("", {})
+
+    def say(self, headline: str, values: Mapping[str, str]) -> None:
+        """Show a headline (HTML) and the node's values, if there are any."""
+        if (headline, values) == self._said:
+            return
+        self._said = headline, dict(values)
+        self._headline.content = headline_html(headline)
+        self._status.visible = bool(values)
+        if values:
+            self._status.content = status_text(values)
+        self._recording = bool(values.get("recording"))
+        self._record.label = "Stop recording" if self._recording else "Record"
+        self._reset.disabled = self._record.disabled = not values

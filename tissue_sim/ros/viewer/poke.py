@@ -1,0 +1,192 @@
+"""Poking from the browser: a checkbox takes a tool in hand, a gizmo or the tool itself drags it, a slider its jaws."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import viser
+from rclpy.node import Node
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.array_types import Floats
+from tissue_sim.ros.shared.tool_link import ToolLink
+from tissue_sim.ros.viewer.held_tool import HeldTool
+from tissue_sim.ros.viewer.jaws import JawSlider
+from tissue_sim.ros.viewer.scene import VIEW, ToolView
+
+CLEAR = 0.008  # m between a tool that is taken and the organ
+GIZMO = 0.03  # m, length of its arrows
+LOOK_EVERY = 0.5  # s between two looks at who else publishes
+PROBE_EVERY = 1.0  # s between two questions to the browser that holds a tool
+PATIENCE = 5.0  # s that it may take to answer
+
+
+def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
+    """Where a tool of radius m is taken in hand: a place (3,) m beyond the points (n, 3) m, and the way in (3,).
+
+    The first tool is at the left of the picture, the second at the right, further ones below and above.
+    """
+    right = np.cross([0.0, 0.0, 1.0], VIEW)
+    right /= np.linalg.norm(right)
+    up = np.cross(VIEW, right) / np.linalg.norm(VIEW)
+    out = (-right, right, -up, up)[index % 4]
+    offset = points - points.mean(axis=0)
+    along = offset @ out
+    aside = np.linalg.norm(offset - along[:, None] * out, axis=1)
+    chosen = int(np.argmax(along - 0.5 * aside))
+    return points[chosen] + (along.max() - along[chosen] + radius + CLEAR) * out, -out
+
+
+def pointing(inward: Floats) -> Floats:
+    """The quaternion (4,) x y z w of a tool whose shaft, along its -z, comes from outside."""
+    aside = np.cross(inward, np.eye(3)[np.abs(inward).argmin()])
+    aside /= np.linalg.norm(aside)
+    return np.asarray(Rotation.from_matrix(np.stack([aside, np.cross(inward, aside), inward], axis=1)).as_quat())
+
+
+class Poke:
+    """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses."""
+
+    def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int) -> None:
+        self._server, self._view, self._index = server, view, index
+        self.name = view.name
+        self._tool = HeldTool(node, self.name)
+        self._ready = False  # it is known how to speak to the tool
+        self._holder: int | None = None
+        self._gizmo: Any = None
+        self._offset = np.zeros(3)  # m, from where the mouse grabbed the tool to its goal
+        self._asked: queue.SimpleQueue[tuple[bool, int | None]] = queue.SimpleQueue()
+        self._gone = threading.Event()  # of the hand that holds it now
+        self._next_look = -np.inf
+        gui = server.gui
+        self._box: Any = gui.add_checkbox(
+            f"Poke with {self.name}",
+            False,
+            disabled=True,
+            hint=self._hint(),
+        )
+        self.jaws = JawSlider(server, node, view)
+        self._warning = gui.add_markdown("", visible=False)
+        self._box.on_update(self._on_box)
+
+    def _hint(self) -> str:
+        return f"Takes the tool in hand: drag it, or an arrow at it. Publishes {self._tool.topic}"
+
+    def use(self, link: ToolLink | None) -> None:
+        """Speak to the tool like this; None: as by default."""
+        self._ready = True
+        if link is not None:
+            self._tool.use(link)
+            self.jaws.use(link)
+            self._box.hint = self._hint()
+
+    def _on_box(self, event: Any) -> None:
+        if event.client_id is not None:  # not our own change
+            self._asked.put((self._box.value, event.client_id))
+
+    def update(self, now: float, watchers: Collection[int], points: Floats | None, frame_id: str) -> None:
+        """Take up what the checkbox asked for.
+
+        now s; watchers: ids of the browsers that look; points (n, 3) m of the organ in a frame, or None without one.
+        """
+        self._box.disabled = points is None or self._view.reach == 0.0 or not self._ready
+        self.jaws.update(now)
+        while not self._asked.empty():
+            wanted, who = self._asked.get()
+            if not wanted:
+                self.let_go()
+            elif who is not None and points is not None:
+                self._take(who, points, frame_id)
+        if self._holder is not None and (self._holder not in watchers or not self._tool.held):
+            self.let_go()
+        if now >= self._next_look:
+            self._next_look = now + LOOK_EVERY
+            rivals, jaws = self._tool.rivals(), self.jaws.rivals()
+            self._warning.visible = rivals + jaws > 0
+            if rivals > 0:
+                self._warning.content = (
+                    f"**A bridge already moves `{self.name}`.** Stop it before you poke: the tool would jump"
+                    " between its hand and yours."
+                )
+            elif jaws > 0:
+                self._warning.content = f"**A bridge already moves the jaws of `{self.name}`**, and closes them again."
+
+    def close(self) -> None:
+        """Let the tool go, and its jaws."""
+        self.jaws.close()
+        self.let_go()
+
+    def remove(self) -> None:
+        """Let the tool go, and take what it had out of the panel."""
+        self.close()
+        self.jaws.remove()
+        for handle in (self._box, self._warning):
+            handle.remove()
+
+    def let_go(self) -> None:
+        """Hold the tool no longer."""
+        self._let_go()
+        if self._box.value:
+            self._box.value = False
+
+    def _take(self, who: int, points: Floats, frame_id: str) -> None:
+        self._let_go()
+        holder = self._server.get_clients().get(who)
+        if holder is None:
+            return
+        position, inward = beside(points, self._index, self._view.reach)
+        turn = pointing(inward)
+        # Only the browser that asked for the tool gets the gizmo.
+        self._gizmo = holder.scene.add_transform_controls(
+            f"/poke/{self.name}",
+            scale=GIZMO,
+            disable_rotations=True,
+            depth_test=False,
+            position=position,
+            wxyz=np.roll(turn, 1),
+        )
+        # Both run in the server's own loop: in a pool of threads an older position could come last.
+        self._gizmo.on_update(self._on_gizmo)
+        self._view.drag(self._on_drag)
+        self._holder = who
+        self._tool.take(position, turn, frame_id)
+        self._gone = threading.Event()
+        threading.Thread(target=self._watch, args=(holder, self._gone), name="hand", daemon=True).start()
+
+    def _let_go(self) -> None:
+        self._tool.release()
+        self._holder = None
+        self._gone.set()
+        if self._gizmo is not None:
+            self._view.drag(None)
+            self._gizmo.remove()
+            self._gizmo = None
+
+    def _watch(self, holder: viser.ClientHandle, gone: threading.Event) -> None:
+        """Lets go when the page no longer answers: a page that was left, or lies behind others, stays connected."""
+        while not gone.wait(PROBE_EVERY):
+            try:
+                holder.local_storage.get_item("hand", timeout=PATIENCE)
+            except TimeoutError:
+                if not gone.is_set():
+                    self._asked.put((False, None))
+                return
+            except RuntimeError:  # disconnected, which `update` sees; or a browser that keeps no storage, but answers
+                continue
+
+    async def _on_gizmo(self, event: Any) -> None:
+        self._tool.goal = np.array(event.target.position, dtype=np.float64)
+
+    async def _on_drag(self, event: Any) -> None:
+        gizmo = self._gizmo
+        if event.client_id != self._holder or gizmo is None:
+            return
+        pointer = np.array(event.end_position, dtype=np.float64)
+        if event.phase == "start":
+            self._offset = self._tool.goal - pointer
+        self._tool.goal = pointer + self._offset
+        gizmo.position = self._tool.goal

@@ -1,0 +1,55 @@
+"""What the viewer's buttons ask the node for, without waiting for the answer."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import SetBool, Trigger
+
+from tissue_sim.ros.viewer.panel import Wish
+
+PATIENCE = 5.0  # s
+
+
+class Services:
+    """Clients of the node's services `~/reset` and `~/record`.
+
+    They have a node of their own, for an executor that takes up nothing but their answers.
+    """
+
+    def __init__(self, target: str) -> None:
+        self._node = rclpy.create_node("viewer_services", enable_rosout=False, start_parameter_services=False)
+        self._reset = self._node.create_client(Trigger, f"/{target}/reset")
+        self._record = self._node.create_client(SetBool, f"/{target}/record")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._pending: list[tuple[Any, Any, Wish, float]] = []
+
+    def poll(self, wishes: queue.SimpleQueue[Wish], tell: Callable[[str, bool], None]) -> None:
+        """Send new wishes and tell the answers (text, whether it was done) that have come."""
+        while not wishes.empty():
+            wish = wishes.get()
+            client = self._reset if wish is Wish.RESET else self._record
+            if not client.service_is_ready():
+                tell(f"{client.srv_name} is not there: {wish.value} was not asked for", False)
+                continue
+            request = Trigger.Request() if wish is Wish.RESET else SetBool.Request(data=wish is Wish.RECORD)
+            self._pending.append((client, client.call_async(request), wish, time.monotonic()))
+        if not self._pending:
+            return
+        self._executor.spin_once(timeout_sec=0.0)
+        waiting = []
+        for client, future, wish, asked in self._pending:
+            if future.done():
+                tell(future.result().message, future.result().success)
+            elif time.monotonic() - asked > PATIENCE:
+                client.remove_pending_request(future)
+                tell(f"no answer to: {wish.value}", False)
+            else:
+                waiting.append((client, future, wish, asked))
+        self._pending = waiting

@@ -1,0 +1,100 @@
+"""`tissue_sim view`: a running node in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import errno
+import io
+import os
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.shared import client
+
+if TYPE_CHECKING:
+    import viser
+
+FRAME_TIME = 1.0 / 30.0  # s, at least, between two pictures
+IDLE_TIME = 0.2  # s between two looks while no browser is connected
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address to serve at; 0.0.0.0 lets other machines look (no password)"
+    )
+    parser.add_argument("--port", type=client.port_number, default=8080, help="port to serve at")
+    parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
+    parser.add_argument("--tools", type=client.names, help="names of the tools (default: the node's)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until SIGINT or SIGTERM; returns 0. Raises UserError when it can't be served."""
+    check_port(args.host, args.port)
+    with (
+        client.Stop() as stop,
+        _server(args.host, args.port) as server,
+        client.client_node("viewer", args.node) as node,
+    ):
+        from tissue_sim.ros.viewer.loop import Viewer
+
+        print(f"open http://{shown_host(args.host)}:{args.port}", flush=True)
+        viewer = Viewer(server, node, args.node, args.tools)
+        # Short turns at the GIL: the poses of a held tool must not wait for a picture.
+        sys.setswitchinterval(0.001)
+        try:
+            while not stop:
+                started = time.monotonic()
+                watched = viewer.update()
+                time.sleep(max(0.001, (FRAME_TIME if watched else IDLE_TIME) - (time.monotonic() - started)))
+        finally:
+            viewer.close()
+    return 0
+
+
+def check_port(host: str, port: int) -> None:
+    """Raise UserError, with the remedy, when nothing can be served at host and port."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen(1)
+    except (socket.gaierror, UnicodeError):
+        raise UserError(f"'{host}' is no address; use --host 127.0.0.1, or 0.0.0.0 for all of this machine's") from None
+    except PermissionError:
+        raise UserError(f"port {port} needs more rights; choose one above 1023 with --port") from None
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise UserError(f"port {port} of {host} is taken; choose another with --port") from None
+        raise UserError(f"cannot serve at {host}:{port}: {error.strerror}; choose another --host") from None
+
+
+@contextlib.contextmanager
+def _server(host: str, port: int) -> Iterator[viser.ViserServer]:
+    """A viser server that says nothing on the terminal and serves at this port or not at all."""
+    try:
+        import viser
+    except ImportError:
+        raise UserError("the viewer needs viser: pip install viser") from None
+    os.environ.pop("_VISER_PORT_OVERRIDE", None)
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="tissue_sim", verbose=False)
+    try:
+        if server.get_port() != port:
+            raise UserError(f"port {port} of {host} is taken; choose another with --port")
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def shown_host(host: str) -> str:
+    """How a host reads in an address that works in a browser on this machine."""
+    return {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
