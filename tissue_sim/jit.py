@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core import cgutils, types
 from numba.core.datamodel import default_manager, models
 from numba.core.extending import infer_getattr, lower_getattr_generic
@@ -110,8 +111,14 @@ class _Fields(AttributeTemplate):
     key = Handle
 
     def generic_resolve(self, kind: Any, name: str) -> Any:
-        """Type of a field, or None when there is none of that name."""
-        return kind.field_dict.get(name)
+        """Type of a field, or None when there is none of that name; of a record the record, not the array around it."""
+        field = kind.field_dict.get(name)
+        return field.dtype if _is_record(field) else field
+
+
+def _is_record(field: Any) -> bool:
+    """True for an array without dimensions that holds a record, as `handle` passes one."""
+    return isinstance(field, types.Array) and field.ndim == 0 and isinstance(field.dtype, types.Record)
 
 
 @lower_getattr_generic(Handle)
@@ -120,8 +127,11 @@ def _field(context, builder, kind, value, name):  # type: ignore[no-untyped-def]
     memory = context.make_helper(builder, kind, value).meminfo
     fields = builder.load(cgutils.gep_inbounds(builder, builder.bitcast(memory, _MEMORY.as_pointer()), 0, _PAYLOAD))
     payload = context.data_model_manager[kind.get_data_type()].get_value_type()
-    record = context.make_data_helper(builder, kind.get_data_type(), ref=builder.bitcast(fields, payload.as_pointer()))
-    return impl_ret_borrowed(context, builder, kind.field_dict[name], getattr(record, name))
+    held = context.make_data_helper(builder, kind.get_data_type(), ref=builder.bitcast(fields, payload.as_pointer()))
+    field, stored = kind.field_dict[name], getattr(held, name)
+    if _is_record(field):  # by reference: where the array's memory is
+        return context.make_helper(builder, field, stored).data
+    return impl_ret_borrowed(context, builder, field, stored)
 
 
 @intrinsic
@@ -152,15 +162,24 @@ def _refer(values: Any) -> Any:
 
 
 def handle(values: Any) -> Any:
-    """A NamedTuple of arrays, numbers and further such tuples, for kernels to take by reference.
+    """A NamedTuple of arrays, records, numbers and further such tuples, for kernels to take by reference.
 
     As plain arguments a hundred arrays are unpacked at every call, and again in every kernel that is compiled:
-    microseconds at each tick and minutes at the first one. Arrays are shared, numbers copied.
+    microseconds at each tick and minutes at the first one. Arrays and records (tissue_sim.model.records) are shared,
+    numbers copied.
     Without the compiler kernels take the tuple itself.
     """
     if numba.config.DISABLE_JIT:
         return values
-    return _refer(type(values)(*[handle(value) if hasattr(value, "_fields") else value for value in values]))
+    return _refer(type(values)(*map(_held, values)))
+
+
+def _held(value: Any) -> Any:
+    """What a handle holds of a value."""
+    if isinstance(value, np.record):
+        around: Any = value.base  # the array of one record that it lies in
+        return around.reshape(())
+    return handle(value) if hasattr(value, "_fields") else value
 
 
 numba.config.CACHE_DIR = folder_of("model")

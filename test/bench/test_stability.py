@@ -159,7 +159,7 @@ def test_step_axis_sets_the_substep_to_a_share_of_the_critical_one():
     simulation = simulation_of(cell("step", 0.5))
     simulation.apply_force([0], [[0.0, 0.0, 0.01]])
     simulation.step()
-    substep = 1.0 / simulation.rate / simulation.state.count[st.SUBSTEPS]
+    substep = 1.0 / simulation.rate / simulation.state.status.substeps
     assert substep == pytest.approx(0.5 * Simulation(organ_of(SMALL_ORGAN)).critical_step)
     explicit = Simulation(organ_of(SMALL_ORGAN), integrator="explicit").critical_step
     assert critical_step_of(SMALL_ORGAN, "explicit") == explicit
@@ -184,7 +184,7 @@ def go_wrong(monkeypatch, fault, after=120):
 
     def faulty(simulation):
         step(simulation)
-        if simulation.state.count[st.TICK] > after:
+        if simulation.state.status.tick > after:
             fault(simulation)
 
     monkeypatch.setattr(Simulation, "step", faulty)
@@ -201,13 +201,13 @@ def pump(simulation):
 def hold_in_a_false_shape(simulation):
     simulation.positions[:] = simulation.model.rest + [0.001, 0.0, 0.0]
     simulation.velocities[:] = 0.0
-    simulation.state.count[st.QUIET] = 0
+    simulation.state.status.quiet = 0
 
 
 def shake(simulation):
     simulation.positions[:] = simulation.model.rest
     simulation.velocities[5] = 0.01
-    simulation.state.count[st.QUIET] = 0
+    simulation.state.status.quiet = 0
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def test_ticks_move_the_organ_and_are_all_that_is_done():
     times = ticks(50)
     assert times.shape == (50,)
     assert np.median(times) > 0.0
-    assert simulation.state.count[st.TICK] == 52
+    assert simulation.state.status.tick == 52
     assert np.abs(simulation.positions - simulation.model.rest).max() > 1e-5
 
 

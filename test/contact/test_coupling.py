@@ -16,8 +16,8 @@ STIFFNESS, DAMPING = 500.0, 1.0  # N/m, N s/m
 
 def coupled(organ, stiffness=STIFFNESS, damping=DAMPING, tool=PROBE):
     scene = Scene(organ, [tool])
-    scene.simulation.settings[st.COUPLING_STIFFNESS] = stiffness
-    scene.simulation.settings[st.COUPLING_DAMPING] = damping
+    scene.simulation.settings.coupling_stiffness = stiffness
+    scene.simulation.settings.coupling_damping = damping
     return scene
 
 
@@ -68,13 +68,13 @@ def test_wrench_is_minus_what_the_tissue_gets_also_through_a_coupling():
 
 def test_force_changes_no_faster_than_the_slew_limit():
     free, slow = Scene(kidney(), [PROBE]), Scene(kidney(), [PROBE])
-    free.simulation.settings[st.FORCE_SLEW], slow.simulation.settings[st.FORCE_SLEW] = 1e6, 20.0
+    free.simulation.settings.force_slew, slow.simulation.settings.force_slew = 1e6, 20.0
     whole, limited = (press(scene, 0.005, ticks=20, hold=400) for scene in (free, slow))
     assert np.linalg.norm(np.diff(whole, axis=0), axis=1).max() > 0.03
     assert np.linalg.norm(np.diff(limited, axis=0), axis=1).max() <= 20.0 * 1e-3 + 1e-12
     np.testing.assert_allclose(limited[-1], whole[-1], atol=1e-3)
-    assert slow.simulation.state.count[st.SLEWED] > 0
-    assert free.simulation.state.count[st.SLEWED] == 0
+    assert slow.simulation.state.count.slewed_ticks > 0
+    assert free.simulation.state.count.slewed_ticks == 0
     # The slew limit holds nothing up when poses stop.
     for _ in range(75):
         slow.step()
@@ -92,8 +92,8 @@ def bounce(stiffness, damping=0.2, seconds=1.5):
     """
     organ = ball(2)
     scene = coupled(organ, stiffness, damping, Tool("left", radius=0.01))
-    scene.simulation.settings[st.STIFFNESS_SCALE] = 100.0
-    scene.simulation.settings[st.FORCE_SLEW] = 1e6
+    scene.simulation.settings.stiffness_scale = 100.0
+    scene.simulation.settings.force_slew = 1e6
     scene.simulation.set_substeps()
     place, speed, felt = top_of(organ) + [0.0, 0.0, 0.0105], np.zeros(3), np.zeros(3)
     speeds = []

@@ -112,7 +112,7 @@ class Nip:
         self.grasp = at_lower_pole(organ.surface_positions, organ.surface_triangles, gripper.jaws)
         self.up = self.grasp.out
         self.scene = Scene(organ, [gripper], ticks_a_set=4)
-        self.scene.simulation.settings[st.FRICTION] = friction
+        self.scene.simulation.settings.friction = friction
         self.at, self.angle = self.grasp.place + 0.06 * self.up, self.grasp.opened
         self.lead(self.grasp.place, self.grasp.opened, 300)
         self.lead(self.grasp.place, self.grasp.closed, 500)
@@ -128,8 +128,8 @@ class Nip:
     def touched(self):
         """Nodes and weights of the points that touch the jaws."""
         state = self.scene.simulation.state
-        pressed = np.flatnonzero(state.contact_pressed[0, : state.count[st.ENTRIES]] > 0.0)
-        return state.contact_node[pressed].copy(), state.contact_weight[pressed].copy()
+        pressed = np.flatnonzero(state.contact_pressed[0, : state.contacts.header.points] > 0.0)
+        return state.contacts.node[pressed].copy(), state.contacts.weight[pressed].copy()
 
     def points(self, touched):
         """Where those points are now, (k, 3) m."""
@@ -177,7 +177,7 @@ def test_hand_of_a_gripper_feels_the_sum_and_no_more_than_the_clamp(pads):
     bodies = nip.scene.simulation.state.wrench[:, :3]
     np.testing.assert_allclose(nip.scene.wrenches[0, :3], bodies.sum(axis=0), atol=1e-12)
     assert np.linalg.norm(bodies, axis=1).min() > 0.3
-    nip.scene.simulation.settings[st.FORCE_CLAMP] = 0.01
+    nip.scene.simulation.settings.force_clamp = 0.01
     nip.lead(nip.at, nip.angle, 3)
     assert np.linalg.norm(nip.scene.wrenches[0, :3]) == pytest.approx(0.01)
     assert np.linalg.norm(nip.scene.simulation.state.wrench[:, :3].sum(axis=0)) <= 0.01 + 1e-12

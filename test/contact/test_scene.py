@@ -57,7 +57,7 @@ def is_sound(scene):
     simulation = scene.simulation
     return (
         np.all(np.isfinite(simulation.buffer.floats))
-        and simulation.state.count[st.FAULTS] == 0
+        and simulation.state.count.faults == 0
         and np.all(np.isfinite(scene.contacts.weight))
     )
 
@@ -68,8 +68,8 @@ def is_sound(scene):
 def test_momentum_of_a_free_organ_changes_by_minus_the_wrench(friction, subdivisions):
     organ = free_ball(subdivisions)
     scene = Scene(organ, [PROBE, Tool("right", "capsule", radius=0.004, length=0.05)])
-    scene.simulation.settings[st.FRICTION] = friction
-    scene.simulation.settings[st.FORCE_CLAMP] = 100.0
+    scene.simulation.settings.friction = friction
+    scene.simulation.settings.force_clamp = 100.0
     above = top_of(organ) + [0.0, 0.0, 0.008]
     side = np.array([RADIUS + 0.004, 0.0, 0.025])
     momentum, felt, most = [np.zeros(3)], [], np.zeros(2)
@@ -115,7 +115,7 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
     scene.step()
     simulation = scene.simulation
     state, scratch = simulation.state, simulation.scratch
-    own = np.flatnonzero(state.contact_tool[: state.count[st.ENTRIES]] == tool)
+    own = np.flatnonzero(state.contacts.body[: state.contacts.header.points] == tool)
     assert len(own) > 5
     random = np.random.default_rng(tool)
     mobility = 1.0 / organ.mass
@@ -123,7 +123,7 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
     expected, before = np.zeros(6), organ.mass @ simulation.velocities
     for entry in own:
         impulse = random.normal(0.0, 1.0, 3)
-        arm = state.contact_weight[entry] @ state.position[state.contact_node[entry]] - scratch.origin[tool]
+        arm = state.contacts.weight[entry] @ state.position[state.contacts.node[entry]] - scratch.origin[tool]
         expected += np.concatenate([impulse, np.cross(arm, impulse)])
         give_impulse(state, scene.tools.shapes, mobility, scratch, entry, *impulse, 1e-3)
     np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
@@ -149,7 +149,7 @@ def test_wrench_balances_the_elastic_forces_when_all_is_still():
 def test_no_node_is_deep_inside_the_tool_at_rest_after_a_poke(organ, depth):
     scene = Scene(organ, [PROBE])
     forces = press(scene, depth, hold=300)
-    assert scene.simulation.state.count[st.TOUCHING] > 0
+    assert scene.simulation.state.status.touching > 0
     assert deepest(scene) < 2e-4
     assert forces[-1, 2] > 0.05
     # It holds still: no chatter between contact points.
@@ -303,7 +303,7 @@ def pressed_and_dragged(scene, speed, ticks=120):
 @pytest.mark.parametrize("friction", [0.0, 0.2, 0.6])
 def test_tangential_force_stays_in_the_friction_cone(tmp_path, friction):
     scene = Scene(ball(2), [plate(tmp_path)])
-    scene.simulation.settings[st.FRICTION] = friction
+    scene.simulation.settings.friction = friction
     forces = pressed_and_dragged(scene, 0.15)
     normal, tangential = forces[:, 2], np.linalg.norm(forces[:, :2], axis=1)
     assert normal.min() > 0.1
@@ -322,7 +322,7 @@ def test_smooth_ball_feels_no_moment_about_its_middle():
     moments = {}
     for friction in (0.0, 0.6):
         scene = Scene(kidney(), [PROBE])
-        scene.simulation.settings[st.FRICTION] = friction
+        scene.simulation.settings.friction = friction
         press(scene, 0.003, hold=20)
         at = scene.simulation.state.tool_pose[0, :3].copy()
         lead(scene, 0, line(at, at + [0.004, 0.002, 0.0], 40))
@@ -337,7 +337,7 @@ def test_stuck_tissue_follows_the_tool(tmp_path):
     moved = {}
     for friction in (0.0, 5.0):
         scene = Scene(ball(2), [plate(tmp_path)])
-        scene.simulation.settings[st.FRICTION] = friction
+        scene.simulation.settings.friction = friction
         press(scene, 0.003, hold=150, radius=0.0)
         node = int(np.argmax(scene.simulation.positions[:162, 2]))
         before = scene.simulation.positions[node].copy()
@@ -351,14 +351,14 @@ def test_stuck_tissue_follows_the_tool(tmp_path):
 # clamp -----------------------------------------------------------------------------------------
 def test_force_is_cut_to_the_clamp_in_its_direction():
     free, cut = Scene(kidney(), [PROBE]), Scene(kidney(), [PROBE])
-    cut.simulation.settings[st.FORCE_CLAMP] = 0.1
+    cut.simulation.settings.force_clamp = 0.1
     whole, clamped = press(free, 0.006, hold=0), press(cut, 0.006, hold=0)
     size, limited = np.linalg.norm(whole, axis=1), np.linalg.norm(clamped, axis=1)
     assert size.max() > 0.3
     np.testing.assert_allclose(limited, np.minimum(size, 0.1), rtol=1e-12)
     np.testing.assert_allclose(clamped * size[:, None], whole * limited[:, None], atol=1e-12)
-    assert cut.simulation.state.count[st.CLAMPED] == np.count_nonzero(size > 0.1)
-    assert free.simulation.state.count[st.CLAMPED] == 0
+    assert cut.simulation.state.count.clamped_ticks == np.count_nonzero(size > 0.1)
+    assert free.simulation.state.count.clamped_ticks == 0
     # What the tissue feels is not cut.
     np.testing.assert_array_equal(cut.simulation.positions, free.simulation.positions)
 
@@ -367,7 +367,7 @@ def test_force_is_cut_to_the_clamp_in_its_direction():
 def test_stale_pose_ramps_the_wrench_to_nothing_and_never_up():
     scene = Scene(kidney(), [PROBE])
     press(scene, 0.004, hold=400)
-    scene.simulation.settings[st.STALE_TIME], scene.simulation.settings[st.RAMP_TIME] = 0.05, 0.02
+    scene.simulation.settings.stale_time, scene.simulation.settings.ramp_time = 0.05, 0.02
     held = np.linalg.norm(scene.wrenches[0, :3])
     sizes = []
     for _ in range(75):
@@ -455,7 +455,7 @@ def test_tool_that_jumps_about_inside_and_out_leaves_nothing_that_is_not_finite(
     organ = ball(2)
     scene = Scene(organ, [Tool("left", radius=0.006), Tool("right", "capsule", radius=0.003, length=0.05)])
     random = np.random.default_rng(seed)
-    span = scene.simulation.settings[st.LAST_GOOD_SPAN]
+    span = scene.simulation.settings.runaway_span
     for tick in range(600):
         for tool in range(2):
             if tick % 7 == 0:

@@ -59,12 +59,12 @@ def test_lists_of_a_region_are_those_of_naive_sets(organ, region, hops, tabled):
         expected_hop = np.full(organ.n_nodes, -1)
         expected_hop[sorted(nodes)] = hop[sorted(nodes)]
         np.testing.assert_array_equal(state.region_hop, expected_hop)
-        assert scratch.region_node[: state.count[st.REGION_NODES]].tolist() == sorted(nodes)
+        assert scratch.region_node[: state.status.region_nodes].tolist() == sorted(nodes)
         assert scratch.moved_node[: scratch.moved[0]].tolist() == sorted(nodes - set(organ.fixed.tolist()))
         boundary = set()
         for kind, blocks, local, listed, rows in (
-            ("edges", model.edges, scratch.edges, state.count[st.REGION_HINGES], (4, 7)),
-            ("links", model.links, scratch.links, state.count[st.REGION_SPRINGS], (1,)),
+            ("edges", model.edges, scratch.edges, state.status.region_hinges, (4, 7)),
+            ("links", model.links, scratch.links, state.status.region_springs, (1,)),
         ):
             every = slots_with(*blocks, rows)
             slots = {slot for node in nodes for slot in every.get(node, [])}
@@ -80,5 +80,5 @@ def test_lists_of_a_region_are_those_of_naive_sets(organ, region, hops, tabled):
             filling = local_laws[listed : -(-listed // BLOCK) * BLOCK]
             assert np.all(filling[:, list(rows)] == 0.0)
             boundary |= {int(node) for slot in slots for node in ends[slot]} - nodes
-        assert set(scratch.boundary_node[: state.count[st.REGION_BOUNDARY]].tolist()) == boundary
-        assert state.count[st.REGION_BOUNDARY] == len(boundary)
+        assert set(scratch.boundary_node[: state.status.region_boundary].tolist()) == boundary
+        assert state.status.region_boundary == len(boundary)

@@ -103,7 +103,7 @@ def test_unknown_model_is_refused_by_name():
 @pytest.mark.parametrize("variant", MODEL_NAMES)
 def test_fixed_nodes_do_not_move_and_the_others_do(variant):
     organ = ball()
-    simulation = Simulation(organ, variant)
+    simulation = Simulation(organ, model=variant)
     top = int(np.argmax(organ.surface_positions[:, 2]))
     for _ in range(50):
         simulation.apply_force([top, *organ.fixed], np.full((1 + len(organ.fixed), 3), 0.5))

@@ -13,8 +13,8 @@ TICK = 1e-3
 
 def settings_of(clamp=10.0, slew=1e3):
     settings = np.zeros(st.N_SETTINGS)
-    settings[st.TICK_TIME], settings[st.FORCE_CLAMP], settings[st.FORCE_SLEW] = TICK, clamp, slew
-    settings[st.STALE_TIME], settings[st.RAMP_TIME] = 0.05, 0.02
+    settings.tick_time, settings.force_clamp, settings.force_slew = TICK, clamp, slew
+    settings.stale_time, settings.ramp_time = 0.05, 0.02
     return settings
 
 
@@ -25,14 +25,14 @@ def twin(felt, impulse, hands, ages, settings):
         own = hands == hand
         wanted = -impulse[own] / TICK
         size = np.linalg.norm(wanted[:, :3].sum(axis=0))
-        wanted *= min(1.0, settings[st.FORCE_CLAMP] / size) if size else 1.0
+        wanted *= min(1.0, settings.force_clamp / size) if size else 1.0
         step = np.linalg.norm((wanted - felt[own])[:, :3].sum(axis=0))
-        share = min(1.0, settings[st.FORCE_SLEW] * TICK / step) if step else 1.0
+        share = min(1.0, settings.force_slew * TICK / step) if step else 1.0
         felt[own] += share * (wanted - felt[own])
         size = np.linalg.norm(felt[own][:, :3].sum(axis=0))
-        felt[own] *= min(1.0, settings[st.FORCE_CLAMP] / size) if size else 1.0
-        late = ages[own] * TICK - settings[st.STALE_TIME]
-        wrench[own] = np.clip(1.0 - late / settings[st.RAMP_TIME], 0.0, 1.0)[:, None] * felt[own]
+        felt[own] *= min(1.0, settings.force_clamp / size) if size else 1.0
+        late = ages[own] * TICK - settings.stale_time
+        wrench[own] = np.clip(1.0 - late / settings.ramp_time, 0.0, 1.0)[:, None] * felt[own]
     return felt, wrench
 
 
@@ -44,7 +44,7 @@ def test_kernel_is_the_twin(seed):
     ages = np.array([3, 3, 55, 80, 0])
     settings = settings_of(clamp=5.0, slew=2e3)
     count, tools = np.zeros(st.N_COUNT, dtype=np.int64), np.zeros((5, st.N_TOOL_COUNT), dtype=np.int64)
-    tools[:, st.AGE] = ages
+    tools[:].age = ages
     expected = twin(felt, impulse, hands, ages, settings)
     state = SimpleNamespace(felt=felt, wrench=np.zeros((5, 6)), tool_count=tools, count=count)
     report_wrenches.py_func(state, SimpleNamespace(hand=hands), settings, SimpleNamespace(impulse=impulse))

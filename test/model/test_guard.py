@@ -34,7 +34,7 @@ def poke(simulation, ticks, force=(0.0, 0.0, -0.05)):
 
 
 def fault_of(simulation):
-    return st.FAULT_NAMES[simulation.state.count[st.FAULT_KIND]]
+    return st.FAULT_NAMES[simulation.state.status.fault_kind]
 
 
 # what is wrong with a state --------------------------------------------------------------------
@@ -126,16 +126,16 @@ def test_fault_is_counted_and_named_and_the_last_good_state_is_back(bad, integra
         simulation.apply_force(node, [0.0, 1e7, 0.0])
     else:
         # None alone is too fast, all together are.
-        simulation.velocities[simulation.model.moving] = 4.0 * RUNAWAY_RATE * simulation.settings[st.LAST_GOOD_SPAN]
+        simulation.velocities[simulation.model.moving] = 4.0 * RUNAWAY_RATE * simulation.settings.runaway_span
     simulation.step()
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
     assert fault_of(simulation) == ("runaway" if "runaway" in bad or "fast" in bad else "not finite")
     np.testing.assert_array_equal(simulation.positions, good)
     np.testing.assert_array_equal(simulation.velocities, 0.0)
     for _ in range(1500):
         simulation.step()
     assert simulation.asleep
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
 
 
 def test_shape_that_comes_back_is_one_of_the_last_few():
@@ -153,19 +153,19 @@ def test_shape_that_comes_back_is_one_of_the_last_few():
 
 def test_substeps_double_with_each_fault_and_start_again_after_eight():
     simulation = Simulation(ball())
-    normal, factors = int(simulation.settings[st.WANTED_SUBSTEPS]), []
+    normal, factors = int(simulation.settings.substeps), []
     for _ in range(9):
         poke(simulation, 1, [0.0, 1e8, 0.0])
-        factors.append(int(simulation.state.count[st.SUBSTEPS]) // normal)
+        factors.append(int(simulation.state.status.substeps) // normal)
     assert factors == [1, 2, 4, MAX_BACKOFF, 1, 2, 4, MAX_BACKOFF, 1]
-    assert simulation.state.count[st.FAULTS] == 9
+    assert simulation.state.count.faults == 9
     poke(simulation, 1)
-    assert simulation.state.count[st.SUBSTEPS] == 2 * normal, "more substeps until the organ has slept"
+    assert simulation.state.status.substeps == 2 * normal, "more substeps until the organ has slept"
     for _ in range(1500):
         simulation.step()
     assert simulation.asleep
     poke(simulation, 1)
-    assert simulation.state.count[st.SUBSTEPS] == normal
+    assert simulation.state.status.substeps == normal
 
 
 # inside and outside ----------------------------------------------------------------------------
@@ -194,16 +194,16 @@ def test_turned_cells_are_counted_within_one_pass_and_forgotten_within_the_next(
     state.position[node] += 1.4 * (state.position[atom] - state.position[node])
     expected = volumes(model, state.position) < 0.0
     assert 1 <= expected.sum() < 0.2 * len(expected)
-    state.count[st.NEXT_CELL] = len(expected) // 2
+    state.status.next_cell = len(expected) // 2
     once_round = -(-len(expected) // CELLS_A_TICK)
     for _ in range(once_round):
         check_cells(model, state)
-    assert state.count[st.TURNED] == expected.sum()
+    assert state.status.turned == expected.sum()
     np.testing.assert_array_equal(state.is_turned, expected)
     state.position[:] = model.rest
     for _ in range(once_round):
         check_cells(model, state)
-    assert state.count[st.TURNED] == 0
+    assert state.status.turned == 0
     assert not state.is_turned.any()
 
 
@@ -214,7 +214,7 @@ def inside_out(organ, share=1.0):
     middle = simulation.model.rest[nodes].mean(axis=0)
     state.position[nodes] += share * 2.0 * (middle - state.position[nodes])
     state.good_position[:] = state.position
-    state.count[st.ASLEEP] = 0
+    state.status.asleep = False
     return simulation
 
 
@@ -235,21 +235,21 @@ def test_collapsed_organ_is_counted_once_and_led_back_to_rest_within_a_second(or
     assert simulation.asleep
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
     np.testing.assert_array_equal(simulation.velocities, 0.0)
-    assert state.count[st.TURNED] == 0
+    assert state.status.turned == 0
     assert not state.is_turned.any()
-    assert state.count[st.COLLAPSING] == 0
+    assert not state.status.collapsing
 
 
 def test_collapse_is_one_fault_however_long_it_lasts():
     simulation = inside_out(ball(2))
     state = simulation.state
     state.is_turned[:] = 1
-    state.count[st.TURNED] = len(state.is_turned)
+    state.status.turned = len(state.is_turned)
     seen = []
     for _ in range(30):
-        before = state.count[st.FAULTS]
+        before = state.count.faults
         simulation.step()
-        seen.append((int(state.count[st.COLLAPSING]), int(state.count[st.FAULTS] - before), fault_of(simulation)))
+        seen.append((int(state.status.collapsing), int(state.count.faults - before), fault_of(simulation)))
     collapsing = [entry for entry in seen if entry[0]]
     assert len(collapsing) > 3
     assert sum(entry[1] for entry in seen if entry[2] == "collapsed") == 1
@@ -273,5 +273,5 @@ def test_substeps_multiply_while_cells_are_turned_and_more_where_springs_harden(
     model, state = simulation.model, simulation.state
     cells = len(model.cells)
     for turned, factor in ((0, 1), (1, few), (cells, many)):
-        state.count[st.TURNED] = turned
+        state.status.turned = turned
         assert caution(model, state) == factor

@@ -52,7 +52,7 @@ def test_searched_on_demand_the_region_is_the_same(monkeypatch, loaded):
             node = loaded[tick * len(loaded) // 30]
             simulation.apply_force([node], [[0.0, 0.005, -0.01]])
             simulation.step()
-        assert simulation.state.count[st.REGION_NODES] > 5
+        assert simulation.state.status.region_nodes > 5
         runs.append((simulation.state.region_hop.copy(), simulation.positions.copy()))
     np.testing.assert_array_equal(runs[0][0], runs[1][0])
     np.testing.assert_array_equal(runs[0][1], runs[1][1])

@@ -119,7 +119,7 @@ each_organ = pytest.mark.parametrize(
 @pytest.mark.parametrize("stiffness", [1.0, 1e4])
 def test_any_step_and_stiffness_stay_bounded_and_gain_no_energy(organ, rate, stiffness):
     simulation = Simulation(organ, rate=rate, integrator="implicit", substeps=1)
-    simulation.settings[st.STIFFNESS_SCALE] = stiffness
+    simulation.settings.stiffness_scale = stiffness
     simulation.set_substeps()
     poke(simulation, 30, np.array([0.05, 0.0, -0.25]) * stiffness)
     before = simulation.energy.total
@@ -131,8 +131,8 @@ def test_any_step_and_stiffness_stay_bounded_and_gain_no_energy(organ, rate, sti
         assert np.abs(simulation.positions - simulation.model.rest).max() < RADIUS
     assert max(energies) <= before * (1.0 + 1e-9)
     assert energies[-1] < 0.9 * before
-    assert simulation.state.count[st.FAULTS] == 0
-    assert simulation.state.count[st.SUBSTEPS] == 1
+    assert simulation.state.count.faults == 0
+    assert simulation.state.status.substeps == 1
     assert simulation.critical_step == np.inf
 
 
@@ -151,7 +151,7 @@ def test_settled_shape_is_that_of_the_symplectic_integrator(organ):
 
 def test_rest_is_exact_and_reached_from_a_poke():
     simulation = Simulation(ball(2), integrator="implicit")
-    simulation.state.count[st.ASLEEP] = 0
+    simulation.state.status.asleep = False
     for _ in range(10):
         simulation.step()
     np.testing.assert_allclose(simulation.positions, simulation.model.rest, rtol=0.0, atol=1e-15)
@@ -181,14 +181,14 @@ def test_stiffness_changed_on_the_way_uses_the_other_slot():
     simulation, twin = (Simulation(ball(2), integrator="implicit") for _ in range(2))
     for one in (simulation, twin):
         poke(one, 20, [0.0, 0.0, -0.1])
-    slot = simulation.settings[st.FACTOR_SLOT]
+    slot = simulation.settings.factor_slot
     in_use = simulation.model.factor.pivot[int(slot)].copy()
-    simulation.settings[st.STIFFNESS_SCALE] = 5.0
+    simulation.settings.stiffness_scale = 5.0
     simulation.set_substeps()
-    assert simulation.settings[st.FACTOR_SLOT] == 1 - slot
+    assert simulation.settings.factor_slot == 1 - slot
     np.testing.assert_array_equal(simulation.model.factor.pivot[int(slot)], in_use)
     fresh = Simulation(ball(2), integrator="implicit")
-    fresh.settings[st.STIFFNESS_SCALE] = 5.0
+    fresh.settings.stiffness_scale = 5.0
     fresh.set_substeps()
     fresh.restore(simulation.buffer.floats.copy(), simulation.buffer.integers.copy())
     for one in (simulation, fresh, twin):
@@ -209,7 +209,7 @@ def held_force(integrator, region="off", depth=0.003):
         scene.move(0, path[min(tick, 59)])
         scene.step()
         forces.append(scene.wrenches[0, :3].copy())
-    assert scene.simulation.state.count[st.FAULTS] == 0
+    assert scene.simulation.state.count.faults == 0
     assert np.ptp(forces[-50:], axis=0).max() < 2e-3, "no hold"
     return np.array(forces)[-1]
 
@@ -227,10 +227,10 @@ def test_contact_knows_the_stiffness_that_was_set_last():
     simulation = Simulation(ball(), shapes=scene.tools.shapes, integrator="implicit")
     poke(simulation, 2, [0.0, 0.0, -0.05])
     for scale in (0.25, 4.0):
-        simulation.settings[st.STIFFNESS_SCALE] = scale
+        simulation.settings.stiffness_scale = scale
         simulation.set_substeps()
     poke(simulation, 2, [0.0, 0.0, -0.05])
-    slot = int(simulation.settings[st.FACTOR_SLOT])
+    slot = int(simulation.settings.factor_slot)
     np.testing.assert_array_equal(simulation.scratch.mobility, simulation.model.factor.mobility[slot])
 
 
@@ -241,8 +241,8 @@ def test_first_step_after_shorter_ones_takes_the_momentum_of_what_moves(eased):
     simulation = Simulation(organ, integrator="implicit")
     model, state, step = simulation.model, simulation.state, 1.0 / simulation.rate
     moving = model.moving
-    state.count[st.ASLEEP] = 0
-    state.count[st.SUBSTEPS] = 4 if eased else 1
+    state.status.asleep = False
+    state.status.substeps = 4 if eased else 1
     velocity = np.zeros_like(model.rest)
     velocity[moving] = 0.05 * np.random.default_rng(0).standard_normal((len(moving), 3))
     state.velocity[:] = velocity

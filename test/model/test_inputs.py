@@ -33,8 +33,8 @@ def test_first_pose_is_taken_at_once():
     take_pose(simulation.state, 0, FAR, 7)
     simulation.step()
     np.testing.assert_array_equal(simulation.state.tool_pose[0], FAR)
-    assert simulation.state.tool_count[0, st.POSE_SEQUENCE] == 7
-    assert simulation.state.tool_count[0, st.AGE] == 1
+    assert simulation.state.tools[0].pose_sequence == 7
+    assert simulation.state.tools[0].age == 1
 
 
 @pytest.mark.parametrize("period", [1, 4, 16])
@@ -64,24 +64,24 @@ def test_slow_input_leads_the_tool_no_longer_than_the_limit():
     for _ in range(LONGEST_PERIOD + 15):
         simulation.step()
     take_pose(simulation.state, 0, FAR + 0.001, 2)
-    assert simulation.state.tool_count[0, st.REMAINING] == LONGEST_PERIOD
+    assert simulation.state.tools[0].remaining == LONGEST_PERIOD
 
 
 def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():
     simulation = engaged_at(FAR)
-    assert simulation.state.tool_count[0, st.ENGAGED] == 1
+    assert simulation.state.tools[0].engaged
     for _ in range(71):
         simulation.step()
-    assert simulation.state.tool_count[0, st.ENGAGED] == 0
+    assert not simulation.state.tools[0].engaged
     unknown = Simulation(ball(), shapes=sphere_tools(0.005))
     take_set(unknown, 1)
-    assert unknown.state.tool_count[0, st.ENGAGED] == 0
+    assert not unknown.state.tools[0].engaged
 
 
 def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     organ = free_ball()
     simulation = Simulation(organ, shapes=sphere_tools(0.005))
-    simulation.settings[st.STALE_TIME], simulation.settings[st.RAMP_TIME] = 0.010, 0.005
+    simulation.settings.stale_time, simulation.settings.ramp_time = 0.010, 0.005
     triangle, weight = organ.surface_triangles[3].astype(np.int64), np.array([0.2, 0.3, 0.5])
     take_set(simulation, 1, triangle, weight, engaged=0)
     take_force(simulation.state, 0, np.array([0.0, 0.0, 0.3]), 5)
@@ -93,7 +93,7 @@ def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     # Ten fresh ticks, then down to nothing in five.
     expected = 0.3 * np.clip((15 - np.arange(1, 21)) / 5, 0.0, 1.0)
     np.testing.assert_allclose(pull, expected[:, None] * [0.0, 0.0, 1.0], atol=1e-10)
-    assert simulation.state.tool_count[0, st.FORCE_SEQUENCE] == 5
+    assert simulation.state.tools[0].force_sequence == 5
     # Spread over the triangle's corners by the weights.
     first = Simulation(organ, shapes=sphere_tools(0.005))
     first.apply_force(triangle, weight[:, None] * [0.0, 0.0, 0.3])

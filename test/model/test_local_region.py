@@ -51,8 +51,8 @@ def test_only_nodes_within_two_hops_move(organ, directions):
         simulation.step()
     expected = region_of(organ, loaded)
     np.testing.assert_array_equal(moved(simulation), expected)
-    assert simulation.state.count[st.ACTIVE] == len(expected) < 120
-    assert simulation.state.count[st.FROZEN_TICKS] == 40
+    assert simulation.state.status.active == len(expected) < 120
+    assert simulation.state.count.frozen_ticks == 40
 
 
 def test_region_reaches_no_held_node():
@@ -76,7 +76,7 @@ def test_region_grows_with_the_load_that_wanders():
             simulation.apply_force(node, [0.0, 0.0, -0.01])
             simulation.step()
         np.testing.assert_array_equal(moved(simulation), region_of(organ, seen))
-        assert simulation.state.count[st.ACTIVE] == len(region_of(organ, seen))
+        assert simulation.state.status.active == len(region_of(organ, seen))
 
 
 def test_region_solves_its_nodes_as_the_whole_model_does_with_the_rest_held():
@@ -106,26 +106,26 @@ def push_tip(simulation, size):
 
 def test_region_is_skipped_when_a_tool_pushes_harder_than_the_region_force():
     simulation = Simulation(ball(3), local_region="frozen", shapes=sphere_tools(0.005))
-    limit = simulation.settings[st.REGION_FORCE]
+    limit = simulation.settings.region_force
     for _ in range(20):
         push_tip(simulation, 0.9 * limit)
         simulation.step()
-    assert simulation.state.count[st.REGION] == st.FROZEN
+    assert simulation.state.status.region == Region.FROZEN
     np.testing.assert_array_equal(moved(simulation), region_of(simulation.organ, [TOP]))
     for _ in range(60):
         push_tip(simulation, 1.1 * limit)
         simulation.step()
-    assert simulation.state.count[st.REGION] == st.WHOLE
-    assert simulation.state.count[st.ACTIVE] == len(simulation.model.moving)
+    assert simulation.state.status.region == Region.WHOLE
+    assert simulation.state.status.active == len(simulation.model.moving)
     np.testing.assert_array_equal(moved(simulation), simulation.model.moving)
 
 
 def test_region_is_skipped_under_nodal_forces_above_the_region_force():
     simulation = Simulation(ball(3), local_region="frozen")
     for _ in range(3):
-        simulation.apply_force(TOP, [0.0, 0.0, -2.0 * simulation.settings[st.REGION_FORCE]])
+        simulation.apply_force(TOP, [0.0, 0.0, -2.0 * simulation.settings.region_force])
         simulation.step()
-    assert simulation.state.count[st.REGION] == st.WHOLE
+    assert simulation.state.status.region == Region.WHOLE
 
 
 def test_organ_sleeps_again_and_the_next_load_has_a_region_of_its_own():
@@ -135,7 +135,7 @@ def test_organ_sleeps_again_and_the_next_load_has_a_region_of_its_own():
         for _ in range(5):
             simulation.apply_force(node, [0.0, 0.0, -0.005])
             simulation.step()
-        assert simulation.state.count[st.ACTIVE] == len(region_of(organ, [node]))
+        assert simulation.state.status.active == len(region_of(organ, [node]))
         for _ in range(2000):
             simulation.step()
             if simulation.asleep:
@@ -149,4 +149,4 @@ def test_without_local_region_everything_moves():
         simulation.apply_force(TOP, [0.0, 0.0, -0.01])
         simulation.step()
     np.testing.assert_array_equal(moved(simulation), simulation.model.moving)
-    assert simulation.state.count[st.FROZEN_TICKS] == 0
+    assert simulation.state.count.frozen_ticks == 0

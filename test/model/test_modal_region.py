@@ -73,19 +73,19 @@ def test_stiff_region_is_made_heavier_instead_of_stepped_more_often_and_settles_
     forces *= 1e-3
     expected = linear_answer(organ, forces)
     whole, modal = Simulation(organ), Simulation(organ, local_region="modal")
-    assert modal.settings[st.REGION_INERTIA] == 1.0
+    assert modal.settings.region_inertia == 1.0
     for simulation in (whole, modal):
-        simulation.settings[st.STIFFNESS_SCALE] = 400.0
+        simulation.settings.stiffness_scale = 400.0
         simulation.set_substeps()
-    needed = whole.settings[st.WANTED_SUBSTEPS]
+    needed = whole.settings.substeps
     assert needed > 12
-    assert modal.settings[st.REGION_SUBSTEPS] == 6
-    assert modal.settings[st.WANTED_SUBSTEPS] == needed  # of a tick of the whole model
+    assert modal.settings.region_substeps == 6
+    assert modal.settings.substeps == needed  # of a tick of the whole model
     # Step and inertia make up for each other: the same share of the critical step.
-    assert modal.settings[st.REGION_INERTIA] == pytest.approx((needed / 6) ** 2, rel=0.15)
+    assert modal.settings.region_inertia == pytest.approx((needed / 6) ** 2, rel=0.15)
     found, settled = modal.settle(400.0 * forces, tolerance=1e-4)
     assert settled
-    assert modal.state.count[st.FAULTS] == 0
+    assert modal.state.count.faults == 0
     assert error(found, expected) <= 0.025
 
 
@@ -122,14 +122,14 @@ def test_settled_load_can_leave_and_the_organ_sleeps_at_rest():
     for _ in range(300):
         simulation.apply_force(nodes, 0.2 * forces[nodes])
         simulation.step()
-    assert simulation.state.count[st.REGION] == st.MODAL
+    assert simulation.state.status.region == Region.MODAL
     for _ in range(2000):
         simulation.step()
     assert simulation.asleep
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
 
 
-@pytest.mark.parametrize(("rate", "region"), [(200.0, st.MODAL), (100.0, st.WHOLE)])
+@pytest.mark.parametrize(("rate", "region"), [(200.0, Region.MODAL), (100.0, Region.WHOLE)])
 @pytest.mark.parametrize("kind", ["modal", "auto"])
 def test_ticks_longer_than_the_far_field_takes_move_the_whole_organ(kind, rate, region):
     simulation = Simulation(ball(3), rate=rate, local_region=kind)
@@ -137,7 +137,7 @@ def test_ticks_longer_than_the_far_field_takes_move_the_whole_organ(kind, rate, 
     for _ in range(10):
         simulation.apply_force(nodes, 0.05 * forces[nodes])
         simulation.step()
-        assert simulation.state.count[st.REGION] == region
+        assert simulation.state.status.region == region
 
 
 # what is moved and looked at -------------------------------------------------------------------
@@ -148,14 +148,14 @@ def test_only_the_region_moves_until_somebody_looks():
     for _ in range(60):
         simulation.apply_force(node, [0.0, 0.0, -0.05])
         simulation.step()
-    drive = simulation.scratch.drive_node[: state.count[st.REGION_NODES] + state.count[st.REGION_BOUNDARY]]
+    drive = simulation.scratch.drive_node[: state.status.region_nodes + state.status.region_boundary]
     outside = np.setdiff1d(np.arange(ball(3).n_nodes), drive)
     np.testing.assert_array_equal(np.flatnonzero(state.region_hop >= 0), region)
     np.testing.assert_array_equal(state.position[outside], simulation.model.rest[outside])
-    assert state.count[st.ACTIVE] == len(region)
-    assert state.count[st.SHOWN] != state.count[st.TICK]
+    assert state.status.active == len(region)
+    assert state.status.shown != state.status.tick
     seen = simulation.positions.copy()
-    assert state.count[st.SHOWN] == state.count[st.TICK]
+    assert state.status.shown == state.status.tick
     assert np.median(np.abs(seen - simulation.model.rest)[outside].max(axis=1)) > 1e-6
     simulation.step()
     np.testing.assert_array_equal(state.position[outside], seen[outside])
@@ -182,16 +182,16 @@ def test_region_that_does_not_fit_goes_whole(first):
     for _ in range(5):
         simulation.apply_force(first, [0.0, 0.0, -0.01])
         simulation.step()
-    assert count[st.REGION] == st.MODAL
-    assert count[st.REGION_BOUNDARY] <= MOST_BOUNDARY
-    assert count[st.REGION_NODES] + count[st.REGION_BOUNDARY] <= MOST_DRIVE
+    assert status.region == Region.MODAL
+    assert status.region_boundary <= MOST_BOUNDARY
+    assert status.region_nodes + status.region_boundary <= MOST_DRIVE
     before = simulation.positions.copy()
     simulation.apply_force(nodes, np.tile([0.0, 0.0, -1e-5], (len(nodes), 1)))
     simulation.step()
-    assert count[st.REGION] == st.WHOLE
-    assert count[st.ACTIVE] == len(simulation.model.moving)
+    assert status.region == Region.WHOLE
+    assert status.active == len(simulation.model.moving)
     assert np.abs(simulation.positions - before).max() < 2e-4
-    assert count[st.FAULTS] == 0
+    assert count.faults == 0
 
 
 # no jumps --------------------------------------------------------------------------------------
@@ -207,9 +207,9 @@ def test_load_that_goes_to_a_neighbour_makes_no_node_jump(organ):
         share = np.clip((tick - 200) / 60, 0.0, 1.0)
         forces = np.outer([1.0 - share, share], [0.0, 0.0, -0.1])
         simulation.apply_force([first, second] if share else [first], forces if share else forces[:1])
-        before = simulation.state.count[st.REGION_NODES]
+        before = simulation.state.status.region_nodes
         simulation.step()
-        grown = simulation.state.count[st.REGION_NODES] > before
+        grown = simulation.state.status.region_nodes > before
         seen.append((grown, simulation.positions.copy()))
     assert [tick for tick, (grown, _) in enumerate(seen) if grown] == [0, 201]
     paths = np.array([positions for _, positions in seen[190:230]])
@@ -227,7 +227,7 @@ def led(scene, heights, watch):
         scene.move(0, top + [0.0, 0.0, height])
         scene.step()
         forces.append(scene.wrenches[0, :3].copy())
-        regions.append(int(scene.simulation.state.count[st.REGION]))
+        regions.append(int(scene.simulation.state.status.region))
         watch(scene)
     return np.array(forces), np.array(regions)
 
@@ -235,14 +235,14 @@ def led(scene, heights, watch):
 @pytest.mark.parametrize("organ", [ball(3), pytest.param(kidney(), marks=pytest.mark.slow)], ids=["ball", "kidney"])
 def test_hand_feels_no_step_when_auto_goes_whole_and_when_it_comes_back(organ):
     scene = Scene(organ, [PROBE], local_region="auto")
-    limit, seen = scene.simulation.settings[st.REGION_FORCE], []
+    limit, seen = scene.simulation.settings.region_force, []
     down, up = np.linspace(0.001, -0.006, 700), np.linspace(-0.006, -0.001, 500)
     heights = np.concatenate([down, np.full(300, down[-1]), up, np.full(900, up[-1])])
     forces, regions = led(scene, heights, lambda one: seen.append(one.simulation.positions.copy()))
-    assert scene.simulation.state.count[st.FAULTS] == 0
+    assert scene.simulation.state.count.faults == 0
     touched = int(np.argmax(np.linalg.norm(forces, axis=1) > 0.0))
     changes = [tick for tick in range(touched + 1, len(regions)) if regions[tick] != regions[tick - 1]]
-    assert [int(regions[tick]) for tick in changes] == [st.WHOLE, st.MODAL]
+    assert [int(regions[tick]) for tick in changes] == [Region.WHOLE, Region.MODAL]
     size = np.linalg.norm(forces, axis=1)
     assert size[changes[0]] == pytest.approx(limit, rel=0.1)
     assert size[changes[1]] <= RETURN_SHARE * limit
@@ -262,8 +262,8 @@ def test_snapshot_in_the_middle_of_a_modal_contact_continues_bit_identically():
     led(scene, heights[:120], lambda one: None)
     led(other, np.linspace(0.0, -0.001, 37), lambda one: None)
     simulation = scene.simulation
-    assert simulation.state.count[st.REGION] == st.MODAL
-    assert simulation.state.count[st.TOUCHING] > 0
+    assert simulation.state.status.region == Region.MODAL
+    assert simulation.state.status.touching > 0
     other.simulation.restore(simulation.buffer.floats.copy(), simulation.buffer.integers.copy())
     other._sequence = scene._sequence
     runs = [led(one, heights[120:], lambda one: None)[0] for one in (scene, other)]

@@ -110,16 +110,16 @@ def test_auto_hands_over_to_the_whole_model_without_a_jump():
     for tick in range(200):
         simulation.apply_force(node, [0.0, 0.0, -0.6 * min(1.0, tick / 150)])
         simulation.step()
-        regions.append(int(simulation.state.count[st.REGION]))
+        regions.append(int(simulation.state.status.region))
         heights.append(simulation.positions[node, 2])
-    change = regions.index(st.WHOLE)
+    change = regions.index(Region.WHOLE)
     assert 20 < change < 150
-    assert set(regions[:change]) == {st.MODAL}
-    assert set(regions[change:]) == {st.WHOLE}
+    assert set(regions[:change]) == {Region.MODAL}
+    assert set(regions[change:]) == {Region.WHOLE}
     # The loaded node goes on as before: no step much larger than the ones around it.
     steps = np.abs(np.diff(heights))
     assert steps[change - 2 : change + 3].max() < 2.0 * np.median(steps[change - 10 : change + 10])
-    assert simulation.state.count[st.FAULTS] == 0
+    assert simulation.state.count.faults == 0
 
 
 def test_organ_with_very_few_free_nodes_has_fewer_modes():
@@ -143,5 +143,5 @@ def test_organ_without_modes_of_its_own_is_refused_or_moves_all_the_same(organ):
         for _ in range(20):
             simulation.apply_force(int(np.argmax(organ.surface_positions[:, 2])), [0.0, 0.0, -0.01])
             simulation.step()
-        assert simulation.state.count[st.FAULTS] == 0
+        assert simulation.state.count.faults == 0
         assert np.abs(simulation.positions - organ.rest_positions).max() > 1e-6

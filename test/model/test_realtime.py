@@ -43,18 +43,18 @@ class Loop:
     def __enter__(self):
         self.thread.start()
         deadline = time.monotonic() + 180.0
-        while self.box.control[mb.LOOP_TICKS] == 0:
+        while self.box.control.loop_ticks == 0:
             assert time.monotonic() < deadline
             time.sleep(0.01)
         return self
 
     def __exit__(self, *_):
-        self.box.control[mb.STOP] = 1
+        self.box.control.stop = True
         self.thread.join(timeout=10.0)
         assert not self.thread.is_alive()
 
     def ticks(self):
-        return int(self.box.control[mb.LOOP_TICKS])
+        return int(self.box.control.loop_ticks)
 
     def wait(self, ticks):
         """Until the loop has done some more ticks."""
@@ -80,10 +80,10 @@ class Loop:
         slot, entries = sequence % mb.IN_SLOTS, len(tool)
         self.contacts[sequence] = (entries, tool, node, weight, normal, tip_node, tip_weight, engaged)
         box.contact_entries[slot] = entries
-        box.contact_tool[slot, :entries] = tool
-        box.contact_node[slot, :entries] = node
-        box.contact_weight[slot, :entries] = weight
-        box.contact_normal[slot, :entries] = normal
+        box.contacts.body[slot, :entries] = tool
+        box.contacts.node[slot, :entries] = node
+        box.contacts.weight[slot, :entries] = weight
+        box.contacts.normal[slot, :entries] = normal
         box.tip_node[slot], box.tip_weight[slot], box.engaged[slot] = tip_node, tip_weight, engaged
         box.contact_sequence[0] = sequence
 
@@ -94,9 +94,9 @@ class Loop:
         self.box.settings_sequence[0] = sequence
 
     def snapshot(self):
-        self.box.control[mb.SNAPSHOT_ASKED] += 1
+        self.box.control.snapshot_asked += 1
         deadline = time.monotonic() + 10.0
-        while self.box.control[mb.SNAPSHOT_DONE] != self.box.control[mb.SNAPSHOT_ASKED]:
+        while self.box.control.snapshot_done != self.box.control.snapshot_asked:
             assert time.monotonic() < deadline
             time.sleep(0.001)
         return self.box.snapshot_floats.copy(), self.box.snapshot_integers.copy()
@@ -124,14 +124,14 @@ def all_nodes():
 
 def test_loop_keeps_its_rate_and_accounts_for_every_tick():
     with Loop() as loop:
-        begin, before = time.monotonic(), loop.ticks() + int(loop.box.control[mb.DROPPED])
+        begin, before = time.monotonic(), loop.ticks() + int(loop.box.control.dropped)
         time.sleep(0.5)
         elapsed = time.monotonic() - begin
-        due = loop.ticks() + int(loop.box.control[mb.DROPPED]) - before
+        due = loop.ticks() + int(loop.box.control.dropped) - before
     # The loop may be behind by what it is allowed to catch up.
     assert due == pytest.approx(elapsed * RATE, abs=60)
     assert loop.ticks() > 0.5 * elapsed * RATE
-    assert loop.simulation.state.count[st.TICK] == loop.ticks()
+    assert loop.simulation.state.status.tick == loop.ticks()
     timing = loop.box.timing[: loop.ticks()]
     assert np.all(timing[:, 1] > 0)
     assert np.median(timing[:, 1]) < 1e6
@@ -159,7 +159,7 @@ def test_rest_shape_is_handed_out_once_and_nothing_more_while_asleep():
         assert loop.box.surface_sequence[0] == 1
         np.testing.assert_array_equal(loop.box.surface[1 % mb.OUT_SLOTS], ball(2).rest_positions)
         newest = int(loop.box.out_sequence[0]) % mb.OUT_SLOTS
-        assert loop.box.out_count[newest, st.TICK] >= 16, "a nap is a few ticks long"
+        assert loop.box.out_status[newest].tick >= 16, "a nap is a few ticks long"
         assert len(loop.journal()) == 0
 
 
@@ -174,7 +174,7 @@ def test_journal_tells_which_tick_took_a_pose():
     assert rows[0, mb.ROW_TOOLS] == 1
     assert rows[0, mb.ROW_TOOLS + 1] == rows[0, mb.ROW_CONTACTS] == rows[0, mb.ROW_SETTINGS] == 0
     assert before < rows[0, mb.ROW_TICK] <= before + 10
-    assert loop.simulation.state.tool_count[0, st.POSE_SEQUENCE] == 1
+    assert loop.simulation.state.tools[0].pose_sequence == 1
     np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], above(0.05))
 
 
@@ -214,7 +214,7 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
             if step == 50:
                 loop.post_force([0.0, 0.2, 0.0])
             if step == 60:
-                loop.box.control[mb.RESETS] += 1
+                loop.box.control.resets += 1
             if step == 65:
                 loop.post_contacts(*all_nodes())
             time.sleep(0.003)
@@ -225,7 +225,7 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
     simulation = by_hand(loop, loop.simulation.buffer.tick_of(integers))
     moved = np.abs(simulation.positions - simulation.model.rest).max()
     assert moved > 1e-3
-    assert simulation.state.count[st.FAULTS] == 0
+    assert simulation.state.count.faults == 0
     assert np.linalg.norm(wrench) > 0.0
     np.testing.assert_array_equal(simulation.buffer.floats, floats)
     np.testing.assert_array_equal(simulation.buffer.integers, integers)
@@ -244,17 +244,17 @@ def test_results_are_those_of_the_newest_tick():
     newest = int(box.out_sequence[0]) % mb.OUT_SLOTS
     np.testing.assert_array_equal(box.out_wrench[newest], state.wrench)
     np.testing.assert_array_equal(box.out_count[newest], state.count)
-    np.testing.assert_array_equal(box.out_tool_count[newest], state.tool_count)
+    np.testing.assert_array_equal(box.out_tool_count[newest], state.tools)
     surface = int(box.surface_sequence[0]) % mb.OUT_SLOTS
     np.testing.assert_array_equal(box.surface[surface], state.position)
-    assert box.surface_tick[surface] == state.count[st.TICK] == box.control[mb.AWAKE_TICK]
+    assert box.surface_tick[surface] == state.status.tick == box.control.awake_tick
     assert np.linalg.norm(state.wrench) > 0.0
 
 
 def test_reset_while_asleep_hands_out_the_surface_again():
     with Loop() as loop:
         loop.wait(5)
-        loop.box.control[mb.RESETS] += 1
+        loop.box.control.resets += 1
         loop.wait(5)
         assert loop.box.surface_sequence[0] == 2
         rows = loop.journal()
@@ -284,7 +284,7 @@ def test_pose_ends_a_nap():
         for turn in range(12):
             loop.wait(80)  # until the last pose is stale
             deadline = time.monotonic() + 10.0
-            while not loop.box.control[mb.NAPPING]:
+            while not loop.box.control.napping:
                 assert time.monotonic() < deadline, "an idle loop naps"
             before = time.monotonic()
             loop.post_pose(above(0.05 + 0.001 * turn))
@@ -293,7 +293,7 @@ def test_pose_ends_a_nap():
                 assert time.monotonic() < deadline
                 time.sleep(1e-4)  # where both cores are busy, the loop would wait for the one that is watched from here
             latencies.append(time.monotonic() - before)
-        assert loop.simulation.state.count[st.TICK] == pytest.approx(loop.ticks(), abs=8)
+        assert loop.simulation.state.status.tick == pytest.approx(loop.ticks(), abs=8)
     assert min(latencies) < 0.002
     assert all(np.diff([int(row[mb.ROW_TICK]) for row in loop.journal()]) >= 70)
     simulation = by_hand(loop, loop.ticks())
@@ -305,37 +305,37 @@ def test_ticks_follow_posted_times():
     """None without a time, as many as it moves, none while it stands; a jump back is taken up, a long one dropped."""
     loop = Loop()
     control = loop.box.control
-    control[mb.SIM_TIME] = 1
+    control.sim_time = True
 
     def post(seconds, wait):
-        control[mb.POSTED_TIME] = round(1e9 * seconds)
+        control.posted_time = round(1e9 * seconds)
         time.sleep(wait)
         return loop.ticks()
 
     loop.thread.start()
     deadline = time.monotonic() + 100.0
-    while control[mb.STARTED] == 0:
+    while not control.started:
         assert time.monotonic() < deadline
         time.sleep(0.01)
     time.sleep(0.2)
     assert loop.ticks() == 0
-    assert control[mb.STANDING] == 1
+    assert control.standing == 1
     assert loop.box.surface_sequence[0] == 1, "the rest shape is there all the same"
     assert post(5.0, 0.3) == 0, "the first time is where it begins"
     assert post(5.1, 0.3) == 100
-    assert control[mb.STANDING] == 0
-    assert control[mb.DUE] == 5_100_000_000
+    assert not control.standing
+    assert control.due == 5_100_000_000
     time.sleep(0.6)
-    assert control[mb.STANDING] == 1
+    assert control.standing == 1
     assert loop.ticks() == 100
     floats, _ = loop.snapshot()
     assert len(floats), "a clock that stands keeps nobody waiting"
     assert post(2.0, 0.3) == 100
     assert post(2.05, 0.3) == 150
-    assert control[mb.DROPPED] == 0
+    assert control.dropped == 0
     assert post(9.05, 0.3) == 151
-    assert control[mb.DROPPED] == pytest.approx(7000, abs=1)
-    control[mb.SIM_TIME] = 0
+    assert control.dropped == pytest.approx(7000, abs=1)
+    control.sim_time = False
     time.sleep(0.3)
     assert loop.ticks() > 250
     loop.__exit__()
@@ -348,11 +348,11 @@ def test_tick_time_is_a_setting_that_may_change():
         slower[st.TICK_TIME] = 0.01
         loop.post_settings(slower)
         time.sleep(0.1)
-        ticks, simulated, begin = loop.ticks(), int(loop.box.control[mb.SIMULATED]), time.monotonic()
+        ticks, simulated, begin = loop.ticks(), int(loop.box.control.simulated), time.monotonic()
         time.sleep(0.5)
         elapsed = time.monotonic() - begin
         assert loop.ticks() - ticks == pytest.approx(100.0 * elapsed, abs=8)
-        assert 1e-9 * (int(loop.box.control[mb.SIMULATED]) - simulated) == pytest.approx(elapsed, abs=0.08)
+        assert 1e-9 * (int(loop.box.control.simulated) - simulated) == pytest.approx(elapsed, abs=0.08)
 
 
 def test_now_is_the_monotonic_clock():

@@ -67,7 +67,7 @@ def test_organ_too_large_for_a_table_has_more_modes_and_settles_near(monkeypatch
     forces[near, 2] = -0.2 / 19
     found, settled = simulation.settle(forces)
     assert settled
-    assert simulation.state.count[st.REGION] == st.MODAL
+    assert simulation.state.status.region == Region.MODAL
     expected, _ = Simulation(organ).settle(forces)
     # Modes alone know little of a load's own neighbourhood.
     assert np.linalg.norm(found - expected) <= 0.2 * np.linalg.norm(expected)

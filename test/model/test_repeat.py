@@ -87,4 +87,4 @@ def test_snapshot_continues_bit_identically(integrator):
     runs = [(one.buffer.floats, one.buffer.integers) for one in (whole, other)]
     np.testing.assert_array_equal(runs[0][0], runs[1][0])
     np.testing.assert_array_equal(runs[0][1], runs[1][1])
-    assert whole.state.count[st.TICK] == 60
+    assert whole.state.status.tick == 60

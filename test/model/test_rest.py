@@ -12,7 +12,7 @@ from ..scenes import ball, changed, kidney
 
 def awake(organ, **options):
     simulation = Simulation(organ, **options)
-    simulation.state.count[st.ASLEEP] = 0
+    simulation.state.status.asleep = False
     return simulation
 
 
@@ -25,7 +25,7 @@ def settles(simulation, ticks=1500):
     assert simulation.asleep
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
     np.testing.assert_array_equal(simulation.velocities, 0.0)
-    assert simulation.state.count[st.TURNED] == 0
+    assert simulation.state.status.turned == 0
     return taken
 
 
@@ -54,12 +54,12 @@ def test_slack_organ_left_aside_is_led_back():
     for _ in range(QUIET_TICKS - 1):
         simulation.step()
     np.testing.assert_array_equal(simulation.positions, still)
-    assert state.count[st.SNAPS] == 0
+    assert state.count.snaps == 0
     simulation.step()
-    assert state.count[st.SNAPPED] == 1
+    assert state.status.snapped
     assert settles(simulation) < 500
-    assert state.count[st.SNAPS] == 1
-    assert state.count[st.FAULTS] == 0
+    assert state.count.snaps == 1
+    assert state.count.faults == 0
 
 
 def test_load_keeps_an_organ_that_stands_still_away_from_rest_where_it_is():
@@ -69,11 +69,11 @@ def test_load_keeps_an_organ_that_stands_still_away_from_rest_where_it_is():
         simulation.apply_force(node, [0.0, 0.0, -0.1])
         simulation.step()
     assert np.abs(simulation.velocities).max() < 1e-6
-    assert simulation.state.count[st.SNAPS] == 0
-    assert simulation.state.count[st.SNAPPED] == 0
+    assert simulation.state.count.snaps == 0
+    assert not simulation.state.status.snapped
     assert np.abs(simulation.positions - simulation.model.rest).max() > 5e-4
     settles(simulation)
-    assert simulation.state.count[st.SNAPS] == 0, "a sound organ finds back by itself"
+    assert simulation.state.count.snaps == 0, "a sound organ finds back by itself"
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def test_inside_may_be_turned_for_a_moment_before_it_is_led_back():
     begun = None
     for tick in range(400):
         simulation.step()
-        if begun is None and state.count[st.SNAPPED]:
+        if begun is None and state.status.snapped:
             begun = tick
-    assert state.count[st.FAULTS] == 0
+    assert state.count.faults == 0
     assert begun is not None
     assert begun * 1e-3 == pytest.approx(TURNED_TIME, abs=0.003)
     settles(simulation)

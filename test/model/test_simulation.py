@@ -35,7 +35,7 @@ def organ_for(region):
 def woken(organ, speed=0.0, **options):
     """A simulation awake, its moving nodes at random speeds, m/s."""
     simulation = Simulation(organ, **options)
-    simulation.state.count[st.ASLEEP] = 0
+    simulation.state.status.asleep = False
     nodes = simulation.model.moving
     simulation.velocities[nodes] = speed * np.random.default_rng(0).standard_normal((len(nodes), 3))
     return simulation
@@ -56,8 +56,8 @@ def test_rest_stays_rest_and_asleep(organ, region):
         simulation.step()
     assert simulation.asleep
     assert simulation.time == pytest.approx(0.05)
-    assert simulation.state.count[st.ACTIVE] == 0
-    assert simulation.state.count[st.ASLEEP_TICKS] == 50
+    assert simulation.state.status.active == 0
+    assert simulation.state.count.asleep_ticks == 50
     np.testing.assert_array_equal(simulation.positions, organ.rest_positions)
     np.testing.assert_array_equal(simulation.velocities, 0.0)
 
@@ -81,7 +81,7 @@ def test_organ_returns_to_rest_and_sleeps_after_a_poke():
         simulation.step()
     assert simulation.asleep
     assert np.abs(simulation.positions - simulation.model.rest).max() < 0.01 * reach
-    assert simulation.state.count[st.FAULTS] == 0
+    assert simulation.state.count.faults == 0
 
 
 # conservation ----------------------------------------------------------------------------------
@@ -116,7 +116,7 @@ def test_free_organ_falls_by_the_closed_form():
     for _ in range(50):
         simulation.apply_force(np.arange(organ.n_nodes), organ.mass[:, None] * gravity)
         simulation.step()
-    steps = 50 * int(simulation.state.count[st.SUBSTEPS])
+    steps = 50 * int(simulation.state.status.substeps)
     step = 0.05 / steps
     fallen = gravity * step**2 * steps * (steps + 1) / 2.0
     moved = simulation.positions - organ.rest_positions
@@ -133,7 +133,7 @@ def test_node_on_a_return_spring_alone_oscillates_at_its_closed_form():
     for _ in range(200):
         simulation.step()
         path.append(simulation.positions[node, 0] - organ.rest_positions[node, 0])
-    substeps = int(simulation.state.count[st.SUBSTEPS])
+    substeps = int(simulation.state.status.substeps)
     frequency = np.sqrt(organ.return_stiffness[node] / organ.mass[node])
     angle = 2.0 * np.arcsin(frequency * 1e-3 / substeps / 2.0)
     k = substeps * np.arange(1, 201)
@@ -148,7 +148,7 @@ def energy_of(simulation):
     kinetic = 0.5 * np.sum(v[nodes] ** 2 / model.inverse_mass[nodes, None])
     force = np.zeros_like(x)
     elastic_forces(model, x, force)
-    step = 1e-3 / simulation.state.count[st.SUBSTEPS]
+    step = 1e-3 / simulation.state.status.substeps
     return (
         kinetic
         + spring_energy(x, model)
@@ -256,13 +256,13 @@ def test_reset_brings_the_rest_shape_back_and_the_counters_go_on():
     poke(simulation, 20)
     simulation.velocities[simulation.model.moving[0]] = np.nan
     simulation.step()
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
     simulation.reset()
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
     np.testing.assert_array_equal(simulation.velocities, 0.0)
     assert simulation.asleep
-    assert simulation.state.count[st.TICK] == 21
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.status.tick == 21
+    assert simulation.state.count.faults == 1
     fresh = Simulation(kidney(), shapes=sphere_tools(0.01))
     poke(fresh, 20)
     poke(simulation, 20)
@@ -329,7 +329,7 @@ def test_wrong_options_are_refused_by_name(options, message):
 # guard -----------------------------------------------------------------------------------------
 def checked_steps(simulation, ticks):
     """Step, and let no position leave that is not finite or out of bounds."""
-    span = simulation.settings[st.LAST_GOOD_SPAN]
+    span = simulation.settings.runaway_span
     for _ in range(ticks):
         simulation.step()
         assert np.all(np.isfinite(simulation.positions))
@@ -346,14 +346,14 @@ def test_velocity_that_is_not_finite_never_shows(bad, region):
     before = simulation.positions.copy()
     simulation.velocities[top_of(simulation.organ), 1] = bad
     checked_steps(simulation, 1)
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
     # Around a modal region the last good tick's edge is a micrometre from where it was shown.
     np.testing.assert_allclose(
         simulation.positions, before, rtol=0.0, atol=1e-6 if region in ("modal", "auto") else 0.0
     )
     assert np.abs(simulation.velocities).max() == 0.0
     checked_steps(simulation, 1000)
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
     assert simulation.asleep
 
 
@@ -361,17 +361,17 @@ def test_velocity_that_is_not_finite_never_shows(bad, region):
 def test_runaway_force_never_shows_and_the_organ_goes_on(region):
     simulation = Simulation(organ_for(region), local_region=region)
     poke(simulation, 20, force=(0.0, 0.0, -0.05))
-    normal = simulation.state.count[st.SUBSTEPS]
+    normal = simulation.state.status.substeps
     simulation.apply_force(top_of(simulation.organ), [0.0, 0.0, 1e9])
     checked_steps(simulation, 1)
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
     checked_steps(simulation, 1)
-    assert simulation.state.count[st.SUBSTEPS] == 2 * normal
+    assert simulation.state.status.substeps == 2 * normal
     checked_steps(simulation, 1500)
     assert simulation.asleep
     poke(simulation, 1)
-    assert simulation.state.count[st.SUBSTEPS] == normal
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.status.substeps == normal
+    assert simulation.state.count.faults == 1
 
 
 def test_force_that_runs_away_tick_after_tick_is_counted_each_time():
@@ -379,8 +379,8 @@ def test_force_that_runs_away_tick_after_tick_is_counted_each_time():
     for _ in range(10):
         simulation.apply_force(top_of(ball()), [1e9, 0.0, 0.0])
         checked_steps(simulation, 1)
-    assert simulation.state.count[st.FAULTS] == 10
-    assert simulation.state.count[st.SUBSTEPS] <= 8 * simulation.settings[st.WANTED_SUBSTEPS]
+    assert simulation.state.count.faults == 10
+    assert simulation.state.status.substeps <= 8 * simulation.settings.substeps
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)
 
 
@@ -393,7 +393,7 @@ def test_organ_is_back_at_rest_after_any_load(organ, force):
     poke(simulation, 150, force=(0.1 * force, 0.0, -force))
     reach = np.abs(simulation.positions - simulation.model.rest).max()
     # Sixteen newtons on the tenth of a gram of one node are more than the guard lets through.
-    assert reach > 0.005 or simulation.state.count[st.FAULTS] > 0
+    assert reach > 0.005 or simulation.state.count.faults > 0
     checked_steps(simulation, 1500)
     assert simulation.asleep
     assert np.abs(simulation.positions - simulation.model.rest).max() <= 0.01 * reach
@@ -405,7 +405,7 @@ def on_the_way_back():
     state = simulation.state
     simulation.positions[(simulation.model.rest[:, 2] > 0.0) & (simulation.model.inverse_mass > 0.0), 0] += 0.01
     state.good_position[:] = simulation.positions
-    state.count[st.ASLEEP], state.count[st.SNAPPED] = 0, 1
+    state.status.asleep, state.status.snapped = False, 1
     return simulation
 
 
@@ -418,7 +418,7 @@ def test_false_rest_shape_is_left_without_a_jump():
         if simulation.asleep:
             break
     assert simulation.asleep
-    assert simulation.state.count[st.SNAPPED] == 0
+    assert not simulation.state.status.snapped
     assert np.abs(simulation.positions - simulation.model.rest).max() < 1e-5
 
 
@@ -426,7 +426,7 @@ def test_touch_on_the_way_back_gives_the_organ_to_the_springs_again():
     simulation = on_the_way_back()
     checked_steps(simulation, 10)
     poke(simulation, 1, force=(0.0, 0.0, -0.01))
-    assert simulation.state.count[st.SNAPPED] == 0
+    assert not simulation.state.status.snapped
     assert np.abs(simulation.velocities).max() > 1e-3
 
 
@@ -437,7 +437,7 @@ def test_fault_on_the_way_back_does_not_return_to_the_false_shape():
     assert np.abs(here - simulation.model.rest).max() < 0.002
     simulation.apply_force(top_of(simulation.organ), [0.0, 0.0, 1e9])
     checked_steps(simulation, 1)
-    assert simulation.state.count[st.FAULTS] == 1
+    assert simulation.state.count.faults == 1
     np.testing.assert_array_equal(simulation.positions, here)
 
 
@@ -448,7 +448,7 @@ def test_step_allocates_no_python_memory():
 
     def run(steps):
         for _ in range(steps):
-            simulation.state.count[st.QUIET] = 0  # stay awake
+            simulation.state.status.quiet = 0  # stay awake
             simulation.step()
 
     run(500)  # until Numba's caches of argument types are full
@@ -523,7 +523,7 @@ def linear_answer(simulation, forces):
 @pytest.mark.parametrize("variant", ["surface", "volume", "hybrid"])
 def test_settled_displacements_under_a_small_load_are_those_of_the_linear_model(variant):
     organ = ball()
-    simulation = Simulation(organ, variant)
+    simulation = Simulation(organ, model=variant)
     forces = loads_of(organ, 1e-4)
     found, settled = simulation.settle(forces, tolerance=1e-5)
     expected = linear_answer(simulation, forces)
@@ -575,7 +575,7 @@ def test_forces_raised_slowly_lead_to_the_same_rest_without_a_swing():
         simulation.step = watched
         displacement, settled = simulation.settle(loads_of(ball(), 0.05), tolerance=1e-5, ramp=ramp)
         assert settled
-        assert simulation.state.count[st.TICK] >= 1000 * ramp
+        assert simulation.state.status.tick >= 1000 * ramp
         reached.append((displacement, peak / np.abs(displacement).max()))
     (at_once, swing), (raised, little) = reached
     np.testing.assert_allclose(raised, at_once, atol=1e-4 * np.abs(at_once).max())

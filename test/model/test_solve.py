@@ -46,7 +46,7 @@ def test_displacements_are_those_of_settle(organ_file, tmp_path, variant, capsys
         assert result["converged"].dtype == np.bool_
         assert np.all(result["converged"])
         assert np.all(result["seconds"] > 0.0)
-        simulation = Simulation(ball(), variant)
+        simulation = Simulation(ball(), model=variant)
         for load, found in zip(two_loads(), result["displacements"], strict=True):
             np.testing.assert_array_equal(found, simulation.settle(load, 1e-3, 5.0)[0])
             # Metres: a tenth of a newton dents 10 kPa by some tenths of a millimetre, along the force.

@@ -102,8 +102,8 @@ class Values(dict):
     tools = ("left", "right")
 
     def apply(self, settings):
-        settings[st.REGION_FORCE] = self["region_force"]
-        settings[st.COUPLING_STIFFNESS] = self["coupling_stiffness"]
+        settings.region_force = self["region_force"]
+        settings.coupling_stiffness = self["coupling_stiffness"]
 
 
 def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
@@ -143,9 +143,9 @@ def test_levels_become_settings_with_substeps_of_their_own():
     assert posted[-1][1][st.REGION_FORCE] == ANY_FORCE
     made.update(RATE)
     sequence, settings = posted[-1]
-    assert settings[st.TICK_TIME] == 2e-3
-    substeps = Simulation(ball(2), rate=500.0, local_region="auto").settings[st.WANTED_SUBSTEPS]
-    assert settings[st.WANTED_SUBSTEPS] == substeps
+    assert settings.tick_time == 2e-3
+    substeps = Simulation(ball(2), rate=500.0, local_region="auto").settings.substeps
+    assert settings.substeps == substeps
     assert made.describe() == "markers at 10 Hz, a modal region under any load, 500 Hz"
     made.update(NONE)
     assert posted[-1][0] > sequence

@@ -17,7 +17,7 @@ def test_contact_forces_are_of_whole_ticks():
     """Whenever they are read, an organ that is pressed shows who presses it: no frame of a viewer goes dark."""
     organ = ball(2)
     scene = Scene(organ, [Tool("left", "sphere", 0.005)])
-    scene.simulation.settings[st.STALE_TIME] = 1e9  # a busy machine is no stale hand
+    scene.simulation.settings.stale_time = 1e9  # a busy machine is no stale hand
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     for height in np.linspace(0.008, 0.003, 300):
         scene.move(0, top + (0.0, 0.0, height))

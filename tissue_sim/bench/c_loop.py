@@ -22,7 +22,6 @@ from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import TICK_TIME, WANTED_SUBSTEPS
 
 PLAIN = ("-O3",)
 # The last two let it take square roots and choose between values in vectors, as Numba's compiler may.
@@ -230,8 +229,8 @@ class CLoop:
     ) -> None:
         model = simulation.model
         self._simulation = simulation
-        self._substeps = int(simulation.settings[WANTED_SUBSTEPS])
-        self._step = float(simulation.settings[TICK_TIME]) / self._substeps
+        self._substeps = int(simulation.settings.substeps)
+        self._step = float(simulation.settings.tick_time) / self._substeps
         self._load = np.zeros_like(model.rest)
         self._load[nodes] = forces
         edges, links = model.edges, model.links

@@ -105,7 +105,7 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Measured:
         start = time.thread_time()
         found = find(*given)
         seconds.append(time.thread_time() - start)
-        points[0] = max(points[0], len(found.tool))
+        points[0] = max(points[0], found.header.points)
         return found
 
     scene.finder.find = timed  # type: ignore[method-assign, assignment]

@@ -18,7 +18,6 @@ from tissue_sim.model import reduction
 from tissue_sim.model.assembly import Model, assemble
 from tissue_sim.model.modes import Modes, lowest_modes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import ACTIVE, SUBSTEPS
 from tissue_sim.organ.organ import Organ
 
 SIZES = (1000, 4000, 16000, 64000)
@@ -66,10 +65,10 @@ def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
         Grown(
             points,
             timings[f"whole {points}"],
-            int(whole.state.count[SUBSTEPS]),
+            int(whole.state.status.substeps),
             timings[f"modal {points}"],
-            int(modal.state.count[SUBSTEPS]),
-            int(modal.state.count[ACTIVE]),
+            int(modal.state.status.substeps),
+            int(modal.state.status.active),
             len(modal.state.mode_position),
             took,
             points != sizes[0],

@@ -14,7 +14,6 @@ from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, node_normals, patch
 from tissue_sim.bench.printing import aligned, emit
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
@@ -68,7 +67,7 @@ def measure(organ: Organ, patches: int) -> list[Case]:
     whole = Simulation(organ)
     modal, frozen = (Simulation(organ, local_region=region) for region in ("modal", "frozen"))
     for simulation in (modal, frozen):
-        simulation.settings[st.REGION_FORCE] = np.inf  # no handing over here
+        simulation.settings.region_force = np.inf  # no handing over here
     model = whole.model
     free = free_axes(model)
     linear = splu(stiffness_matrix(model)[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A")
@@ -76,7 +75,7 @@ def measure(organ: Organ, patches: int) -> list[Case]:
     hops = hop_table(model, organ.n_surface)
     far = hops[organ.fixed].min(axis=0) > 5 if len(organ.fixed) else np.ones(organ.n_surface, dtype=bool)
     centres = np.random.default_rng(SEED).choice(np.flatnonzero(far), patches)
-    largest = whole.settings[st.REGION_FORCE]
+    largest = whole.settings.region_force
     cases = []
     for number, centre in enumerate(tqdm(centres, disable=None, desc="region", unit="patch")):
         nodes = patch(organ, int(centre), PATCH_NODES)

@@ -17,7 +17,6 @@ from tissue_sim.bench.printing import aligned, emit, noise_lines, told
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.state import ACTIVE, SUBSTEPS
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
@@ -103,7 +102,7 @@ def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Fl
 
 def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str, Cell]], Timing]:
     """Every variant under every force, by names of force and variant; and the timing of the fixed loop."""
-    simulations = [Simulation(organ, variant.model, local_region=variant.local_region) for variant in VARIANTS]
+    simulations = [Simulation(organ, model=variant.model, local_region=variant.local_region) for variant in VARIANTS]
     bursts: dict[str, Any] = {"noise": noise_burst}
     settled: dict[tuple[str, str], tuple[Floats, bool, int, int]] = {}
     jobs = [
@@ -116,8 +115,8 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
         whole = np.zeros((organ.n_surface, 3))
         whole[nodes] = forces
         displacement, done = simulation.settle(whole, longest=2.0 if quick else 5.0)
-        counts = simulation.state.count
-        settled[force.name, variant.name] = displacement, done, int(counts[SUBSTEPS]), int(counts[ACTIVE])
+        status = simulation.state.status
+        settled[force.name, variant.name] = displacement, done, int(status.substeps), int(status.active)
         bursts[f"{force.name} {variant.name}"] = Ticks(simulation, nodes, forces, steady=True)
     timings = interleave(Phase(bursts, 0.2 if quick else 1.0, "table 1"))
     cells: dict[str, dict[str, Cell]] = {}

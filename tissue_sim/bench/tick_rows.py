@@ -17,8 +17,7 @@ from tissue_sim.bench.printing import made_or_skipped
 from tissue_sim.bench.timing import Burst, Ticks
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model import state as st
-from tissue_sim.model.integrators import INTEGRATORS
+from tissue_sim.model.settings import INTEGRATORS
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -76,8 +75,8 @@ def _ticks(organ: Organ, **options: Any) -> tuple[Burst, str]:
     simulation = Simulation(organ, **options)
     burst = Ticks(simulation, *patch_load(organ, FORCE))
     burst(1)
-    counts = simulation.state.count
-    return burst, f"{counts[st.SUBSTEPS]} substeps, {counts[st.ACTIVE]} nodes"
+    status = simulation.state.status
+    return burst, f"{status.substeps} substeps, {status.active} nodes"
 
 
 def _guard(organ: Organ) -> tuple[Burst, str]:
@@ -105,7 +104,7 @@ def _pressed_tool(organ: Organ) -> tuple[Burst, str]:
     scene = Scene(organ, [Tool("ball", radius=TOOL_RADIUS)], local_region="modal")
     nodes, forces = patch_load(organ, 1.0, 1)
     inward, at = forces[0], organ.surface_positions[nodes[0]]
-    counts = scene.simulation.state.count
+    state = scene.simulation.state
 
     def press(depth: float, ticks: int) -> None:
         for _ in range(ticks):
@@ -113,15 +112,15 @@ def _pressed_tool(organ: Organ) -> tuple[Burst, str]:
             scene.step()
 
     depth = -0.001
-    while counts[st.TOUCHING] < PATCH_NODES and depth < 0.5 * TOOL_RADIUS:
+    while state.status.touching < PATCH_NODES and depth < 0.5 * TOOL_RADIUS:
         depth += TOOL_STEP
         press(depth, 4)
     press(depth, 200)
     burst = Ticks(scene.simulation, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     burst(1)
     force = np.linalg.norm(scene.wrenches[0, :3])
-    remark = f"{counts[st.TOUCHING]} of {counts[st.ENTRIES]} contact points touch with {force:.2g} N"
-    return burst, f"{remark}, {counts[st.SUBSTEPS]} substeps, {counts[st.ACTIVE]} nodes"
+    remark = f"{state.status.touching} of {state.contacts.header.points} contact points touch with {force:.2g} N"
+    return burst, f"{remark}, {state.status.substeps} substeps, {state.status.active} nodes"
 
 
 def _flex(organ: Organ) -> tuple[Burst, str]:

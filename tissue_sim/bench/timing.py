@@ -24,7 +24,6 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import load_nodes, take_pose
 from tissue_sim.model.simulation import Simulation
@@ -162,7 +161,7 @@ def _time_ticks(
             phase[0] = phase[0] % _LOAD_PERIOD + 1
             load_nodes(state, nodes, share * forces)
         for tool in range(len(state.tool_pose)):
-            take_pose(state, tool, state.tool_goal[tool].copy(), state.tool_count[tool, st.POSE_SEQUENCE] + 1)
+            take_pose(state, tool, state.tool_goal[tool].copy(), state.tools[tool].pose_sequence + 1)
         start = _now(clock)
         tick_world(world)
         if guarded:  # once more, after a tick as in it

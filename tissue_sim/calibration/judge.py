@@ -11,7 +11,6 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.dynamics import release
 from tissue_sim.calibration.fem import Body, volume_change
-from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -37,9 +36,9 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
     displacement, volume = np.zeros_like(cases.force), np.zeros(len(cases))
     converged = np.zeros(len(cases))
     for case, force in enumerate(cases.force):
-        before = count[st.FAULTS], count[st.SNAPS]
+        before = count.faults, count.snaps
         displacement[case], settled = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
-        converged[case] = float(settled and before == (count[st.FAULTS], count[st.SNAPS]))
+        converged[case] = float(settled and before == (count.faults, count.snaps))
         volume[case] = volume_change(organ, displacement[case])
         if watch is not None:
             watch()

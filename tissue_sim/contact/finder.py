@@ -21,48 +21,17 @@ from tissue_sim.contact.broad_phase import (
 )
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.model.inputs import take_contacts
+from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, contact_set
 from tissue_sim.model.shapes import rotation_matrix
-from tissue_sim.model.state import MAX_ENTRIES, State
 from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
-MOST_FOUND = 4 * MAX_ENTRIES  # points, per body
+MOST_FOUND = 4 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
 SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
 MOST_DIVISIONS = 8
-
-
-@dataclass(frozen=True)
-class ContactSet:
-    """Surface points that tools may touch, and those under the tools' tips. T tools, C entries."""
-
-    tool: Longs  # (C,)
-    node: Longs  # (C, 3)
-    weight: Floats  # (C, 3)
-    normal: Floats  # (C, 3) outward unit normals of the tissue
-    tip_node: Longs  # (T, 3), -1 where no surface is within reach
-    tip_weight: Floats  # (T, 3)
-    engaged: Longs  # (T,)
-    dropped: int = 0  # entries beyond the capacity, farthest first
-
-
-def hand_over(state: State, found: ContactSet, sequence: int) -> None:
-    """Let a simulation's state take up a contact set; sequence: its number."""
-    take_contacts(
-        state,
-        len(found.tool),
-        found.tool,
-        found.node,
-        found.weight,
-        found.normal,
-        found.tip_node,
-        found.tip_weight,
-        found.engaged,
-        sequence,
-    )
 
 
 @dataclass
@@ -123,25 +92,27 @@ class ContactFinder:
         whose external force needs the surface point under the tip.
         """
         n_bodies = len(self.tools.grown)
-        tip_node, tip_weight = np.full((n_bodies, 3), -1, dtype=np.int64), np.zeros((n_bodies, 3))
         self.counters.sets += 1
         surface_box(position, self.n_surface, self._low, self._high)
         count = 0
         for body in range(n_bodies):
-            if pushing[body]:
-                tip_node[body], tip_weight[body] = self._under_tip(position, poses[body, :3])
             if engaged[body]:
                 count = self._add(body, position, poses[body], margins[body], count)
-        dropped = max(0, count - MAX_ENTRIES)
-        kept = min(count, len(self._body))
-        owner, node, weight, normal = self._body[:kept], self._node[:kept], self._weight[:kept], self._outward[:kept]
-        if dropped:
-            points = np.einsum("ij,ijk->ik", weight, position[node])
-            distance = np.linalg.norm(points - poses[owner, :3], axis=1)
-            nearest = np.sort(np.argsort(distance, kind="stable")[:MAX_ENTRIES])
-            owner, node, weight, normal = owner[nearest], node[nearest], weight[nearest], normal[nearest]
-        taken = np.array(engaged, dtype=np.int64)
-        return ContactSet(owner.copy(), node.copy(), weight.copy(), normal.copy(), tip_node, tip_weight, taken, dropped)
+        kept = slice(0, min(count, len(self._body)))
+        chosen: slice | Longs = kept
+        if count > MOST_POINTS:
+            points = np.einsum("ij,ijk->ik", self._weight[kept], position[self._node[kept]])
+            distance = np.linalg.norm(points - poses[self._body[kept], :3], axis=1)
+            chosen = np.sort(np.argsort(distance, kind="stable")[:MOST_POINTS])
+        found = contact_set(n_bodies, min(count, MOST_POINTS))
+        found.header.points, found.header.dropped = len(found.body), max(0, count - MOST_POINTS)
+        found.body[:], found.node[:] = self._body[chosen], self._node[chosen]
+        found.weight[:], found.normal[:] = self._weight[chosen], self._outward[chosen]
+        found.engaged[:] = engaged
+        found.tip_node[:] = -1
+        for pushed in np.flatnonzero(pushing):
+            found.tip_node[pushed], found.tip_weight[pushed] = self._under_tip(position, poses[pushed, :3])
+        return found
 
     def _add(self, body: int, position: Floats, pose: Floats, margin: float, count: int) -> int:
         """Points near a body, after the `count` that were found; returns how many there are now."""

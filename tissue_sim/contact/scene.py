@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over, reach_margins
+from tissue_sim.contact.finder import ContactFinder, reach_margins
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.model import state as st
-from tissue_sim.model.inputs import take_force, take_pose
+from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -31,7 +30,7 @@ class Scene:
         ticks_a_set: int = 1,
     ) -> None:
         self.tools = ToolSet(tools)
-        self.simulation = Simulation(organ, model, rate, local_region, self.tools.shapes)
+        self.simulation = Simulation(organ, model=model, rate=rate, local_region=local_region, shapes=self.tools.shapes)
         self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
         self.contacts: ContactSet | None = None
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
@@ -58,13 +57,13 @@ class Scene:
         self._origin[tool] = pose[:3]
         self._sequence += 1
         for body, at in zip(self.tools.bodies[tool], self.tools.poses(tool, pose, angle), strict=True):
-            take_pose(self.simulation.state, body, at, self._sequence)
+            self.simulation.take_pose(body, at, self._sequence)
 
     def push(self, tool: int, force: ArrayLike) -> None:
         """A new external force (3,) N on the tissue at a tool's tip."""
         self._sequence += 1
         body = self.tools.bodies[tool][0]
-        take_force(self.simulation.state, body, np.asarray(force, dtype=np.float64), self._sequence)
+        self.simulation.take_force(body, np.asarray(force, dtype=np.float64), self._sequence)
 
     def step(self) -> None:
         """Find the contacts when it is time, and advance by one tick."""
@@ -75,8 +74,8 @@ class Scene:
 
     def _find(self) -> None:
         state = self.simulation.state
-        fresh = (state.tool_count[:, st.AGE] >= 0).astype(np.int64)
-        pushing = (state.tool_count[:, st.FORCE_AGE] >= 0).astype(np.int64)
+        fresh = (state.tools.age >= 0).astype(np.int64)
+        pushing = (state.tools.force_age >= 0).astype(np.int64)
         goal = state.tool_goal.copy()
         margins = np.zeros(len(fresh))
         if self._ticks_a_set > 1 and self._set_goal is not None:
@@ -84,5 +83,5 @@ class Scene:
         self._set_goal = goal
         found = self.finder.find(self.simulation.positions, goal, margins, fresh, pushing)
         self._sequence += 1
-        hand_over(state, found, self._sequence)
+        self.simulation.take_contacts(found, self._sequence)
         self.contacts = found

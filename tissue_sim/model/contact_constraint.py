@@ -13,7 +13,7 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import signed_distance
-from tissue_sim.model.state import ENGAGED, ENTRIES, MODAL, REGION
+from tissue_sim.model.state import Region
 
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
@@ -30,10 +30,10 @@ def point_in_tool(
 
     origin (T, 3), rotation (T, 9) of the tools.
     """
-    tool = state.contact_tool[entry]
+    tool = state.contacts.body[entry]
     x = y = z = 0.0
     for c in range(3):
-        node, weight = state.contact_node[entry, c], state.contact_weight[entry, c]
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
@@ -55,10 +55,10 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
 
     Tissue is pushed from outside only: a tool that came to lie inside leaves without hooking it.
     """
-    tool = state.contact_tool[entry]
+    tool = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
     gap, nx, ny, nz = gap_and_normal(shapes, tool, rotation[tool], lx, ly, lz)
-    normal = state.contact_normal[entry]
+    normal = state.contacts.normal[entry]
     facing = normal[0] * nx
     facing += normal[1] * ny
     facing += normal[2] * nz
@@ -68,9 +68,9 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
 @kernel
 def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
     """True when any contact point lies inside its tool."""
-    for entry in range(state.count[ENTRIES]):
-        tool = state.contact_tool[entry]
-        if state.tool_count[tool, ENGAGED] == 1:
+    for entry in range(state.contacts.header.points):
+        tool = state.contacts.body[entry]
+        if state.tools[tool].engaged:
             if gap_from_outside(state, shapes, entry, origin, rotation) < 0.0:
                 return True
     return False
@@ -101,11 +101,11 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
     forgotten.
     """
     found = 0
-    for entry in range(state.count[ENTRIES]):
-        tool = state.contact_tool[entry]
+    for entry in range(state.contacts.header.points):
+        tool = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         near = False
-        if state.tool_count[tool, ENGAGED] == 1 and found < len(scratch.near_entry):
+        if state.tools[tool].engaged and found < len(scratch.near_entry):
             near = pressed > 0.0 or gap_from_outside(state, shapes, entry, origin, rotation) < NEAR
         if not near:
             state.contact_pressed[0, entry] = 0.0
@@ -124,7 +124,7 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 
     And that normal.
     """
-    tool = state.contact_tool[entry]
+    tool = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
     _, nx, ny, nz = gap_and_normal(shapes, tool, scratch.rotation[tool], lx, ly, lz)
     pressed, held = state.contact_pressed[0, entry], state.contact_held[0, entry]
@@ -135,12 +135,12 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 @kernel
 def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, target: Any) -> None:
     """Add the last substep's contact impulses, N s, times a scale to target (n, 3)."""
-    shares = state.contact_weight
-    for entry in range(state.count[ENTRIES]):
-        if state.contact_pressed[0, entry] > 0.0 and state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
+    shares = state.contacts.weight
+    for entry in range(state.contacts.header.points):
+        if state.contact_pressed[0, entry] > 0.0 and state.tools[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
             for corner in range(3):
-                node, share = state.contact_node[entry, corner], scale * shares[entry, corner]
+                node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]
                 target[node, 0] += share * push[0]
                 target[node, 1] += share * push[1]
                 target[node, 2] += share * push[2]
@@ -194,11 +194,11 @@ def resolve_contact(
 ) -> float:
     """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
     entry = scratch.near_entry[near]
-    tool = state.contact_tool[entry]
+    tool = state.contacts.body[entry]
     compliance = 0.0
     for c in range(3):
-        weight = state.contact_weight[entry, c]
-        compliance += weight * weight * mobility[state.contact_node[entry, c]]
+        weight = state.contacts.weight[entry, c]
+        compliance += weight * weight * mobility[state.contacts.node[entry, c]]
     pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
     compliance = compliance * step + scratch.give[tool]
     if compliance == 0.0:
@@ -217,7 +217,7 @@ def resolve_contact(
     sy = scratch.last_origin[tool, 1] + q[3] * lx + q[4] * ly + q[5] * lz - y
     sz = scratch.last_origin[tool, 2] + q[6] * lx + q[7] * ly + q[8] * lz - z
     for c in range(3):
-        node, weight = state.contact_node[entry, c], state.contact_weight[entry, c] * step
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c] * step
         sx += weight * state.velocity[node, 0]
         sy += weight * state.velocity[node, 1]
         sz += weight * state.velocity[node, 2]
@@ -240,14 +240,14 @@ def give_impulse(
     state: Any, shapes: Any, mobility: Any, scratch: Any, entry: int, px: float, py: float, pz: float, step: float
 ) -> None:
     """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 only count it."""
-    tool = state.contact_tool[entry]
+    tool = state.contacts.body[entry]
     x = y = z = 0.0
     for c in range(3):
-        node, weight = state.contact_node[entry, c], state.contact_weight[entry, c]
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
-        if state.count[REGION] == MODAL:
+        if state.status.region == Region.MODAL:
             state.contact_impulse[node, 0] += weight * px
             state.contact_impulse[node, 1] += weight * py
             state.contact_impulse[node, 2] += weight * pz

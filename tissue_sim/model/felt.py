@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.state import AGE, CLAMPED, FORCE_CLAMP, FORCE_SLEW, SLEWED, TICK_TIME
 from tissue_sim.model.tool_motion import freshness
 
 
@@ -15,9 +14,9 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
     """Set the wrench of every body; clamp and slew limit hold for the sum over a hand's bodies."""
     cut = held_back = False
     for hand in range(len(state.wrench)):
-        clamped = clamp_share(scratch.impulse, shapes.hand, hand, settings[FORCE_CLAMP] * settings[TICK_TIME])
+        clamped = clamp_share(scratch.impulse, shapes.hand, hand, settings.force_clamp * settings.tick_time)
         cut = cut or clamped < 1.0
-        wanted = -clamped / settings[TICK_TIME]
+        wanted = -clamped / settings.tick_time
         change = slew_share(state.felt, scratch.impulse, wanted, shapes.hand, hand, settings)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):
@@ -28,15 +27,15 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
                         wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
                     )
         # Where the clamp itself was lowered meanwhile.
-        clamped = clamp_share(state.felt, shapes.hand, hand, settings[FORCE_CLAMP])
+        clamped = clamp_share(state.felt, shapes.hand, hand, settings.force_clamp)
         for body in range(len(state.wrench)):
             if shapes.hand[body] == hand:
-                fresh = freshness(state.tool_count[body, AGE], settings)
+                fresh = freshness(state.tools[body].age, settings)
                 for c in range(6):
                     state.felt[body, c] *= clamped
                     state.wrench[body, c] = fresh * state.felt[body, c]
-    state.count[CLAMPED] += cut
-    state.count[SLEWED] += held_back
+    state.count.clamped_ticks += cut
+    state.count.slewed_ticks += held_back
 
 
 @kernel
@@ -61,5 +60,5 @@ def slew_share(felt: Any, impulse: Any, wanted: float, hands: Any, hand: int, se
             x += wanted * impulse[body, 0] - felt[body, 0]
             y += wanted * impulse[body, 1] - felt[body, 1]
             z += wanted * impulse[body, 2] - felt[body, 2]
-    size, most = math.sqrt(x * x + y * y + z * z), settings[FORCE_SLEW] * settings[TICK_TIME]
+    size, most = math.sqrt(x * x + y * y + z * z), settings.force_slew * settings.tick_time
     return most / size if size > most else 1.0

@@ -8,24 +8,7 @@ from typing import Any
 from tissue_sim.jit import kernel, part
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.modal_region import driving, forget_region
-from tissue_sim.model.state import (
-    BACKOFF,
-    COLLAPSED,
-    COLLAPSING,
-    FAULT_KIND,
-    FAULTS,
-    GOOD_AGE,
-    LAST_GOOD_SPAN,
-    MODAL,
-    NEXT_CELL,
-    NOT_FINITE,
-    REGION,
-    REGION_NODES,
-    RUNAWAY,
-    TICK_TIME,
-    TURNED,
-    WHOLE,
-)
+from tissue_sim.model.state import Fault, Region
 
 MAX_BACKOFF = 8
 RUNAWAY_RATE = 100.0  # 1/s, speed over the organ's size that the nodes together never have
@@ -45,11 +28,11 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     then from 1 again, until the organ has slept. An organ of which more than
     half is inside out is led back a little in each tick.
     """
-    count = state.count
-    span = settings[LAST_GOOD_SPAN]
-    speed = span / settings[TICK_TIME]
+    status, count = state.status, state.count
+    span = settings.runaway_span
+    speed = span / settings.tick_time
     energy = (RUNAWAY_RATE * span) ** 2
-    if count[REGION] == WHOLE:
+    if status.region == Region.WHOLE:
         size = state.position.size
         x, v, x0 = state.position.reshape(size), state.velocity.reshape(size), model.rest.reshape(size)
         fault = 0
@@ -58,15 +41,15 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
             fault = check(model, state, model.moving, span * span, speed * speed, energy)
     else:
         fault = check(model, state, watched(state, scratch), span * span, speed * speed, energy)
-    if count[REGION] == MODAL:
+    if status.region == Region.MODAL:
         for k in range(len(state.mode_position)):
             if not abs(state.mode_position[k]) < math.inf or not abs(state.mode_velocity[k]) < math.inf:
-                fault = NOT_FINITE
-    collapsing = count[TURNED] > MOST_TURNED * len(model.cells)
-    if collapsing and count[COLLAPSING] == 0:
-        count[FAULTS] += 1
-        count[FAULT_KIND] = COLLAPSED
-    count[COLLAPSING] = 1 if collapsing else 0
+                fault = Fault.NOT_FINITE
+    collapsing = status.turned > MOST_TURNED * len(model.cells)
+    if collapsing and not status.collapsing:
+        count.faults += 1
+        status.fault_kind = Fault.COLLAPSED
+    status.collapsing = collapsing
     if fault == 0:
         if collapsing:
             lead_back(model, state, settings)
@@ -75,14 +58,14 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     restore(state, scratch)
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
-    if count[REGION] == MODAL:
+    if status.region == Region.MODAL:
         forget_region(state)
-        count[REGION] = WHOLE
+        status.region = Region.WHOLE
     scratch.impulse[:] = 0.0
-    count[FAULTS] += 1
-    count[FAULT_KIND] = fault
+    count.faults += 1
+    status.fault_kind = fault
     # A load that stays too much for the shortest substeps is not the substeps' fault.
-    count[BACKOFF] = 2 * count[BACKOFF] if count[BACKOFF] < MAX_BACKOFF else 1
+    status.backoff = 2 * status.backoff if status.backoff < MAX_BACKOFF else 1
 
 
 @kernel
@@ -91,7 +74,7 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
 
     The way back from a shape that the springs hold, so without their forces.
     """
-    displacement, left = 0.0, math.exp(-WAY_BACK * settings[TICK_TIME])
+    displacement, left = 0.0, math.exp(-WAY_BACK * settings.tick_time)
     for index in range(len(model.moving)):
         node = model.moving[index]
         for c in range(3):
@@ -105,9 +88,9 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
 @part
 def watched(state: Any, scratch: Any) -> Any:
     """The nodes that a region moves or places."""
-    if state.count[REGION] == MODAL:
+    if state.status.region == Region.MODAL:
         return driving(state, scratch)
-    return scratch.region_node[: state.count[REGION_NODES]]
+    return scratch.region_node[: state.status.region_nodes]
 
 
 @kernel
@@ -127,7 +110,7 @@ def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: floa
 
 @kernel
 def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy: float) -> int:
-    """What is wrong with the nodes, NOT_FINITE or RUNAWAY; 0 for nothing.
+    """What is wrong with the nodes, Fault.NOT_FINITE or Fault.RUNAWAY; 0 for nothing.
 
     span: m^2 from rest, speed: m^2/s^2, energy: m^2/s^2 on the average, that are too much.
     """
@@ -148,26 +131,26 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
         sped_sum += sped
     if good and sped_sum <= energy * len(nodes):
         return 0
-    return RUNAWAY if moved_sum + sped_sum < math.inf else NOT_FINITE
+    return Fault.RUNAWAY if moved_sum + sped_sum < math.inf else Fault.NOT_FINITE
 
 
 @kernel
 def keep(state: Any, scratch: Any) -> None:
     """Take this shape as the last good one; of the whole organ every few ticks only, since copying it takes a while."""
-    if state.count[REGION] != WHOLE:
+    if state.status.region != Region.WHOLE:
         copy_nodes(state.position, state.good_position, watched(state, scratch))
-        state.count[GOOD_AGE] = KEEP_EVERY
+        state.status.good_age = KEEP_EVERY
         return
-    state.count[GOOD_AGE] += 1
-    if state.count[GOOD_AGE] >= KEEP_EVERY:
+    state.status.good_age += 1
+    if state.status.good_age >= KEEP_EVERY:
         copy(state.position, state.good_position)
-        state.count[GOOD_AGE] = 0
+        state.status.good_age = 0
 
 
 @kernel
 def restore(state: Any, scratch: Any) -> None:
     """Back to the last good shape, without speed; outside a modal region it is the one that was last looked at."""
-    if state.count[REGION] == MODAL:
+    if state.status.region == Region.MODAL:
         copy_nodes(state.good_position, state.position, watched(state, scratch))
         copy(state.position, state.good_position)
     else:
@@ -177,11 +160,11 @@ def restore(state: Any, scratch: Any) -> None:
 
 @kernel
 def check_cells(model: Any, state: Any) -> None:
-    """Note which of the next few cells are inside out; state.count[TURNED] tells how many are."""
-    count, cells, x, is_turned = state.count, model.cells, state.position, state.is_turned
+    """Note which of the next few cells are inside out; state.status.turned tells how many are."""
+    status, cells, x, is_turned = state.status, model.cells, state.position, state.is_turned
     if len(cells) == 0:
         return
-    cell = count[NEXT_CELL]
+    cell = status.next_cell
     for _ in range(min(CELLS_A_TICK, len(cells))):
         a, b, c, d = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
         ax, ay, az = x[a, 0] - x[d, 0], x[a, 1] - x[d, 1], x[a, 2] - x[d, 2]
@@ -189,7 +172,7 @@ def check_cells(model: Any, state: Any) -> None:
         cx, cy, cz = x[c, 0] - x[d, 0], x[c, 1] - x[d, 1], x[c, 2] - x[d, 2]
         volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
         turned = 1 if volume < 0.0 else 0
-        count[TURNED] += turned - is_turned[cell]
+        status.turned += turned - is_turned[cell]
         is_turned[cell] = turned
         cell = cell + 1 if cell + 1 < len(cells) else 0
-    count[NEXT_CELL] = cell
+    status.next_cell = cell

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 from tissue_sim.jit import kernel
-
-IntegratorName = Literal["symplectic", "explicit", "implicit"]
-INTEGRATORS: tuple[str, ...] = get_args(IntegratorName)
 
 
 @kernel

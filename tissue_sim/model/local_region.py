@@ -11,15 +11,6 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.forces import edge_forces, return_forces, spring_forces
-from tissue_sim.model.state import (
-    ENGAGED,
-    ENTRIES,
-    N_LOADED,
-    REGION_BOUNDARY,
-    REGION_HINGES,
-    REGION_NODES,
-    REGION_SPRINGS,
-)
 
 FROZEN_HOPS = 2  # the "second layer"; every spring counts as one hop
 MODAL_HOPS = 1  # enough where the rest gives way: a second layer changes settled shapes by 0.2 %
@@ -29,15 +20,15 @@ MODAL_HOPS = 1  # enough where the rest gives way: a second layer changes settle
 def mark_loaded(state: Any, scratch: Any) -> int:
     """Give hop 0 to the nodes of contact points, tool tips and nodal forces; how many are new, in scratch.fresh."""
     fresh = 0
-    for entry in range(state.count[ENTRIES]):
-        if state.tool_count[state.contact_tool[entry], ENGAGED] == 1:
+    for entry in range(state.contacts.header.points):
+        if state.tools[state.contacts.body[entry]].engaged:
             for c in range(3):
-                fresh = _mark(state, scratch, state.contact_node[entry, c], fresh)
+                fresh = _mark(state, scratch, state.contacts.node[entry, c], fresh)
     for tool in range(len(state.tool_force)):
-        if state.tip_node[tool, 0] >= 0:
+        if state.contacts.tip_node[tool, 0] >= 0:
             for c in range(3):
-                fresh = _mark(state, scratch, state.tip_node[tool, c], fresh)
-    for index in range(state.count[N_LOADED]):
+                fresh = _mark(state, scratch, state.contacts.tip_node[tool, c], fresh)
+    for index in range(state.status.loaded):
         fresh = _mark(state, scratch, state.loaded_node[index], fresh)
     return fresh
 
@@ -95,14 +86,14 @@ def _reach(state: Any, scratch: Any, node: int, hops: int) -> bool:
 @kernel
 def _join(state: Any, scratch: Any, node: int) -> None:
     """Put a node behind the region's nodes; collect sorts them."""
-    scratch.region_node[state.count[REGION_NODES]] = node
-    state.count[REGION_NODES] += 1
+    scratch.region_node[state.status.region_nodes] = node
+    state.status.region_nodes += 1
 
 
 @kernel
 def list_nodes(state: Any, scratch: Any) -> None:
     """List the region's nodes anew, from the hops alone."""
-    state.count[REGION_NODES] = 0
+    state.status.region_nodes = 0
     for node in range(len(state.region_hop)):
         if state.region_hop[node] >= 0:
             _join(state, scratch, node)
@@ -114,7 +105,7 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 
     In the order of the nodes' numbers, so that lists made anew are the same.
     """
-    nodes = state.count[REGION_NODES]
+    nodes = state.status.region_nodes
     region = scratch.region_node
     for index in range(1, nodes):
         node, place = region[index], index
@@ -147,9 +138,9 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
     _fill_up(scratch.links, springs, 1, 1)
     _blank_rows(scratch.edge_slopes, hinges)
     _blank_rows(scratch.link_slopes, springs)
-    state.count[REGION_BOUNDARY] = boundary
-    state.count[REGION_SPRINGS] = springs
-    state.count[REGION_HINGES] = hinges
+    state.status.region_boundary = boundary
+    state.status.region_springs = springs
+    state.status.region_hinges = hinges
 
 
 @kernel
@@ -228,16 +219,16 @@ def _list_boundary(scratch: Any, nodes: Any, count: int, stamp: int, boundary: i
 @kernel
 def clear_force(state: Any, scratch: Any) -> None:
     """Zero scratch.force where the region's springs add to it."""
-    scale_nodes(scratch.force, scratch.region_node[: state.count[REGION_NODES]], 0.0)
-    scale_nodes(scratch.force, scratch.boundary_node[: state.count[REGION_BOUNDARY]], 0.0)
+    scale_nodes(scratch.force, scratch.region_node[: state.status.region_nodes], 0.0)
+    scale_nodes(scratch.force, scratch.boundary_node[: state.status.region_boundary], 0.0)
 
 
 @kernel
 def scale_force(state: Any, scratch: Any, scale: float) -> None:
     """Multiply what clear_force zeroes."""
     if scale != 1.0:
-        scale_nodes(scratch.force, scratch.region_node[: state.count[REGION_NODES]], scale)
-        scale_nodes(scratch.force, scratch.boundary_node[: state.count[REGION_BOUNDARY]], scale)
+        scale_nodes(scratch.force, scratch.region_node[: state.status.region_nodes], scale)
+        scale_nodes(scratch.force, scratch.boundary_node[: state.status.region_boundary], scale)
 
 
 @kernel
@@ -252,7 +243,7 @@ def scale_nodes(values: Any, nodes: Any, scale: float) -> None:
 @kernel
 def region_forces(model: Any, state: Any, scratch: Any) -> None:
     """Add the forces of the region's springs, without return springs, to scratch.force (n, 3) N."""
-    hinges, springs = -(-state.count[REGION_HINGES] // BLOCK), -(-state.count[REGION_SPRINGS] // BLOCK)
+    hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
     edges, links, work, force = scratch.edges, scratch.links, scratch.work, scratch.force
     edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], model.hardening, work, force)
     spring_forces(state.position, links.nodes[:springs], links.constants[:springs], model.hardening, work, force)

@@ -2,7 +2,7 @@
 
 A mailbox has a sequence number and a few slots: the writer fills slot `(sequence + 1) % slots` and then raises the
 number; the reader copies slot `sequence % slots` and accepts it if the writer can't have come round to it meanwhile.
-Nobody waits for anybody.
+Nobody waits for anybody. Messages are words: what is put in is what its writer and reader lay over them.
 """
 
 from __future__ import annotations
@@ -15,118 +15,144 @@ from numba.extending import intrinsic
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.arrays import copy
+from tissue_sim.model.contact_set import ContactSet, contact_set
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.modal_region import place_outside
-from tissue_sim.model.state import ASLEEP, MAX_ENTRIES, MODAL, N_COUNT, N_SETTINGS, REGION, TICK, StateBuffer
+from tissue_sim.model.records import Record
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.state import Region, State
 
-IN_SLOTS = 3
-OUT_SLOTS = 4
+SLOTS = 4
 JOURNAL_ROWS = 8192
 TIMING_ROWS = 8192
 
-# Columns of Mailboxes.control.
-STOP, RESETS, SNAPSHOT_ASKED, SNAPSHOT_DONE, LOOP_TICKS, OVERRUNS, DROPPED, AWAKE_TICK = range(8)
-SURFACE_ASKED, SURFACE_DONE = 8, 9
-ON_DEMAND = 10  # 1 while positions are handed out only when asked for, because most of them are not worked out
-STARTED = 11  # 1 when the loop runs and has handed out the rest shape
-SIMULATED = 12  # ns of simulated time
-DUE = 13  # ns of the clock in use: when the last tick was due
-NAPPING = 14  # 1 while the loop sleeps over several ticks
-SIM_TIME = 15  # 1 while ticks follow POSTED_TIME, 0 the monotonic clock
-POSTED_TIME = 16  # ns, newest time of /clock; 0 before the first one
-STANDING = 17  # 1 while /clock gives no time, or has stood still for a while
-N_CONTROL = 18
 
-# First columns of a journal row; then pose and force sequence of each tool.
-ROW_TICK, ROW_CONTACTS, ROW_SETTINGS, ROW_RESETS, ROW_TOOLS = range(5)
+class Mailbox(NamedTuple):
+    """The newest of some messages, for each of m addressees."""
 
-# Columns of Mailboxes.clock: two timespecs; the newest posted time that the loop has seen, when it saw that, and how
-# far it still was from the one before.
-SECONDS, NANOSECONDS, WAKE_SECONDS, WAKE_NANOSECONDS, SEEN, SEEN_AT, BEHIND = range(7)
+    sequence: Longs  # (m,) of the newest one; 0 before the first
+    length: Longs  # (m, SLOTS) words of each
+    slots: Longs  # (m, SLOTS, most)
+
+
+def mailbox(most: int, addressees: int = 1) -> Mailbox:
+    """An empty mailbox for messages of so many words at the most."""
+    counts = np.zeros(addressees, dtype=np.int64), np.zeros((addressees, SLOTS), dtype=np.int64)
+    return Mailbox(*counts, np.zeros((addressees, SLOTS, most), dtype=np.int64))
+
+
+class Control(Record):
+    """Words between the loop and Python, each written by one of them."""
+
+    stop: bool
+    started: bool  # the loop runs and has handed out the rest shape
+    napping: bool  # the loop sleeps over several ticks
+    sim_time: bool  # ticks follow posted_time, not the monotonic clock
+    standing: bool  # /clock gives no time, or has stood still for a while
+    on_demand: bool  # positions are handed out only when asked for, because most of them are not worked out
+    resets: int
+    snapshot_asked: int
+    snapshot_done: int
+    surface_asked: int
+    surface_done: int
+    awake_tick: int
+    loop_ticks: int
+    overruns: int
+    dropped: int
+    simulated: int  # ns of simulated time
+    due: int  # ns of the clock in use: when the last tick was due
+    posted_time: int  # ns, newest time of /clock; 0 before the first one
+
+
+class Pace(Record):
+    """What the loop notes about posted times."""
+
+    seen: int  # ns, the newest that it has seen
+    seen_at: int  # ns of the monotonic clock, when it did
+    behind: int  # ns, how far it still was from the one before
+
+
+class JournalRow(Record):
+    """What a tick took up, where anything was new; each a sequence number."""
+
+    tick: int
+    contact_set: int
+    settings: int
+    resets: int
+
+
+class BodyInputs(Record):
+    """What a tick took up of a rigid body's inputs."""
+
+    pose: int
+    force: int
+
+
+class Timing(Record):
+    """How a tick kept time."""
+
+    late: int  # ns
+    duration: int  # ns
 
 
 class Mailboxes(NamedTuple):
-    """Shared arrays between the loop and Python. T tools, n nodes, C contact set entries."""
+    """All that goes in and out. T rigid bodies, n nodes."""
 
-    pose_sequence: Longs  # (T,)
-    pose: Floats  # (3, T, 7)
-    taken_pose: Floats  # (T, 7) the loop's copy
-    force_sequence: Longs  # (T,)
-    force: Floats  # (3, T, 3)
-    contact_sequence: Longs  # (1,)
-    contact_entries: Longs  # (3,)
-    contact_tool: Longs  # (3, C)
-    contact_node: Longs  # (3, C, 3)
-    contact_weight: Floats  # (3, C, 3)
-    contact_normal: Floats  # (3, C, 3)
-    tip_node: Longs  # (3, T, 3)
-    tip_weight: Floats  # (3, T, 3)
-    engaged: Longs  # (3, T)
-    settings_sequence: Longs  # (1,)
-    settings: Floats  # (3, N_SETTINGS)
-    out_sequence: Longs  # (1,) small results, after every tick
-    out_wrench: Floats  # (4, T, 6)
-    out_count: Longs  # (4, N_COUNT)
-    out_tool_count: Longs  # (4, T, N_TOOL_COUNT)
-    surface_sequence: Longs  # (1,) positions, after every tick that moved, or that was asked
-    surface_tick: Longs  # (4,)
-    surface: Floats  # (4, n, 3)
-    control: Longs  # (N_CONTROL,)
-    snapshot_floats: Floats
-    snapshot_integers: Longs
+    pose: Mailbox  # to each body, (7,) floats
+    force: Mailbox  # to each body, (3,) floats
+    contacts: Mailbox  # ContactSet.words
+    settings: Mailbox  # words of Settings
+    results: Mailbox  # State.results, after every tick
+    shape: Mailbox  # State.shape, after every tick that moved, or that was asked
+    snapshot: Longs  # State.words, when asked
+    control: Control
     journal_written: Longs  # (1,)
-    journal: Longs  # (JOURNAL_ROWS, ROW_TOOLS + 2 T) what each tick took up, where anything changed
-    timing: Longs  # (TIMING_ROWS, 2) ns: lateness and duration of each tick
-    clock: Longs  # (7,) what the loop notes about the time
+    journal: Any  # (JOURNAL_ROWS,) of JournalRow
+    journal_inputs: Any  # (JOURNAL_ROWS, T) of BodyInputs
+    timing: Any  # (TIMING_ROWS,) of Timing
+    row: JournalRow  # as the last tick took it up
+    inputs: Any  # (T,) of BodyInputs, likewise
+    pace: Pace
+    now: Longs  # (2,) a timespec
+    wake: Longs  # (2,) another
     bell: Longs  # (4,) a sem_t, posted to wake the loop
-    row: Longs  # (ROW_TOOLS + 2 T,) of the journal, as the last tick took it up
+    # The loop's copies.
+    taken_pose: Floats  # (7,)
+    taken_force: Floats  # (3,)
+    taken_contacts: ContactSet
 
 
-def make_mailboxes(buffer: StateBuffer) -> Mailboxes:
-    """Empty mailboxes for a simulation's state buffer."""
-    state = buffer.state
-    n, n_tools = len(state.position), len(state.tool_pose)
-
-    def floats(*shape: int) -> Floats:
-        return np.zeros(shape)
+def make_mailboxes(state: State) -> Mailboxes:
+    """Empty mailboxes for a simulation's state."""
+    n_tools = len(state.tool_pose)
 
     def longs(*shape: int) -> Longs:
         return np.zeros(shape, dtype=np.int64)
 
     return Mailboxes(
-        pose_sequence=longs(n_tools),
-        pose=floats(IN_SLOTS, n_tools, 7),
-        taken_pose=floats(n_tools, 7),
-        force_sequence=longs(n_tools),
-        force=floats(IN_SLOTS, n_tools, 3),
-        contact_sequence=longs(1),
-        contact_entries=longs(IN_SLOTS),
-        contact_tool=longs(IN_SLOTS, MAX_ENTRIES),
-        contact_node=longs(IN_SLOTS, MAX_ENTRIES, 3),
-        contact_weight=floats(IN_SLOTS, MAX_ENTRIES, 3),
-        contact_normal=floats(IN_SLOTS, MAX_ENTRIES, 3),
-        tip_node=longs(IN_SLOTS, n_tools, 3),
-        tip_weight=floats(IN_SLOTS, n_tools, 3),
-        engaged=longs(IN_SLOTS, n_tools),
-        settings_sequence=longs(1),
-        settings=floats(IN_SLOTS, N_SETTINGS),
-        out_sequence=longs(1),
-        out_wrench=floats(OUT_SLOTS, n_tools, 6),
-        out_count=longs(OUT_SLOTS, N_COUNT),
-        out_tool_count=longs(OUT_SLOTS, *state.tool_count.shape),
-        surface_sequence=longs(1),
-        surface_tick=longs(OUT_SLOTS),
-        surface=floats(OUT_SLOTS, n, 3),
-        control=longs(N_CONTROL),
-        snapshot_floats=floats(len(buffer.floats)),
-        snapshot_integers=longs(len(buffer.integers)),
+        pose=mailbox(7, n_tools),
+        force=mailbox(3, n_tools),
+        contacts=mailbox(len(state.contacts.words)),
+        settings=mailbox(Settings.words()),
+        results=mailbox(len(state.results)),
+        shape=mailbox(len(state.shape)),
+        snapshot=longs(len(state.words)),
+        control=Control.new(),
         journal_written=longs(1),
-        journal=longs(JOURNAL_ROWS, ROW_TOOLS + 2 * n_tools),
-        timing=longs(TIMING_ROWS, 2),
-        clock=longs(7),
+        journal=JournalRow.rows(longs(JOURNAL_ROWS * JournalRow.words())),
+        journal_inputs=BodyInputs.rows(longs(JOURNAL_ROWS * n_tools * BodyInputs.words())).reshape(
+            JOURNAL_ROWS, n_tools
+        ),
+        timing=Timing.rows(longs(TIMING_ROWS * Timing.words())),
+        row=JournalRow.new(),
+        inputs=BodyInputs.rows(longs(n_tools * BodyInputs.words())),
+        pace=Pace.new(),
+        now=longs(2),
+        wake=longs(2),
         bell=longs(4),
-        row=longs(ROW_TOOLS + 2 * n_tools),
+        taken_pose=np.zeros(7),
+        taken_force=np.zeros(3),
+        taken_contacts=contact_set(n_tools),
     )
 
 
@@ -142,119 +168,116 @@ def fence(typing_context):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def is_whole(sequences: Any, index: int, sequence_read: int) -> bool:
-    """True when the slot that was just copied can't have been written over meanwhile."""
+def put(box: Any, addressee: int, message: Any) -> int:
+    """Hand out a message of words (l,); returns its sequence number."""
+    sequence = box.sequence[addressee] + 1
+    slot = sequence % SLOTS
+    target = box.slots[addressee, slot]
+    for index in range(len(message)):
+        target[index] = message[index]
+    box.length[addressee, slot] = len(message)
     fence()
-    return sequences[index] - sequence_read < IN_SLOTS - 1
+    box.sequence[addressee] = sequence
+    fence()
+    return sequence
 
 
 @kernel
-def take_inputs(model: Any, state: Any, settings: Any, box: Any, row: Any) -> bool:
-    """Take up what is new in the mailboxes; row (ROW_TOOLS + 2 T) becomes this tick's journal row.
+def take(box: Any, addressee: int, last: int, message: Any) -> int:
+    """Copy the newest message to words with room for it; returns its sequence number, `last` when none is newer."""
+    while box.sequence[addressee] != last:
+        sequence = box.sequence[addressee]
+        fence()
+        slot = sequence % SLOTS
+        source = box.slots[addressee, slot]
+        for index in range(min(box.length[addressee, slot], len(message))):
+            message[index] = source[index]
+        fence()
+        if box.sequence[addressee] - sequence < SLOTS - 1:
+            return sequence
+    return last
+
+
+@kernel
+def take_inputs(world: Any, box: Any) -> bool:
+    """Take up what is new in the mailboxes; box.row and box.inputs become this tick's in the journal.
 
     Returns True when anything was new.
     """
-    changed = False
-    if box.control[RESETS] != row[ROW_RESETS]:
-        row[ROW_RESETS] = box.control[RESETS]
-        reset_state(model, state)
+    state, row, changed = world.state, box.row, False
+    if box.control.resets != row.resets:
+        row.resets = box.control.resets
+        reset_state(world.model, state)
         changed = True
-    while box.settings_sequence[0] != row[ROW_SETTINGS]:
-        sequence = box.settings_sequence[0]
-        fence()
-        copy(box.settings[sequence % IN_SLOTS], settings)
-        changed = True
-        if is_whole(box.settings_sequence, 0, sequence):
-            row[ROW_SETTINGS] = sequence
-            break
-    for tool in range(len(box.pose_sequence)):
-        column = ROW_TOOLS + 2 * tool
-        while box.pose_sequence[tool] != row[column]:
-            sequence = box.pose_sequence[tool]
-            fence()
-            copy(box.pose[sequence % IN_SLOTS, tool], box.taken_pose[tool])
-            changed = True
-            if is_whole(box.pose_sequence, tool, sequence):
-                row[column] = sequence
-                take_pose(state, tool, box.taken_pose[tool], sequence)
-                break
-        column += 1
-        while box.force_sequence[tool] != row[column]:
-            sequence = box.force_sequence[tool]
-            fence()
-            take_force(state, tool, box.force[sequence % IN_SLOTS, tool], sequence)
-            changed = True
-            if is_whole(box.force_sequence, tool, sequence):
-                row[column] = sequence
-                break
-    while box.contact_sequence[0] != row[ROW_CONTACTS]:
-        sequence = box.contact_sequence[0]
-        fence()
-        slot = sequence % IN_SLOTS
-        take_contacts(
-            state,
-            box.contact_entries[slot],
-            box.contact_tool[slot],
-            box.contact_node[slot],
-            box.contact_weight[slot],
-            box.contact_normal[slot],
-            box.tip_node[slot],
-            box.tip_weight[slot],
-            box.engaged[slot],
-            sequence,
-        )
-        changed = True
-        if is_whole(box.contact_sequence, 0, sequence):
-            row[ROW_CONTACTS] = sequence
-            break
+    sequence = take(box.settings, 0, row.settings, world.settings_words)
+    if sequence != row.settings:
+        row.settings, changed = sequence, True
+    for tool in range(len(box.inputs)):
+        taken = box.inputs[tool]
+        sequence = take(box.pose, tool, taken.pose, box.taken_pose.view(np.int64))
+        if sequence != taken.pose:
+            taken.pose, changed = sequence, True
+            take_pose(state, tool, box.taken_pose, sequence)
+        sequence = take(box.force, tool, taken.force, box.taken_force.view(np.int64))
+        if sequence != taken.force:
+            taken.force, changed = sequence, True
+            take_force(state, tool, box.taken_force, sequence)
+    sequence = take(box.contacts, 0, row.contact_set, box.taken_contacts.words)
+    if sequence != row.contact_set:
+        row.contact_set, changed = sequence, True
+        take_contacts(state, box.taken_contacts, sequence)
     return changed
+
+
+@kernel
+def write_journal(box: Any, tick: int) -> None:
+    """Note what this tick has taken up."""
+    box.row.tick = tick
+    place = box.journal_written[0] % JOURNAL_ROWS
+    box.journal[place] = box.row
+    for tool in range(len(box.inputs)):
+        box.journal_inputs[place, tool] = box.inputs[tool]
+    fence()
+    box.journal_written[0] += 1
+    fence()
 
 
 @kernel
 def post_results(world: Any, box: Any, moved: bool) -> None:
     """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
-    state = world.state
-    slot = (box.out_sequence[0] + 1) % OUT_SLOTS
-    copy(state.wrench, box.out_wrench[slot])
-    copy(state.count, box.out_count[slot])
-    copy(state.tool_count, box.out_tool_count[slot])
-    fence()
-    box.out_sequence[0] += 1
-    lazy = state.count[REGION] == MODAL and state.count[ASLEEP] == 0
-    box.control[ON_DEMAND] = 1 if lazy else 0
-    asked = box.control[SURFACE_ASKED]
-    if lazy and asked != box.control[SURFACE_DONE]:
+    state, control = world.state, box.control
+    put(box.results, 0, state.results)
+    lazy = state.status.region == Region.MODAL and not state.status.asleep
+    control.on_demand = lazy
+    asked = control.surface_asked
+    if lazy and asked != control.surface_done:
         place_outside(world.model, state, world.settings, world.scratch)
         lazy, moved = False, True
     if moved and not lazy:
-        slot = (box.surface_sequence[0] + 1) % OUT_SLOTS
-        copy(state.position, box.surface[slot])
-        box.surface_tick[slot] = state.count[TICK]
-        fence()
-        box.surface_sequence[0] += 1
+        state.shape_tick[0] = state.status.tick
+        put(box.shape, 0, state.shape)
     fence()
-    box.control[SURFACE_DONE] = asked
+    control.surface_done = asked
 
 
 @kernel
-def post_snapshot(box: Any, floats: Any, integers: Any) -> None:
+def post_snapshot(state: Any, box: Any) -> None:
     """Hand out the whole state when it was asked for."""
     control = box.control
-    if control[SNAPSHOT_ASKED] != control[SNAPSHOT_DONE]:
-        copy(floats, box.snapshot_floats)
-        copy(integers, box.snapshot_integers)
+    if control.snapshot_asked != control.snapshot_done:
+        for index in range(len(state.words)):
+            box.snapshot[index] = state.words[index]
         fence()
-        control[SNAPSHOT_DONE] = control[SNAPSHOT_ASKED]
+        control.snapshot_done = control.snapshot_asked
 
 
 @kernel
 def note_tick(box: Any, due: int, period: int, late: int, duration: int) -> None:
     """Note when a tick was due, its length, lateness and duration, ns."""
     control = box.control
-    slot = control[LOOP_TICKS] % TIMING_ROWS
-    box.timing[slot, 0] = late
-    box.timing[slot, 1] = duration
-    control[DUE] = due
-    control[SIMULATED] += period
-    control[LOOP_TICKS] += 1
+    timing = box.timing[control.loop_ticks % TIMING_ROWS]
+    timing.late, timing.duration = late, duration
+    control.due = due
+    control.simulated += period
+    control.loop_ticks += 1
     fence()

@@ -21,18 +21,6 @@ from tissue_sim.model import local_region
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.forces import subtract_linear_edges, subtract_linear_springs
-from tissue_sim.model.state import (
-    DAMPING_SCALE,
-    N_LOADED,
-    REGION_BOUNDARY,
-    REGION_HINGES,
-    REGION_NODES,
-    REGION_SPRINGS,
-    SHOWN,
-    STIFFNESS_SCALE,
-    TICK,
-    TICK_TIME,
-)
 from tissue_sim.model.tool_motion import add_tip_forces
 
 MOST_BOUNDARY = 256  # nodes at the edge of a region; one that has more is no local region
@@ -46,8 +34,8 @@ FASTEST = 1.0  # rad in a tick; modes above it would kick the region's edge, and
 def forget_region(state: Any) -> None:
     """No region, and nothing that one has left behind."""
     state.region_hop[:] = -1
-    state.count[REGION_NODES] = state.count[REGION_BOUNDARY] = 0
-    state.count[REGION_SPRINGS] = state.count[REGION_HINGES] = 0
+    state.status.region_nodes = state.status.region_boundary = 0
+    state.status.region_springs = state.status.region_hinges = 0
     state.contact_impulse[:] = 0.0
     state.static_load[:] = 0.0
     state.offset[:] = 0.0
@@ -59,28 +47,28 @@ def forget_region(state: Any) -> None:
 @kernel
 def fits(state: Any) -> bool:
     """True while the region is small enough to be a local one."""
-    boundary = state.count[REGION_BOUNDARY]
-    return boundary <= MOST_BOUNDARY and state.count[REGION_NODES] + boundary <= MOST_DRIVE
+    boundary = state.status.region_boundary
+    return boundary <= MOST_BOUNDARY and state.status.region_nodes + boundary <= MOST_DRIVE
 
 
 @kernel
 def list_drive(state: Any, scratch: Any) -> None:
     """List the nodes of the region and those at its edge, in scratch.drive_node."""
-    nodes, drive = state.count[REGION_NODES], driving(state, scratch)
+    nodes, drive = state.status.region_nodes, driving(state, scratch)
     copy(scratch.region_node[:nodes], drive[:nodes])
-    copy(scratch.boundary_node[: state.count[REGION_BOUNDARY]], drive[nodes:])
+    copy(scratch.boundary_node[: state.status.region_boundary], drive[nodes:])
 
 
 @part
 def driving(state: Any, scratch: Any) -> Any:
     """Nodes whose loads and springs drive the rest of the organ, as list_drive has them."""
-    return scratch.drive_node[: state.count[REGION_NODES] + state.count[REGION_BOUNDARY]]
+    return scratch.drive_node[: state.status.region_nodes + state.status.region_boundary]
 
 
 @kernel
 def gather_rows(model: Any, state: Any, scratch: Any) -> None:
     """Copy what the edge of the region looks at: rows of C for each load and of F for each mode, and F at the loads."""
-    boundary, drive = scratch.boundary_node[: state.count[REGION_BOUNDARY]], driving(state, scratch)
+    boundary, drive = scratch.boundary_node[: state.status.region_boundary], driving(state, scratch)
     first = 0
     if len(model.reduction.compliance) > 0:
         _copy_compliance(model.reduction.compliance, drive, boundary, scratch.edge_rows)
@@ -133,7 +121,7 @@ def combine(rows: Any, shares: Any, count: int, total: Any) -> None:
 def set_propagator(model: Any, settings: Any, scratch: Any) -> None:
     """Work out how every mode moves in a tick, when settings have changed: q'' + c q' + w^2 q = p, exactly."""
     key = scratch.propagator_key
-    tick_time, scale, damping = settings[TICK_TIME], settings[STIFFNESS_SCALE], settings[DAMPING_SCALE]
+    tick_time, scale, damping = settings.tick_time, settings.stiffness_scale, settings.damping_scale
     if key[0] == tick_time and key[1] == scale and key[2] == damping:
         return
     key[0], key[1], key[2] = tick_time, scale, damping
@@ -187,7 +175,7 @@ def advance_modes(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         state.mode_position[k] = rest + table[1, k] * offset + table[2, k] * speed
         state.mode_velocity[k] = table[3, k] * speed + table[4, k] * offset
     set_mode_move(model, state, scratch)
-    state.blend[0] *= math.exp(-settings[TICK_TIME] / OFFSET_TIME)
+    state.blend[0] *= math.exp(-settings.tick_time / OFFSET_TIME)
 
 
 @kernel
@@ -210,12 +198,12 @@ def add_rows(total: Any, first: Any, second: Any, third: Any, load: Any, scale: 
 @kernel
 def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Put the nodes at the region's edge where the rest of the organ has them."""
-    boundary = state.count[REGION_BOUNDARY]
+    boundary = state.status.region_boundary
     share, move, columns = scratch.edge_share, scratch.mode_move, 0
     if len(model.reduction.compliance) > 0:
-        columns = 3 * (state.count[REGION_NODES] + boundary)
+        columns = 3 * (state.status.region_nodes + boundary)
         for index in range(columns):
-            share[index] /= settings[STIFFNESS_SCALE]
+            share[index] /= settings.stiffness_scale
     for k in range(len(move)):
         share[columns + k] = move[k]
     moved = scratch.edge_move[: 3 * boundary]
@@ -233,8 +221,8 @@ def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 def place_joined(model: Any, state: Any, settings: Any, scratch: Any, first: int) -> None:
     """Put nodes that just joined the region, from region_node[first] on, where the old region's load has them."""
     reduction = model.reduction
-    drive = state.count[REGION_BOUNDARY] + first
-    for index in range(first, state.count[REGION_NODES]):
+    drive = state.status.region_boundary + first
+    for index in range(first, state.status.region_nodes):
         node = scratch.region_node[index]
         if model.inverse_mass[node] == 0.0:
             continue
@@ -248,7 +236,7 @@ def place_joined(model: Any, state: Any, settings: Any, scratch: Any, first: int
                 for j in range(drive):
                     for a in range(3):
                         source = scratch.drive_node[j]
-                        away += row[3 * source + a] * state.static_load[source, a] / settings[STIFFNESS_SCALE]
+                        away += row[3 * source + a] * state.static_load[source, a] / settings.stiffness_scale
             state.position[node, c] = model.rest[node, c] + away
             state.velocity[node, c] = speed
 
@@ -259,7 +247,7 @@ def place_outside(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     field, table = scratch.field, model.reduction.compliance
     field[:] = 0.0
     if len(table) > 0:
-        load, scale, nodes = state.static_load, 1.0 / settings[STIFFNESS_SCALE], driving(state, scratch)
+        load, scale, nodes = state.static_load, 1.0 / settings.stiffness_scale, driving(state, scratch)
         for index in range(len(nodes)):
             node = nodes[index]
             add_rows(field, table[3 * node], table[3 * node + 1], table[3 * node + 2], load[node], scale)
@@ -276,7 +264,7 @@ def place_outside(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         state.blend[0],
         state.offset,
     )
-    state.count[SHOWN] = state.count[TICK]
+    state.status.shown = state.status.tick
 
 
 @kernel
@@ -321,10 +309,10 @@ def measure_drive(state: Any, settings: Any, scratch: Any) -> None:
     """
     drive, nodes = scratch.drive, driving(state, scratch)
     copy_nodes(scratch.force, drive, nodes)
-    hinges, springs = -(-state.count[REGION_HINGES] // BLOCK), -(-state.count[REGION_SPRINGS] // BLOCK)
+    hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
     subtract_linear_edges(state.position, scratch.edges.nodes[:hinges], scratch.edge_slopes, scratch.work, drive)
     subtract_linear_springs(state.position, scratch.links.nodes[:springs], scratch.link_slopes, scratch.work, drive)
-    scale = settings[STIFFNESS_SCALE]
+    scale = settings.stiffness_scale
     if scale != 1.0:
         local_region.scale_nodes(drive, nodes, scale)
 
@@ -333,13 +321,13 @@ def measure_drive(state: Any, settings: Any, scratch: Any) -> None:
 def absorb_load(state: Any, settings: Any, scratch: Any, share: float) -> None:
     """Lead the static load by a share of the way to this tick's loads and scratch.drive."""
     drive, nodal, loaded = scratch.drive, state.nodal_force, state.loaded_node
-    for index in range(state.count[N_LOADED]):
+    for index in range(state.status.loaded):
         node = loaded[index]
         for c in range(3):
             drive[node, c] += nodal[node, c]
     add_tip_forces(state, settings, drive)
     nodes = driving(state, scratch)
-    _absorb(state.static_load, drive, state.contact_impulse, nodes, 1.0 / settings[TICK_TIME], share)
+    _absorb(state.static_load, drive, state.contact_impulse, nodes, 1.0 / settings.tick_time, share)
 
 
 @kernel
@@ -361,9 +349,9 @@ def load_share(model: Any, settings: Any) -> float:
     """
     frequency, seconds = model.reduction.frequency, LOAD_TIME
     if len(frequency) > 0:
-        square = settings[STIFFNESS_SCALE] * frequency[len(frequency) - 1] ** 2
-        seconds = max(seconds, settings[DAMPING_SCALE] * model.damping_rate / square)
-    return 1.0 - math.exp(-settings[TICK_TIME] / seconds)
+        square = settings.stiffness_scale * frequency[len(frequency) - 1] ** 2
+        seconds = max(seconds, settings.damping_scale * model.damping_rate / square)
+    return 1.0 - math.exp(-settings.tick_time / seconds)
 
 
 @kernel

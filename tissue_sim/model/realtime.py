@@ -12,36 +12,7 @@ from typing import Any
 from numba import types
 
 from tissue_sim.jit import kernel, part
-from tissue_sim.model.arrays import copy
-from tissue_sim.model.mailboxes import (
-    AWAKE_TICK,
-    BEHIND,
-    DROPPED,
-    JOURNAL_ROWS,
-    NANOSECONDS,
-    NAPPING,
-    OVERRUNS,
-    POSTED_TIME,
-    RESETS,
-    ROW_RESETS,
-    ROW_TICK,
-    ROW_TOOLS,
-    SECONDS,
-    SEEN,
-    SEEN_AT,
-    SIM_TIME,
-    STANDING,
-    STARTED,
-    STOP,
-    WAKE_NANOSECONDS,
-    WAKE_SECONDS,
-    fence,
-    note_tick,
-    post_results,
-    post_snapshot,
-    take_inputs,
-)
-from tissue_sim.model.state import AGE, ASLEEP, FORCE_AGE, TICK, TICK_TIME
+from tissue_sim.model.mailboxes import fence, note_tick, post_results, post_snapshot, take_inputs, write_journal
 from tissue_sim.model.tool_motion import freshness
 from tissue_sim.model.world import tick_implied_world, tick_world
 
@@ -60,26 +31,31 @@ _sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp,
 
 
 @kernel
-def now(clock: Any) -> int:
+def now(box: Any) -> int:
     """Monotonic time, ns."""
-    _clock_gettime(CLOCK_MONOTONIC, clock.ctypes.data)
-    return clock[SECONDS] * 1_000_000_000 + clock[NANOSECONDS]
+    _clock_gettime(CLOCK_MONOTONIC, box.now.ctypes.data)
+    return box.now[0] * 1_000_000_000 + box.now[1]
 
 
 @kernel
-def sleep_until(deadline: int, clock: Any) -> None:
+def set_wake(deadline: int, box: Any) -> None:
+    """Write an absolute monotonic time, ns, where the system's calls take it from."""
+    box.wake[0], box.wake[1] = deadline // 1_000_000_000, deadline % 1_000_000_000
+
+
+@kernel
+def sleep_until(deadline: int, box: Any) -> None:
     """Sleep to an absolute monotonic time, ns; a signal doesn't end it early."""
-    clock[WAKE_SECONDS], clock[WAKE_NANOSECONDS] = deadline // 1_000_000_000, deadline % 1_000_000_000
-    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, clock[WAKE_SECONDS:].ctypes.data, 0) == 4:
+    set_wake(deadline, box)
+    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, box.wake.ctypes.data, 0) == 4:
         pass
 
 
 @kernel
 def sleep_until_bell(deadline: int, box: Any) -> None:
     """Sleep until the bell is rung, or to an absolute monotonic time, ns."""
-    clock = box.clock
-    clock[WAKE_SECONDS], clock[WAKE_NANOSECONDS] = deadline // 1_000_000_000, deadline % 1_000_000_000
-    _sem_clockwait(box.bell.ctypes.data, CLOCK_MONOTONIC, clock[WAKE_SECONDS:].ctypes.data)
+    set_wake(deadline, box)
+    _sem_clockwait(box.bell.ctypes.data, CLOCK_MONOTONIC, box.wake.ctypes.data)
 
 
 @kernel
@@ -88,67 +64,68 @@ def wait_until(deadline: int, box: Any) -> int:
 
     A posted time may not have come that far yet: then it is earlier, and the caller asks again.
     """
-    control, clock = box.control, box.clock
-    if control[SIM_TIME] == 0:
-        sleep_until(deadline, clock)
-        return now(clock)
-    if control[POSTED_TIME] < deadline:
-        sleep_until_bell(now(clock) + LOOK_UP, box)
+    control, pace = box.control, box.pace
+    if not control.sim_time:
+        sleep_until(deadline, box)
+        return now(box)
+    if control.posted_time < deadline:
+        sleep_until_bell(now(box) + LOOK_UP, box)
     fence()
-    time = control[POSTED_TIME]
-    if time != clock[SEEN]:
-        clock[BEHIND] = max(0, clock[SEEN] - deadline)
-        clock[SEEN], clock[SEEN_AT] = time, now(clock)
-    elif time < deadline and now(clock) - clock[SEEN_AT] > STANDS_AFTER:
-        control[STANDING] = 1
+    time = control.posted_time
+    if time != pace.seen:
+        pace.behind = max(0, pace.seen - deadline)
+        pace.seen, pace.seen_at = time, now(box)
+    elif time < deadline and now(box) - pace.seen_at > STANDS_AFTER:
+        control.standing = True
     return time
 
 
 @kernel
-def is_idle(state: Any, settings: Any, box: Any, row: Any) -> bool:
+def is_idle(world: Any, box: Any) -> bool:
     """True while the organ sleeps, no pose or force is fresh, and none has come."""
-    idle = state.count[ASLEEP] == 1 and box.control[RESETS] == row[ROW_RESETS]
-    for tool in range(len(state.tool_count)):
-        ages, column = state.tool_count[tool], ROW_TOOLS + 2 * tool
-        idle = idle and freshness(ages[AGE], settings) == 0.0 and freshness(ages[FORCE_AGE], settings) == 0.0
-        idle = idle and box.pose_sequence[tool] == row[column] and box.force_sequence[tool] == row[column + 1]
+    state, settings = world.state, world.settings
+    idle = state.status.asleep and box.control.resets == box.row.resets
+    for tool in range(len(state.tools)):
+        body, taken = state.tools[tool], box.inputs[tool]
+        idle = idle and freshness(body.age, settings) == 0.0 and freshness(body.force_age, settings) == 0.0
+        idle = idle and box.pose.sequence[tool] == taken.pose and box.force.sequence[tool] == taken.force
     return idle
 
 
 @kernel
-def nap(deadline: int, state: Any, settings: Any, box: Any) -> int:
+def nap(deadline: int, world: Any, box: Any) -> int:
     """Sleep to an absolute monotonic time, ns, unless something is to be done sooner; returns until when it was."""
     control = box.control
-    control[NAPPING] = 1
+    control.napping = True
     fence()  # from here on whoever posts rings
-    if is_idle(state, settings, box, box.row):
+    if is_idle(world, box):
         sleep_until_bell(deadline, box)
-    control[NAPPING] = 0
-    return min(now(box.clock), deadline)
+    control.napping = False
+    return min(now(box), deadline)
 
 
 @part
-def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any) -> None:
-    model, state, settings, control = world.model, world.state, world.settings, box.control
-    row = box.row
+def _loop(world: Any, tick: Any, box: Any) -> None:
+    state, settings, control, pace = world.state, world.settings, box.control, box.pace
     post_results(world, box, True)  # the rest shape
-    control[STARTED] = 1
+    control.started = True
     moved = False
-    followed, due = -1, 0  # the clock that ticks follow, and when the last one was due by it; 0 before its first time
-    while control[STOP] == 0:
-        post_snapshot(box, floats, integers)
-        posted = control[SIM_TIME]
-        if posted != followed:
-            followed, due = posted, 0 if posted == 1 else now(box.clock)
-            control[STANDING] = posted  # until its first tick
-        period = int(settings[TICK_TIME] * 1e9 + 0.5)
-        if posted == 0 and 2 * period <= NAP and is_idle(state, settings, box, row):
-            rested = nap(due + NAP // period * period, state, settings, box)
+    due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
+    posted = not control.sim_time
+    while not control.stop:
+        post_snapshot(state, box)
+        if posted != control.sim_time:
+            posted = control.sim_time
+            due = 0 if posted else now(box)
+            control.standing = posted  # until its first tick
+        period = int(settings.tick_time * 1e9 + 0.5)
+        if not posted and 2 * period <= NAP and is_idle(world, box):
+            rested = nap(due + NAP // period * period, world, box)
             while due + 2 * period <= rested:
                 due += period
-                begin = now(box.clock)
+                begin = now(box)
                 tick(world)
-                note_tick(box, due, period, 0, now(box.clock) - begin)
+                note_tick(box, due, period, 0, now(box) - begin)
         start = wait_until(due + period, box)
         if due == 0 or start < due:  # the first time that was posted, or it jumped back
             due = start
@@ -157,37 +134,34 @@ def _loop(world: Any, tick: Any, box: Any, floats: Any, integers: Any) -> None:
         due += period
         late = start - due
         begin = start
-        if late > (LATEST_CATCH_UP_POSTED if posted == 1 else LATEST_CATCH_UP):
-            control[DROPPED] += late // period
+        if late > (LATEST_CATCH_UP_POSTED if posted else LATEST_CATCH_UP):
+            control.dropped += late // period
             due = start
-        if posted == 1:  # a posted time makes many ticks due at once; late is what was left of the one before
-            begin, late, box.clock[BEHIND] = now(box.clock), box.clock[BEHIND], 0
+        if posted:  # a posted time makes many ticks due at once; late is what was left of the one before
+            begin, late, pace.behind = now(box), pace.behind, 0
         if late > period:
-            control[OVERRUNS] += 1
-        resets = row[ROW_RESETS]
-        if take_inputs(model, state, settings, box, row):
-            moved = moved or row[ROW_RESETS] != resets
-            row[ROW_TICK] = state.count[TICK] + 1
-            copy(row, box.journal[box.journal_written[0] % JOURNAL_ROWS])
-            fence()
-            box.journal_written[0] += 1
+            control.overruns += 1
+        resets = box.row.resets
+        if take_inputs(world, box):
+            moved = moved or box.row.resets != resets
+            write_journal(box, state.status.tick + 1)
         tick(world)
-        moved = moved or state.count[ASLEEP] == 0
+        moved = moved or not state.status.asleep
         post_results(world, box, moved)
-        control[STANDING] = 0
+        control.standing = False
         if moved:
-            control[AWAKE_TICK] = state.count[TICK]
+            control.awake_tick = state.status.tick
         moved = False
-        note_tick(box, due, period, late, now(box.clock) - begin)
+        note_tick(box, due, period, late, now(box) - begin)
 
 
 @kernel
-def run_loop(world: Any, box: Any, floats: Any, integers: Any) -> None:
-    """Tick every settings[TICK_TIME] s until control[STOP]; floats and integers are the state's flat buffers."""
-    _loop(world, tick_world, box, floats, integers)
+def run_loop(world: Any, box: Any) -> None:
+    """Tick every settings.tick_time s until control.stop."""
+    _loop(world, tick_world, box)
 
 
 @kernel
-def run_implied_loop(world: Any, box: Any, floats: Any, integers: Any) -> None:
+def run_implied_loop(world: Any, box: Any) -> None:
     """The same where return springs pull to the boundary that the skeleton implies."""
-    _loop(world, tick_implied_world, box, floats, integers)
+    _loop(world, tick_implied_world, box)

@@ -8,23 +8,8 @@ from typing import Any
 from tissue_sim.jit import kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.contact_constraint import add_contact_impulses
-from tissue_sim.model.state import (
-    ACTIVE,
-    CALM,
-    FORCE_AGE,
-    FROZEN,
-    FROZEN_TICKS,
-    LOCAL_REGION,
-    MODAL,
-    MODAL_TICKS,
-    N_LOADED,
-    REGION,
-    REGION_FORCE,
-    REGION_NODES,
-    SUBSTEPS,
-    TICK_TIME,
-    WHOLE,
-)
+from tissue_sim.model.settings import LocalRegion
+from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import freshness
 
 RETURN_SHARE = 0.5  # of the region force: under it, an organ that moved as a whole takes a region again
@@ -32,32 +17,29 @@ CALM_TIME = 0.2  # s for which it has to be
 SLOWEST = 1.01  # of the time in which the far field takes up a load: the longest tick that a modal region bears
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
-# Values of settings[LOCAL_REGION]; 0 is off.
-FROZEN_SMALL, MODAL_ALWAYS, MODAL_SMALL = 1.0, 2.0, 3.0
-
 
 @kernel
 def choose_region(state: Any, settings: Any) -> None:
     """On waking: a local region if asked for and ticks are short enough for it, else the whole model."""
-    if settings[LOCAL_REGION] == 0.0 or is_slow(settings):
-        state.count[REGION] = WHOLE
+    if settings.local_region == LocalRegion.OFF or is_slow(settings):
+        state.status.region = Region.WHOLE
         return
     modal_region.forget_region(state)
-    state.count[CALM] = 0
-    state.count[REGION] = FROZEN if settings[LOCAL_REGION] == FROZEN_SMALL else MODAL
+    state.status.calm = 0
+    state.status.region = Region.FROZEN if settings.local_region == LocalRegion.FROZEN else Region.MODAL
 
 
 @kernel
 def is_slow(settings: Any) -> bool:
     """True where a modal region is asked for, but its surroundings would take up a load within a tick: a jump."""
-    return settings[LOCAL_REGION] >= MODAL_ALWAYS and settings[TICK_TIME] > SLOWEST * modal_region.LOAD_TIME
+    return settings.local_region >= LocalRegion.MODAL and settings.tick_time > SLOWEST * modal_region.LOAD_TIME
 
 
 @kernel
 def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Grow the local region to what is loaded, and move its edge."""
-    count = state.count
-    modal = count[REGION] == MODAL
+    status, count = state.status, state.count
+    modal = status.region == Region.MODAL
     if scratch.stale[0] == 1:
         local_region.list_nodes(state, scratch)
         collect(model, state, scratch)
@@ -67,21 +49,21 @@ def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
             modal_region.set_mode_move(model, state, scratch)
     fresh = local_region.mark_loaded(state, scratch)
     if fresh > 0:
-        nodes = count[REGION_NODES]
+        nodes = status.region_nodes
         local_region.spread(
             model, state, scratch, fresh, local_region.MODAL_HOPS if modal else local_region.FROZEN_HOPS
         )
         if modal:
             modal_region.place_joined(model, state, settings, scratch, nodes)
         collect(model, state, scratch)
-    count[ACTIVE] = count[REGION_NODES]
+    status.active = status.region_nodes
     if not modal:
-        count[FROZEN_TICKS] += 1
+        count.frozen_ticks += 1
         return
     if not modal_region.fits(state):
         leave_region(model, state, settings, scratch)
         return
-    count[MODAL_TICKS] += 1
+    count.modal_ticks += 1
     modal_region.advance_modes(model, state, settings, scratch)
     modal_region.place_boundary(model, state, settings, scratch)
 
@@ -90,7 +72,7 @@ def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 def collect(model: Any, state: Any, scratch: Any) -> None:
     """Make the region's lists from its nodes."""
     local_region.collect(model, state, scratch)
-    if state.count[REGION] == MODAL:
+    if state.status.region == Region.MODAL:
         modal_region.list_drive(state, scratch)
         if modal_region.fits(state):
             modal_region.gather_rows(model, state, scratch)
@@ -100,25 +82,25 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 @part
 def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
-    count = state.count
+    status = state.status
     if is_slow(settings):
-        if count[REGION] != WHOLE:
+        if status.region != Region.WHOLE:
             leave_region(model, state, settings, scratch)
         return
-    if settings[LOCAL_REGION] == MODAL_ALWAYS:
+    if settings.local_region == LocalRegion.MODAL:
         return
     load = total_load(state, settings)
-    if count[REGION] != WHOLE:
-        if load > settings[REGION_FORCE]:
+    if status.region != Region.WHOLE:
+        if load > settings.region_force:
             leave_region(model, state, settings, scratch)
-            count[CALM] = 0
+            status.calm = 0
         return
-    if settings[LOCAL_REGION] == FROZEN_SMALL or load > RETURN_SHARE * settings[REGION_FORCE] or load == 0.0:
-        count[CALM] = 0
+    if settings.local_region == LocalRegion.FROZEN or load > RETURN_SHARE * settings.region_force or load == 0.0:
+        status.calm = 0
         return
-    count[CALM] += 1
-    if count[CALM] * settings[TICK_TIME] >= CALM_TIME:
-        count[CALM] = 0
+    status.calm += 1
+    if status.calm * settings.tick_time >= CALM_TIME:
+        status.calm = 0
         if is_calm(model, state):
             enter_region(model, state, shapes, settings, scratch)
 
@@ -136,23 +118,23 @@ def is_calm(model: Any, state: Any) -> bool:
 @kernel
 def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """From here on the whole model moves, from where the region and the rest of the organ are."""
-    if state.count[REGION] == MODAL:
+    if state.status.region == Region.MODAL:
         modal_region.place_outside(model, state, settings, scratch)
-    state.count[REGION] = WHOLE
+    state.status.region = Region.WHOLE
 
 
 @part
 def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """From here on a modal region around the load moves, and the rest of the organ from where it is."""
     modal_region.forget_region(state)
-    state.count[REGION] = MODAL
+    state.status.region = Region.MODAL
     fresh = local_region.mark_loaded(state, scratch)
     local_region.spread(model, state, scratch, fresh, local_region.MODAL_HOPS)
     collect(model, state, scratch)
     if not modal_region.fits(state):
-        state.count[REGION] = WHOLE
+        state.status.region = Region.WHOLE
         return
-    add_contact_impulses(state, shapes, scratch, state.count[SUBSTEPS], state.contact_impulse)
+    add_contact_impulses(state, shapes, scratch, state.status.substeps, state.contact_impulse)
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
     modal_region.measure_drive(state, settings, scratch)
@@ -164,13 +146,13 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
 def total_load(state: Any, settings: Any) -> float:
     """Sum of the magnitudes of contact, nodal and external tool forces, N."""
     load = 0.0
-    for index in range(state.count[N_LOADED]):
+    for index in range(state.status.loaded):
         force = state.nodal_force[state.loaded_node[index]]
         load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for tool in range(len(state.wrench)):
         load += math.sqrt(state.wrench[tool, 0] ** 2 + state.wrench[tool, 1] ** 2 + state.wrench[tool, 2] ** 2)
-        if state.tip_node[tool, 0] >= 0:
+        if state.contacts.tip_node[tool, 0] >= 0:
             force = state.tool_force[tool]
-            fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
+            fresh = freshness(state.tools[tool].force_age, settings)
             load += fresh * math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     return load

@@ -8,20 +8,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.guard import lead_back
 from tissue_sim.model.regions import leave_region
-from tissue_sim.model.state import (
-    ALONE,
-    ASLEEP,
-    BACKOFF,
-    COLLAPSING,
-    MODAL,
-    QUIET,
-    REGION,
-    REGION_NODES,
-    SNAPPED,
-    SNAPS,
-    TICK_TIME,
-    TURNED,
-)
+from tissue_sim.model.state import Region
 
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
@@ -55,12 +42,12 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     nobody touches and that stands still away from its rest shape, or whose inside stays turned inside out, is led
     back to it.
     """
-    count = state.count
-    if count[TURNED] > 0 and count[ALONE] * settings[TICK_TIME] > TURNED_TIME:
+    status = state.status
+    if status.turned > 0 and status.alone * settings.tick_time > TURNED_TIME:
         snap(model, state, settings, scratch)
         return
-    if count[REGION] == MODAL:
-        speed, away = largest_motion(model, state, scratch.region_node[: count[REGION_NODES]])
+    if status.region == Region.MODAL:
+        speed, away = largest_motion(model, state, scratch.region_node[: status.region_nodes])
         swing, swing_speed = 0.0, 0.0
         for k in range(len(model.reduction.peak)):
             swing += abs(state.mode_position[k]) * model.reduction.peak[k]
@@ -70,10 +57,10 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         speed, away = largest_motion(model, state, model.moving)
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back within seconds.
     if speed > max(QUIET_SPEED, TREMBLING * away):
-        count[QUIET] = 0
+        status.quiet = 0
         return
-    count[QUIET] += 1
-    if count[QUIET] < QUIET_TICKS:
+    status.quiet += 1
+    if status.quiet < QUIET_TICKS:
         return
     if away <= QUIET_DISPLACEMENT:
         if speed <= QUIET_SPEED:
@@ -85,10 +72,10 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 @kernel
 def fall_asleep(model: Any, state: Any) -> None:
     """At rest, to the last bit."""
-    count = state.count
-    count[ASLEEP] = 1
-    count[BACKOFF] = 1
-    count[TURNED] = count[COLLAPSING] = 0
+    status = state.status
+    status.asleep = True
+    status.backoff = 1
+    status.turned = status.collapsing = False
     state.is_turned[:] = 0
     copy(model.rest, state.position)
     copy(model.rest, state.good_position)
@@ -99,8 +86,8 @@ def fall_asleep(model: Any, state: Any) -> None:
 def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Start the way back from a false rest shape."""
     leave_region(model, state, settings, scratch)
-    state.count[SNAPPED] = 1
-    state.count[SNAPS] += 1
+    state.status.snapped = True
+    state.count.snaps += 1
 
 
 @kernel
@@ -110,5 +97,5 @@ def find_back(model: Any, state: Any, settings: Any) -> None:
     # A fault on the way must not restore the false shape.
     copy(state.position, state.good_position)
     if displacement <= QUIET_DISPLACEMENT:
-        state.count[SNAPPED] = 0
-        state.count[QUIET] = 0
+        state.status.snapped = False
+        state.status.quiet = 0

@@ -3,32 +3,41 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle
-from tissue_sim.model import state as st
 from tissue_sim.model.adjacency import adjacency_of
 from tissue_sim.model.assembly import Model, assemble
+from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.energy import Energy, energy_of
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
-from tissue_sim.model.integrators import INTEGRATORS
+from tissue_sim.model.records import words_of
 from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.scratch import make_scratch
+from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
 from tissue_sim.model.shapes import SPHERE, Shapes, make_shapes
-from tissue_sim.model.state import State, StateBuffer
-from tissue_sim.model.world import World, load_world, reset_world, show_world, tick_implied_world, tick_world
+from tissue_sim.model.state import Region, State, make_state, take_fields
+from tissue_sim.model.world import (
+    load_world,
+    make_world,
+    pose_world,
+    push_world,
+    reset_world,
+    show_world,
+    tick_implied_world,
+    tick_world,
+    touch_world,
+)
 from tissue_sim.organ.organ import Organ
-
-LocalRegion = Literal["off", "frozen", "modal", "auto"]
-LOCAL_REGIONS: tuple[str, ...] = get_args(LocalRegion)
 
 LONGEST_STEP = 5e-4  # s, however soft the organ: in a longer one a needle slips through what it pushes
 
@@ -58,6 +67,7 @@ class Simulation:
     def __init__(
         self,
         organ: Organ,
+        *,
         model: str = "hybrid",
         rate: float = 1000.0,
         local_region: str = "off",
@@ -85,24 +95,23 @@ class Simulation:
         self._tick = tick_implied_world if self.implied else tick_world
         self._fixed_substeps = substeps
         self._made_for = (0.0, 0.0, 0.0)  # step, stiffness and damping of the implicit factor in use
-        self.settings = np.zeros(st.N_SETTINGS)
-        self.settings[st.TICK_TIME] = 1.0 / rate
-        self.settings[st.FRICTION] = 0.6
-        self.settings[st.FORCE_CLAMP] = 10.0
-        self.settings[st.FORCE_SLEW] = 1e3
-        self.settings[st.STALE_TIME] = 0.05
-        self.settings[st.RAMP_TIME] = 0.02
-        self.settings[st.STIFFNESS_SCALE] = 1.0
-        self.settings[st.DAMPING_SCALE] = 1.0
-        self.settings[st.LOCAL_REGION] = float(LOCAL_REGIONS.index(local_region))
-        self.settings[st.REGION_FORCE] = 0.3
-        self.settings[st.INTEGRATOR] = float(INTEGRATORS.index(integrator))
+        self.settings = Settings.new()
+        self.settings.tick_time = 1.0 / rate
+        self.settings.friction = 0.6
+        self.settings.force_clamp = 10.0
+        self.settings.force_slew = 1e3
+        self.settings.stale_time = 0.05
+        self.settings.ramp_time = 0.02
+        self.settings.stiffness_scale = 1.0
+        self.settings.damping_scale = 1.0
+        self.settings.local_region = LocalRegion[local_region.upper()]
+        self.settings.region_force = 0.3
+        self.settings.integrator = Integrator[integrator.upper()]
         self.model: Model = self._with_tables(assemble(organ, model, return_target), local_region)
         # Nothing that a tool can do moves tissue by more than the organ's own size.
-        self.settings[st.LAST_GOOD_SPAN] = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
+        self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         n_tools, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
-        self.buffer = StateBuffer(organ.n_nodes, n_tools, n_modes, len(self.model.cells))
-        self.state: State = self.buffer.state
+        self.state: State = make_state(organ.n_nodes, n_tools, n_modes, len(self.model.cells))
         self.frequency = largest_frequency(self.model)
         self.set_substeps()
         self.scratch = make_scratch(self.model, n_tools)
@@ -111,7 +120,7 @@ class Simulation:
 
     def refer(self) -> None:
         """Hand the arrays to the kernels, at the start and whenever `model` was replaced."""
-        self.world = handle(World(self.model, self.state, self.shapes, self.settings, self.scratch))
+        self.world = handle(make_world(self.model, self.state, self.shapes, self.settings, self.scratch))
 
     def _with_tables(self, model: Model, local_region: str) -> Model:
         """The model with what its local region needs."""
@@ -129,8 +138,8 @@ class Simulation:
 
         Outside a modal region it is brought up to date by being read here.
         """
-        count = self.state.count
-        if count[st.REGION] == st.MODAL and count[st.SHOWN] != count[st.TICK] and not self.asleep:
+        status = self.state.status
+        if status.region == Region.MODAL and status.shown != status.tick and not self.asleep:
             show_world(self.world)
         return self.state.position
 
@@ -142,12 +151,12 @@ class Simulation:
     @property
     def time(self) -> float:
         """Simulated seconds."""
-        return float(self.state.count[st.TICK]) / self.rate
+        return float(self.state.status.tick) / self.rate
 
     @property
     def asleep(self) -> bool:
         """True while the organ rests untouched and ticks cost nothing."""
-        return bool(self.state.count[st.ASLEEP])
+        return bool(self.state.status.asleep)
 
     # what users do -----------------------------------------------------------------------------
     def apply_force(self, nodes: ArrayLike, forces: ArrayLike) -> None:
@@ -166,6 +175,18 @@ class Simulation:
             raise UserError(f"nodes must lie in 0..{len(self.state.position) - 1}")
         load_world(self.world, index, values)
 
+    def take_pose(self, body: int, pose: Floats, sequence: int) -> None:
+        """Take up the newest pose (7,) of a tool's body, m and a unit quaternion xyzw; sequence: its number."""
+        pose_world(self.world, body, pose, sequence)
+
+    def take_force(self, body: int, force: Floats, sequence: int) -> None:
+        """Take up the newest external force (3,) N on the tissue at the tip of a body; sequence: its number."""
+        push_world(self.world, body, force, sequence)
+
+    def take_contacts(self, found: ContactSet, sequence: int) -> None:
+        """Take up a contact set; sequence: its number."""
+        touch_world(self.world, found, sequence)
+
     def step(self) -> None:
         """Advance by 1/rate seconds."""
         self._tick(self.world)
@@ -183,44 +204,48 @@ class Simulation:
     def energy(self) -> Energy:
         """Kinetic and elastic energy, J."""
         energy = energy_of(self.model, self.positions, self.velocities)
-        return energy._replace(elastic=energy.elastic * float(self.settings[st.STIFFNESS_SCALE]))
+        return energy._replace(elastic=energy.elastic * float(self.settings.stiffness_scale))
 
     def set_substeps(self) -> None:
         """Work out the substeps from the critical step, after the stiffness, the damping or the rate changed."""
         settings = self.settings
         local = "explicit" if self.integrator == "explicit" else "symplectic"
-        for place, integrator in ((st.WANTED_SUBSTEPS, self.integrator), (st.REGION_SUBSTEPS, local)):
-            longest = self._longest_step(integrator)
-            if integrator != "implicit":
-                longest = min(longest, LONGEST_STEP / SAFETY)
-            settings[place] = self._fixed_substeps or substeps_for(settings[st.TICK_TIME], longest)
-        settings[st.REGION_INERTIA] = 1.0
-        if local == "symplectic" and LOCAL_REGIONS[int(settings[st.LOCAL_REGION])] in ("modal", "auto"):
-            most = math.ceil(settings[st.TICK_TIME] / REGION_STEP)
-            if settings[st.REGION_SUBSTEPS] > most and not self._fixed_substeps:
-                settings[st.REGION_SUBSTEPS] = most
-                settings[st.REGION_INERTIA] = (settings[st.TICK_TIME] / (most * SAFETY * longest)) ** 2
+        settings.substeps, _ = self._substeps(self.integrator)
+        settings.region_substeps, longest = self._substeps(local)
+        settings.region_inertia = 1.0
+        if local == "symplectic" and settings.local_region in (LocalRegion.MODAL, LocalRegion.AUTO):
+            most = math.ceil(settings.tick_time / REGION_STEP)
+            if settings.region_substeps > most and not self._fixed_substeps:
+                settings.region_substeps = most
+                settings.region_inertia = (settings.tick_time / (most * SAFETY * longest)) ** 2
         if self.integrator == "implicit":
             self._set_factor()
 
-    def take_settings(self, settings: Floats) -> None:
-        """Use settings (N_SETTINGS,) that were worked out before, by a run that is repeated."""
-        self.settings[:] = settings
+    def _substeps(self, integrator: str) -> tuple[int, float]:
+        """Substeps in a tick, and the longest stable step that they follow from, s."""
+        longest = self._longest_step(integrator)
+        if integrator != "implicit":
+            longest = min(longest, LONGEST_STEP / SAFETY)
+        return self._fixed_substeps or substeps_for(self.settings.tick_time, longest), longest
+
+    def take_settings(self, settings: Settings) -> None:
+        """Use settings that were worked out before, by a run that is repeated."""
+        words_of(self.settings)[:] = words_of(settings)
         if self.integrator == "implicit":
             made_for = self._step_settings()
             if made_for != self._made_for:
-                write_factor(self.model, int(settings[st.FACTOR_SLOT]), *made_for)
+                write_factor(self.model, int(settings.factor_slot), *made_for)
                 self._made_for = made_for
 
     def _longest_step(self, integrator: str) -> float:
-        scale, damping = float(self.settings[st.STIFFNESS_SCALE]), float(self.settings[st.DAMPING_SCALE])
+        scale, damping = float(self.settings.stiffness_scale), float(self.settings.damping_scale)
         return model_step(self.model, self.frequency, scale, damping, integrator)
 
     def _step_settings(self) -> tuple[float, float, float]:
         """Substep, s, and factors on stiffness and damping."""
         settings = self.settings
-        step = float(settings[st.TICK_TIME] / settings[st.WANTED_SUBSTEPS])
-        return step, float(settings[st.STIFFNESS_SCALE]), float(settings[st.DAMPING_SCALE])
+        step = float(settings.tick_time / settings.substeps)
+        return step, float(settings.stiffness_scale), float(settings.damping_scale)
 
     def _set_factor(self) -> None:
         """Factor the implicit matrix for the present settings, into the slot that is not in use."""
@@ -228,16 +253,18 @@ class Simulation:
         if not len(self.model.factor.start):
             self.model = self.model._replace(factor=make_factor(self.model, *made_for))
         elif made_for != self._made_for:
-            slot = 1 - int(settings[st.FACTOR_SLOT])
+            slot = 1 - int(settings.factor_slot)
             write_factor(self.model, slot, *made_for)
-            settings[st.FACTOR_SLOT] = slot
+            settings.factor_slot = slot
         self._made_for = made_for
 
-    def restore(self, floats: Floats, integers: st.Longs) -> None:
-        """Continue from a snapshot of the buffers; raises UserError when it doesn't fit."""
+    def restore(self, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from the fields of a state (state.fields_of); raises UserError when they don't fit."""
+        before = self.state.words.copy()
         try:
-            self.buffer.copy_from(floats, integers)
+            take_fields(self.state, fields)
         except ValueError as error:
+            self.state.words[:] = before
             raise UserError(str(error)) from None
         self.scratch.stale[0] = 1
 
@@ -260,7 +287,7 @@ class Simulation:
         state = self.state
         pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
         settled = False
-        faults = state.count[st.FAULTS]
+        faults = state.count.faults
         raised = max(1, math.ceil(ramp * self.rate))
         for first in range(1, math.ceil(longest * self.rate) + 1, 20):
             for tick in range(first, first + 20):
@@ -268,7 +295,7 @@ class Simulation:
                 self.step()
             if first + 19 < raised:
                 continue
-            if state.count[st.FAULTS] > faults and not np.any(state.velocity):
+            if state.count.faults > faults and not np.any(state.velocity):
                 continue
             residual = self._residual(forces)
             speed = float(np.abs(state.velocity).max())
@@ -281,7 +308,7 @@ class Simulation:
 
     def _modes_move(self, tolerance: float) -> bool:
         """True while the modes of a modal region are on their way."""
-        if self.state.count[st.REGION] != st.MODAL:
+        if self.state.status.region != Region.MODAL:
             return False
         speed, reach = (np.linalg.norm(a) for a in (self.state.mode_velocity, self.state.mode_position))
         return bool(speed * 0.1 > tolerance * reach)
@@ -290,10 +317,10 @@ class Simulation:
         """Norm of the force left on the nodes that may move, N."""
         force = np.zeros_like(self.model.rest)
         elastic_forces(self.model, self.state.position, force)
-        force *= self.settings[st.STIFFNESS_SCALE]
+        force *= self.settings.stiffness_scale
         force[: self.model.n_surface] += forces
         nodes = self.model.moving
-        if self.state.count[st.REGION] != st.WHOLE:
+        if self.state.status.region != Region.WHOLE:
             nodes = self.scratch.moved_node[: self.scratch.moved[0]]
         return float(np.linalg.norm(force[nodes]))
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES
-from tissue_sim.model.integrators import INTEGRATORS
+from tissue_sim.model.settings import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -45,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--longest {args.longest:g} is outside 0..3600 s")
     organ = Organ.load(args.organ)
     forces = read_loads(args.loads, organ.n_surface)
-    simulation = Simulation(organ, args.model, args.rate, args.local_region, integrator=args.integrator)
+    simulation = Simulation(
+        organ, model=args.model, rate=args.rate, local_region=args.local_region, integrator=args.integrator
+    )
     simulation.step()  # compile before the clock runs
     displacements = np.zeros_like(forces)
     seconds = np.zeros(len(forces))

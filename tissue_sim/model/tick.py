@@ -19,33 +19,8 @@ from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
 from tissue_sim.model.regions import change_region, choose_region, prepare_region
 from tissue_sim.model.rest import find_back, rest_if_quiet
-from tissue_sim.model.state import (
-    ACTIVE,
-    ALONE,
-    ASLEEP,
-    ASLEEP_TICKS,
-    BACKOFF,
-    DAMPING_SCALE,
-    FACTOR_SLOT,
-    FRICTION,
-    INTEGRATOR,
-    LOCAL_REGION,
-    MODAL,
-    N_LOADED,
-    QUIET,
-    REGION,
-    REGION_INERTIA,
-    REGION_SUBSTEPS,
-    SNAPPED,
-    STIFFNESS_SCALE,
-    SUBSTEPS,
-    TICK,
-    TICK_TIME,
-    TOUCHING,
-    TURNED,
-    WANTED_SUBSTEPS,
-    WHOLE,
-)
+from tissue_sim.model.settings import Integrator, LocalRegion
+from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
     advance_hands,
@@ -56,58 +31,57 @@ from tissue_sim.model.tool_motion import (
 )
 
 CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
-# Values of settings[INTEGRATOR], as in integrators.INTEGRATORS; 0 is symplectic.
-EXPLICIT, IMPLICIT = 1.0, 2.0
 
 
 @part
 def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Advance the organ by one tick of settings[TICK_TIME] seconds."""
-    count = state.count
-    count[TICK] += 1
+    """Advance the organ by one tick of settings.tick_time seconds."""
+    status, count = state.status, state.count
+    status.tick += 1
     advance_hands(state, settings, scratch)
-    forced = count[N_LOADED] > 0 or has_tip_force(state, settings)
-    count[TOUCHING] = 0
-    if count[ASLEEP] == 1:
+    forced = status.loaded > 0 or has_tip_force(state, settings)
+    status.touching = 0
+    if status.asleep:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             follow_hands(state)
-            count[ASLEEP_TICKS] += 1
-            count[ACTIVE] = 0
+            count.asleep_ticks += 1
+            status.active = 0
             return
-        count[ASLEEP] = 0
-        count[QUIET] = 0
+        status.asleep = False
+        status.quiet = 0
         choose_region(state, settings)
-    if count[SNAPPED] == 1:
+    if status.snapped:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
             check_cells(model, state)
             follow_hands(state)
             return
-        count[SNAPPED] = 0
-    if count[REGION] != WHOLE:
+        status.snapped = False
+    if status.region != Region.WHOLE:
         prepare_region(model, state, settings, scratch)
-    if count[REGION] == WHOLE:
-        count[ACTIVE] = len(model.moving)
+    if status.region == Region.WHOLE:
+        status.active = len(model.moving)
 
     scratch.impulse[:] = 0.0
-    whole = count[REGION] == WHOLE and (settings[INTEGRATOR] != IMPLICIT or steps_implicitly(state, settings))
-    wanted = settings[WANTED_SUBSTEPS if whole else REGION_SUBSTEPS]
-    substeps = int(wanted) * count[BACKOFF] * caution(model, state)
-    eased = substeps < count[SUBSTEPS]
-    count[SUBSTEPS] = substeps
-    set_mobility(model, state, settings, settings[TICK_TIME] / substeps, scratch)
+    implicit = settings.integrator == Integrator.IMPLICIT
+    whole = status.region == Region.WHOLE and (not implicit or steps_implicitly(state, settings))
+    wanted = settings.substeps if whole else settings.region_substeps
+    substeps = wanted * status.backoff * caution(model, state)
+    eased = substeps < status.substeps
+    status.substeps = substeps
+    set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps, eased and substep == 0)
-    if count[REGION] == MODAL:
+    if status.region == Region.MODAL:
         modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
     guard(model, state, settings, scratch)
     check_cells(model, state)
     report_wrenches(state, shapes, settings, scratch)
-    if settings[LOCAL_REGION] > 0.0:
+    if settings.local_region != LocalRegion.OFF:
         change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
-    count[ALONE] = 0 if forced or count[TOUCHING] > 0 else count[ALONE] + 1
-    if count[ALONE] > 0:
+    status.alone = 0 if forced or status.touching > 0 else status.alone + 1
+    if status.alone > 0:
         rest_if_quiet(model, state, settings, scratch)
 
 
@@ -117,8 +91,8 @@ def steps_implicitly(state: Any, settings: Any) -> bool:
 
     Not in a local region; nor after a fault or while cells are inside out, where its one step gains energy.
     """
-    sound = state.count[TURNED] == 0 and state.count[BACKOFF] == 1
-    return settings[INTEGRATOR] == IMPLICIT and state.count[REGION] == WHOLE and sound
+    sound = state.status.turned == 0 and state.status.backoff == 1
+    return settings.integrator == Integrator.IMPLICIT and state.status.region == Region.WHOLE and sound
 
 
 @kernel
@@ -127,10 +101,10 @@ def caution(model: Any, state: Any) -> int:
 
     Springs that harden are so by up to 1 + 2 h there.
     """
-    if state.count[TURNED] == 0:
+    if state.status.turned == 0:
         return 1
     harder = round(math.sqrt(1.0 + 2.0 * model.hardening))
-    return harder * (4 if state.count[TURNED] > CRUMPLED * len(model.cells) else 2)
+    return harder * (4 if state.status.turned > CRUMPLED * len(model.cells) else 2)
 
 
 @kernel
@@ -138,10 +112,10 @@ def advance_substep(
     model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int, eased: bool
 ) -> None:
     """Forces, integration and contact of one substep; eased: the first of a longer step than the last."""
-    step = settings[TICK_TIME] / substeps
+    step = settings.tick_time / substeps
     hold_tools(state, settings, scratch, step, 1.0 / (substeps - substep))
     implicit = steps_implicitly(state, settings)
-    if state.count[REGION] == WHOLE:
+    if state.status.region == Region.WHOLE:
         scratch.force[:] = 0.0
         if implicit and eased:
             elastic_forces(model, state.position, scratch.force)
@@ -154,16 +128,16 @@ def advance_substep(
     else:
         local_region.clear_force(state, scratch)
         local_region.region_forces(model, state, scratch)
-        if state.count[REGION] == MODAL and substep == substeps - 1:
+        if state.status.region == Region.MODAL and substep == substeps - 1:
             modal_region.measure_drive(state, settings, scratch)
         local_region.region_return_forces(model, state, scratch)
-        local_region.scale_force(state, scratch, settings[STIFFNESS_SCALE])
+        local_region.scale_force(state, scratch, settings.stiffness_scale)
     add_loads(state, settings, scratch.force)
     if implicit and eased:
         carry_momentum(model, state, scratch.force, step)
     integrate(model, state, shapes, settings, scratch, step, implicit)
-    state.count[TOUCHING] = resolve_contacts(
-        state, shapes, scratch.mobility, scratch, settings[FRICTION], step, implicit
+    state.status.touching = resolve_contacts(
+        state, shapes, scratch.mobility, scratch, settings.friction, step, implicit
     )
     keep_tools(state, scratch)
 
@@ -186,7 +160,7 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
         add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
-        slot, scale = int(settings[FACTOR_SLOT]), settings[DAMPING_SCALE]
+        slot, scale = int(settings.factor_slot), settings.damping_scale
         implicit_euler(
             state.position,
             state.velocity,
@@ -200,8 +174,8 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
         )
         return
     scale, inertia = damping_scale(state, settings), region_inertia(state, settings)
-    nodes = model.moving if state.count[REGION] == WHOLE else scratch.moved_node[: scratch.moved[0]]
-    if settings[INTEGRATOR] == EXPLICIT:
+    nodes = model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
+    if settings.integrator == Integrator.EXPLICIT:
         explicit_euler(
             state.position,
             state.velocity,
@@ -229,7 +203,7 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
 @kernel
 def region_inertia(state: Any, settings: Any) -> float:
     """Factor on mass and damping of the nodes that move."""
-    return settings[REGION_INERTIA] if state.count[REGION] == MODAL else 1.0
+    return settings.region_inertia if state.status.region == Region.MODAL else 1.0
 
 
 @kernel
@@ -238,8 +212,8 @@ def damping_scale(state: Any, settings: Any) -> float:
 
     Its surroundings follow the load a little late, which swings up what nothing damps.
     """
-    scale = settings[DAMPING_SCALE]
-    return max(scale, 1.0) if state.count[REGION] == MODAL else scale
+    scale = settings.damping_scale
+    return max(scale, 1.0) if state.status.region == Region.MODAL else scale
 
 
 @kernel
@@ -250,8 +224,8 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
     a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
     implicit = steps_implicitly(state, settings)
-    slot = settings[FACTOR_SLOT] if implicit else -1.0
-    key, damping, scale = scratch.mobility_key, damping_scale(state, settings), settings[STIFFNESS_SCALE]
+    slot = settings.factor_slot if implicit else -1.0
+    key, damping, scale = scratch.mobility_key, damping_scale(state, settings), settings.stiffness_scale
     inertia = region_inertia(state, settings)
     if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale and key[4] == inertia:
         return
@@ -262,7 +236,7 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
         inverse = inverse_mass[node]
         if implicit:
             mobility[node] = model.factor.mobility[int(slot), node]
-        elif settings[INTEGRATOR] == EXPLICIT:
+        elif settings.integrator == Integrator.EXPLICIT:
             mobility[node] = inverse
         else:
             mobility[node] = inverse / inertia / (1.0 + step * inverse * damping * model.damping[node])
@@ -271,7 +245,7 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
 @kernel
 def scale_force(settings: Any, force: Any) -> None:
     """Scale the elastic forces by the tissue's stiffness."""
-    scale = settings[STIFFNESS_SCALE]
+    scale = settings.stiffness_scale
     if scale != 1.0:
         for node in range(len(force)):
             for c in range(3):
@@ -281,7 +255,7 @@ def scale_force(settings: Any, force: Any) -> None:
 @kernel
 def add_loads(state: Any, settings: Any, force: Any) -> None:
     """Add the external forces."""
-    for index in range(state.count[N_LOADED]):
+    for index in range(state.status.loaded):
         node = state.loaded_node[index]
         for c in range(3):
             force[node, c] += state.nodal_force[node, c]

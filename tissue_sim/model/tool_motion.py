@@ -8,17 +8,6 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import rotation_matrix
-from tissue_sim.model.state import (
-    AGE,
-    COUPLING_DAMPING,
-    COUPLING_STIFFNESS,
-    ENGAGED,
-    FORCE_AGE,
-    RAMP_TIME,
-    REMAINING,
-    STALE_TIME,
-    TICK_TIME,
-)
 
 
 @kernel
@@ -26,28 +15,28 @@ def freshness(age: int, settings: Any) -> float:
     """1 while an input is fresh, ramping to 0 after it went stale; 0 when there was none."""
     if age < 0:
         return 0.0
-    late = age * settings[TICK_TIME] - settings[STALE_TIME]
+    late = age * settings.tick_time - settings.stale_time
     if late <= 0.0:
         return 1.0
-    return max(0.0, 1.0 - late / settings[RAMP_TIME])
+    return max(0.0, 1.0 - late / settings.ramp_time)
 
 
 @kernel
 def advance_hands(state: Any, settings: Any, scratch: Any) -> None:
     """Move each hand towards its newest pose, and let go of its tool when poses stop."""
     for tool in range(len(state.hand_pose)):
-        tools = state.tool_count[tool]
+        tools = state.tools[tool]
         copy(state.hand_pose[tool], scratch.hand[tool])
-        if tools[AGE] >= 0:
-            tools[AGE] += 1
-            if tools[AGE] * settings[TICK_TIME] > settings[STALE_TIME] + settings[RAMP_TIME]:
-                tools[ENGAGED] = 0
-        if tools[FORCE_AGE] >= 0:
-            tools[FORCE_AGE] += 1
-        if tools[REMAINING] > 0:
-            share = 1.0 / tools[REMAINING]
+        if tools.age >= 0:
+            tools.age += 1
+            if tools.age * settings.tick_time > settings.stale_time + settings.ramp_time:
+                tools.engaged = 0
+        if tools.force_age >= 0:
+            tools.force_age += 1
+        if tools.remaining > 0:
+            share = 1.0 / tools.remaining
             step_pose(state.hand_pose[tool], state.tool_goal[tool], share)
-            tools[REMAINING] -= 1
+            tools.remaining -= 1
         set_frame(state.hand_pose[tool], scratch.origin[tool], scratch.rotation[tool])
 
 
@@ -67,7 +56,7 @@ def hold_tools(state: Any, settings: Any, scratch: Any, step: float, share: floa
     contact adds to it is scratch.give, m / (N s). The hand moves evenly through the tick, so that its speed holds no
     jumps.
     """
-    stiffness, damping = settings[COUPLING_STIFFNESS], settings[COUPLING_DAMPING]
+    stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
     for tool in range(len(state.tool_pose)):
         hand, pose = scratch.hand[tool], state.tool_pose[tool]
         set_frame(pose, scratch.last_origin[tool], scratch.last_rotation[tool])
@@ -121,7 +110,7 @@ def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
 def has_tip_force(state: Any, settings: Any) -> bool:
     """True when an external force acts on the tissue under any tool's tip."""
     for tool in range(len(state.tool_force)):
-        if state.tip_node[tool, 0] >= 0 and freshness(state.tool_count[tool, FORCE_AGE], settings) > 0.0:
+        if state.contacts.tip_node[tool, 0] >= 0 and freshness(state.tools[tool].force_age, settings) > 0.0:
             force = state.tool_force[tool]
             if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
                 return True
@@ -132,9 +121,9 @@ def has_tip_force(state: Any, settings: Any) -> bool:
 def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
     """Add the external forces at the tools' tips to force (n, 3) N."""
     for tool in range(len(state.tool_force)):
-        fresh = freshness(state.tool_count[tool, FORCE_AGE], settings)
-        if fresh > 0.0 and state.tip_node[tool, 0] >= 0:
+        fresh = freshness(state.tools[tool].force_age, settings)
+        if fresh > 0.0 and state.contacts.tip_node[tool, 0] >= 0:
             for c in range(3):
-                node, weight = state.tip_node[tool, c], fresh * state.tip_weight[tool, c]
+                node, weight = state.contacts.tip_node[tool, c], fresh * state.contacts.tip_weight[tool, c]
                 for axis in range(3):
                     force[node, axis] += weight * state.tool_force[tool, axis]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.implied_boundary import imply_boundary
-from tissue_sim.model.inputs import load_nodes, reset_state
+from tissue_sim.model.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.modal_region import place_outside
-from tissue_sim.model.state import ASLEEP
+from tissue_sim.model.records import words_of
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.tick import tick
 
 
@@ -18,8 +20,14 @@ class World(NamedTuple):
     model: Any
     state: Any
     shapes: Any
-    settings: Any  # (N_SETTINGS,)
+    settings: Settings
+    settings_words: Longs  # what settings views
     scratch: Any
+
+
+def make_world(model: Any, state: Any, shapes: Any, settings: Settings, scratch: Any) -> World:
+    """All that a tick works on."""
+    return World(model, state, shapes, settings, words_of(settings), scratch)
 
 
 @kernel
@@ -31,7 +39,7 @@ def tick_world(world: Any) -> None:
 @kernel
 def tick_implied_world(world: Any) -> None:
     """The same, after the return springs were led to the boundary that the skeleton implies."""
-    if world.state.count[ASLEEP] == 0:
+    if not world.state.status.asleep:
         imply_boundary(world.model.spokes, world.state.position, world.model.return_target)
     tick_world(world)
 
@@ -52,3 +60,21 @@ def show_world(world: Any) -> None:
 def load_world(world: Any, nodes: Any, forces: Any) -> None:
     """Add forces (k, 3) N to nodes (k,) for the coming tick."""
     load_nodes(world.state, nodes, forces)
+
+
+@kernel
+def pose_world(world: Any, body: int, pose: Any, sequence: int) -> None:
+    """Take up a body's newest pose (7,)."""
+    take_pose(world.state, body, pose, sequence)
+
+
+@kernel
+def push_world(world: Any, body: int, force: Any, sequence: int) -> None:
+    """Take up the newest external force (3,) N at a body's tip."""
+    take_force(world.state, body, force, sequence)
+
+
+@kernel
+def touch_world(world: Any, found: Any, sequence: int) -> None:
+    """Take up a contact set."""
+    take_contacts(world.state, found, sequence)

@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.peers.engine import TOLERANCE, Answer, Load, timed
 from tissue_sim.bench.timing import Burst, Ticks
-from tissue_sim.model import state as st
+from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -24,15 +24,16 @@ class Ours:
         self.organ = organ
         self.longest = longest
         self.simulation = Simulation(organ, **options)
-        self.simulation.settings[st.REGION_FORCE] = np.inf
+        self.simulation.settings.region_force = np.inf
         self.update = 1.0 / self.simulation.rate
         self.simulation.step()  # compiles, before anything is timed
 
     @property
     def substeps(self) -> int:
         """Substeps of a tick; of one of the local region where there is one."""
-        local = self.simulation.settings[st.LOCAL_REGION] != 0.0
-        return int(self.simulation.settings[st.REGION_SUBSTEPS if local else st.WANTED_SUBSTEPS])
+        settings = self.simulation.settings
+        local = settings.local_region != LocalRegion.OFF
+        return int(settings.region_substeps if local else settings.substeps)
 
     def settle(self, load: Load) -> Answer:
         """Where the model comes to rest."""

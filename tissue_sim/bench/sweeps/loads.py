@@ -9,9 +9,8 @@ import trimesh
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.organs import press_node
-from tissue_sim.contact.finder import ContactFinder, hand_over
+from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
-from tissue_sim.model.inputs import take_pose
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -77,11 +76,11 @@ class Poke:
     def act(self, simulation: Simulation, tick: int) -> None:
         """Hand over the pose, and now and then the contacts found with it."""
         state = simulation.state
-        take_pose(state, 0, np.concatenate([self.path[tick], [0.0, 0.0, 0.0, 1.0]]), tick + 1)
+        simulation.take_pose(0, np.concatenate([self.path[tick], [0.0, 0.0, 0.0, 1.0]]), tick + 1)
         if tick % self._every == 0 or tick == self.ticks - 1:
             touching, pushing = np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
             found = self._finder.find(state.position, state.tool_goal, self._margins, touching, pushing)
-            hand_over(state, found, tick + 1)
+            simulation.take_contacts(found, tick + 1)
 
     def over(self, tick: int) -> bool:
         """True while the probe is drawn back; whether it still touches is seen from its wrench."""

@@ -16,13 +16,15 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SMALL_ORGAN, Cell
 from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
 from tissue_sim.bench.sweeps.witness import Turned, Witness
-from tissue_sim.model import state as st
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.critical_step import largest_frequency, model_step
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.implicit import bounding_stiffness
 from tissue_sim.model.modes import lowest_modes
+from tissue_sim.model.records import copy_of
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import NO_TOOLS, Simulation, sphere_tools
+from tissue_sim.model.state import Region
 from tissue_sim.model.tick import steps_implicitly
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
@@ -136,15 +138,14 @@ def slowest_of(organ: str) -> tuple[float, float]:
 @lru_cache(maxsize=3)  # a model with a modal region may be large
 def _simulation(
     organ: str, integrator: str, local_region: str, mass_ratio: float, tool: bool
-) -> tuple[Simulation, Floats, Floats, Longs]:
-    """A simulation to be used again, with its settings and buffers as they were when new."""
+) -> tuple[Simulation, Settings, Longs]:
+    """A simulation to be used again, with its settings and the words of its state as they were when new."""
     made = organ_of(organ)
     if mass_ratio > 0.0:
         made = with_mass_ratio(made, mass_ratio)
     shapes = sphere_tools(PROBE.radius) if tool else NO_TOOLS
     simulation = Simulation(made, rate=DEFAULT_RATE, local_region=local_region, shapes=shapes, integrator=integrator)
-    buffer = simulation.buffer
-    return simulation, simulation.settings.copy(), buffer.floats.copy(), buffer.integers.copy()
+    return simulation, copy_of(simulation.settings), simulation.state.words.copy()
 
 
 def made_for(cell: Cell) -> tuple[str, str, str, float, bool]:
@@ -155,25 +156,26 @@ def made_for(cell: Cell) -> tuple[str, str, str, float, bool]:
 
 def simulation_of(cell: Cell) -> Simulation:
     """The cell's simulation, as if it were new."""
-    simulation, settings, floats, integers = _simulation(*made_for(cell))
-    settings = settings.copy()
+    simulation, settings, words = _simulation(*made_for(cell))
+    settings = copy_of(settings)
     rate, substeps = cell.at("rate", DEFAULT_RATE), 0
     most = math.ceil((QUICK_SUBSTEPS if cell.quick else MOST_SUBSTEPS) * DEFAULT_RATE / rate)
     if cell.axis == "step":
         step = cell.value * critical_step_of(cell.organ, "explicit" if cell.brief else "symplectic")
         substeps = min(most, max(1, round(1.0 / (DEFAULT_RATE * step))))
         rate = 1.0 / (substeps * step)
-        settings[st.WANTED_SUBSTEPS] = settings[st.REGION_SUBSTEPS] = substeps
-    settings[st.TICK_TIME] = 1.0 / rate
-    settings[st.STIFFNESS_SCALE], settings[st.DAMPING_SCALE] = cell.at("stiffness", 1.0), cell.at("damping", 1.0)
+        settings.substeps = settings.region_substeps = substeps
+    settings.tick_time = 1.0 / rate
+    settings.stiffness_scale, settings.damping_scale = cell.at("stiffness", 1.0), cell.at("damping", 1.0)
     simulation.rate = rate
     simulation.take_settings(settings)
     if not substeps:
         simulation.set_substeps()
         if cell.brief:
-            wanted = [st.WANTED_SUBSTEPS, st.REGION_SUBSTEPS]
-            simulation.settings[wanted] = np.minimum(simulation.settings[wanted], most)
-    simulation.restore(floats, integers)
+            used = simulation.settings
+            used.substeps, used.region_substeps = min(used.substeps, most), min(used.region_substeps, most)
+    simulation.state.words[:] = words
+    simulation.scratch.stale[0] = 1
     return simulation
 
 
@@ -219,8 +221,8 @@ class _Watch:
             self.finite = False
             return
         self.peak = max(self.peak, reach)
-        self.substeps = max(self.substeps, int(state.count[st.SUBSTEPS]))
-        if state.count[st.TICK] % LOOK_EVERY == 0:
+        self.substeps = max(self.substeps, int(state.status.substeps))
+        if state.status.tick % LOOK_EVERY == 0:
             self.turned_most = max(self.turned_most, self.witness.look(positions).cells)
 
     def reach(self) -> float:
@@ -234,24 +236,24 @@ class _Watch:
         What the guard took back counts apart.
         """
         state = self.simulation.state
-        count = state.count
-        if np.any(state.wrench) or count[st.SNAPPED] or count[st.COLLAPSING]:
+        status, count = state.status, state.count
+        if np.any(state.wrench) or status.snapped or status.collapsing:
             self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
             return
         plain, implicit = self.simulation.energy.total, steps_implicitly(state, self.simulation.settings)
-        energy, modal = plain + self._held_besides(implicit), count[st.REGION] == st.MODAL
+        energy, modal = plain + self._held_besides(implicit), status.region == Region.MODAL
         if implicit != self._implicit:
             # What the two kinds of steps keep can't be compared: E alone tells what the first step of a kind gains.
             self._least_energy += energy - self._plain_energy
         self._implicit, self._plain_energy = implicit, plain
         if math.isnan(self._least_energy):
-            self._least_energy, self._released = energy, int(count[st.TICK])
+            self._least_energy, self._released = energy, int(status.tick)
             self._energy_at_release = max(self._energy_at_release, energy)
-        if count[st.FAULTS] != self._faults:
-            self._faults = int(count[st.FAULTS])
+        if count.faults != self._faults:
+            self._faults = int(count.faults)
             self.energy_caught = max(self.energy_caught, self.energy_gain)
             self.energy_gain, self.gained = 0.0, False
-        if modal and (count[st.TICK] - self._released) < MODAL_TIME * self.simulation.rate:
+        if modal and (status.tick - self._released) < MODAL_TIME * self.simulation.rate:
             return
         if not modal:
             self._least_energy = min(self._least_energy, energy)
@@ -269,15 +271,15 @@ class _Watch:
         """
         simulation, state = self.simulation, self.simulation.state
         nodes, velocity = simulation.model.moving, state.velocity
-        if state.count[st.REGION] != st.WHOLE:
-            nodes = simulation.scratch.region_node[: state.count[st.REGION_NODES]]
+        if state.status.region != Region.WHOLE:
+            nodes = simulation.scratch.region_node[: state.status.region_nodes]
         elif simulation.integrator == "explicit":
             return 0.0
-        step = 1.0 / (simulation.rate * max(1, state.count[st.SUBSTEPS]))
+        step = 1.0 / (simulation.rate * max(1, state.status.substeps))
         push = self._push(state.position)
         if implicit:
             push = self._push(state.position + step * velocity) - push + step * (self._bound @ velocity)
-        scale = float(simulation.settings[st.STIFFNESS_SCALE])
+        scale = float(simulation.settings.stiffness_scale)
         return 0.5 * step * scale * float(np.vdot(velocity[nodes], push[nodes]))
 
     @cached_property
@@ -330,7 +332,7 @@ def run_cell(cell: Cell) -> Record:
         left = watch.reach() / max(watch.peak, 1e-12)
     gain = watch.energy_gain if watch.gained else 0.0
     problems = tuple(problems_of(watch.finite, gain, left, speed, simulation.asleep, turned, enough))
-    faults = int(state.count[st.FAULTS])
+    faults = int(state.count.faults)
     return Record(
         axis=cell.axis,
         value=cell.value,
@@ -341,7 +343,7 @@ def run_cell(cell: Cell) -> Record:
         judged=cell.judged,
         settled=enough,
         faults=faults,
-        snaps=int(state.count[st.SNAPS]),
+        snaps=int(state.count.snaps),
         peak=watch.peak,
         left=left,
         quiet_after=after * tick_time if simulation.asleep else None,

@@ -2,27 +2,30 @@
 
 Beside the messages as they were received and published, a bag holds the organ file, the settings,
 the whole state after one tick, and a journal: which tick took up which input, what each contact set
-was found from, and which tick each published message shows. That is all a replay needs.
+was found from, and which tick each published message shows. That is all a replay needs. Arrays and records are kept
+by the names of their fields (npz), so that a field more or less is noticed by name.
 """
 
 from __future__ import annotations
 
 import io
-from enum import IntEnum
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT = 1  # raised when an older replay could not read a newer bag
+from tissue_sim.model.records import Record
+
+FORMAT = 2  # raised when an older replay could not read a newer bag; 1 held settings and state by position
 
 # Topics under the node's name, with their types.
 PRIVATE_TOPICS = {
     "config": "std_msgs/msg/String",  # JSON
     "organ": "std_msgs/msg/UInt8MultiArray",  # the organ file
-    "state": "std_msgs/msg/UInt8MultiArray",  # npz: floats, integers
-    "settings": "std_msgs/msg/Float64MultiArray",  # sequence, settings
+    "state": "std_msgs/msg/UInt8MultiArray",  # npz: the fields of model.state.State
+    "settings": "std_msgs/msg/UInt8MultiArray",  # npz: sequence, settings
     "contact_set": "std_msgs/msg/UInt8MultiArray",  # npz: a set found from a surface before the state
-    "journal": "std_msgs/msg/Int64MultiArray",  # rows
+    "journal": "std_msgs/msg/UInt8MultiArray",  # npz: rows of what happened
     "mesh": "shape_msgs/msg/Mesh",
     "surface": "sensor_msgs/msg/PointCloud2",
     "skeleton": "sensor_msgs/msg/PointCloud2",
@@ -30,24 +33,39 @@ PRIVATE_TOPICS = {
 }
 
 
-class Row(IntEnum):
-    """First number of a journal row."""
+class ContactRow(Record):
+    """What a contact set was found from."""
 
-    INPUT = 0  # tick, contact set, settings, resets, then pose and force of each body: what it took up
-    CONTACT = 1  # contact set, surface's tick, engaged bits, pushing bits, then pose and margin (mm) per body
-    WRENCH = 2  # tool, tick: one for each recorded servo_cf
-    SURFACE = 3  # tick: one for each recorded surface
+    contact_set: int  # its number
+    surface_tick: int  # tick of the surface
 
 
-def row_width(n_bodies: int) -> int:
-    """Numbers in a journal row; a gripper has two bodies, other tools one."""
-    return 5 + 2 * n_bodies
+class BodyContactRow(Record):
+    """The same for each of its bodies."""
+
+    pose: int  # its number
+    margin: float  # m beyond MARGIN
+    engaged: bool
+    pushing: bool
 
 
-def pack(**arrays: NDArray) -> NDArray[np.uint8]:
+class WrenchRow(Record):
+    """What a recorded servo_cf shows; one row for each."""
+
+    tool: int
+    tick: int
+
+
+class SurfaceRow(Record):
+    """What a recorded surface shows; one row for each."""
+
+    tick: int
+
+
+def pack(arrays: Mapping[str, NDArray]) -> NDArray[np.uint8]:
     """Arrays as the bytes of an npz."""
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays)
+    np.savez(stream, allow_pickle=False, **{name: np.asarray(array) for name, array in arrays.items()})
     return np.frombuffer(stream.getvalue(), dtype=np.uint8)
 
 

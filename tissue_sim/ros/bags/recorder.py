@@ -6,7 +6,8 @@ import json
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,45 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import Stores, get_typestore
 
-from tissue_sim.contact.finder import ContactSet
 from tissue_sim.errors import UserError
+from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.records import array_of
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.state import fields_of, make_state
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
 from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
-WHOLE_SET = ("tool", "node", "weight", "normal", "tip_node", "tip_weight")
+JOURNAL_EVERY = 0.25  # s
 CLOSING_TIME = 0.4  # s that a bag which is closed before all is written may take for that
 LONGEST_QUEUE = 200_000  # messages; a disk that can't keep up loses the rest, and that is said
+
+
+BodyContact = tuple[int, float, bool, bool]  # the fields of bag.BodyContactRow
+
+
+@dataclass
+class _Notes:
+    """Rows that wait for the journal."""
+
+    contacts: list[tuple[int, int]] = field(default_factory=list)
+    body_contacts: list[list[BodyContact]] = field(default_factory=list)
+    wrenches: list[tuple[int, int]] = field(default_factory=list)
+    surfaces: list[tuple[int]] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.contacts or self.wrenches or self.surfaces)
+
+    def arrays(self, n_bodies: int) -> dict[str, NDArray[Any]]:
+        """The rows as arrays of records."""
+        return {
+            "contacts": np.array(self.contacts, dtype=bag.ContactRow.dtype),
+            "body_contacts": np.array(self.body_contacts, dtype=bag.BodyContactRow.dtype).reshape(-1, n_bodies),
+            "wrenches": np.array(self.wrenches, dtype=bag.WrenchRow.dtype),
+            "surfaces": np.array(self.surfaces, dtype=bag.SurfaceRow.dtype),
+        }
 
 
 class Recorder:
@@ -47,8 +76,9 @@ class Recorder:
         self._queue: queue.SimpleQueue[tuple[Any, int, Any] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._connections: dict[str, Any] = {}
-        self._rows: list[list[int]] = []
-        self._rows_lock = threading.Lock()
+        self._notes = _Notes()
+        self._notes_lock = threading.Lock()
+        self._journal_at = 0.0  # monotonic s, when the journal was last written
         self._newest_set: tuple[int, ContactSet] | None = None
         self._state_tick = -1
         self._started = 0.0
@@ -91,7 +121,7 @@ class Recorder:
         self._thread.start()
         self._epoch = time.time_ns() - time.monotonic_ns()
         physics.journal()  # rows of ticks before this bag
-        self._rows, self._state_tick, self._started = [], -1, time.monotonic()
+        self._notes, self._state_tick, self._started = _Notes(), -1, time.monotonic()
         self.path, self.lost, self.error = path, 0, ""
         self._typed("config", "data", json.dumps(self._config | {"first": {n: s for n, (s, _) in newest.items()}}))
         self._typed("organ", "data", np.frombuffer(organ_bytes, dtype=np.uint8))
@@ -102,7 +132,7 @@ class Recorder:
         if self._newest_set is not None:
             self._whole_set(*self._newest_set)
         self.active = True
-        self.settings(int(physics.box.settings_sequence[0]), physics.settings())
+        self.settings(int(physics.box.settings.sequence[0]), physics.settings())
         return path
 
     def stop(self, physics: Physics, patience: float = 30.0) -> Path | None:
@@ -112,6 +142,7 @@ class Recorder:
         """
         if not self.active:
             return None
+        self._journal_at = 0.0
         self.poll(physics)
         self.active = False
         self._queue.put(None)
@@ -127,22 +158,21 @@ class Recorder:
         """Take the state when it is time, and write the journal so far; call it often."""
         if not self.active:
             return
-        if self._state_tick < 0 and time.monotonic() - self._started > SETTLE_TIME:
-            floats, integers = physics.snapshot()
-            self._typed("state", "data", bag.pack(floats=floats, integers=integers))
-            self._state_tick = physics.simulation.buffer.tick_of(integers)
-        width = bag.row_width(self._n_bodies)
-        inputs = physics.journal()
-        rows = np.zeros((len(inputs), width), dtype=np.int64)
-        rows[:, 0] = bag.Row.INPUT
-        rows[:, 1 : 1 + inputs.shape[1]] = inputs
-        with self._rows_lock:
-            noted, self._rows = self._rows, []
-        rest = np.zeros((len(noted), width), dtype=np.int64)
-        for index, row in enumerate(noted):
-            rest[index, : len(row)] = row
-        if len(rows) or len(rest):
-            self._typed("journal", "data", np.concatenate([rows, rest]).ravel())
+        now = time.monotonic()
+        if self._state_tick < 0 and now - self._started > SETTLE_TIME:
+            before = physics.simulation.state
+            state = make_state(len(before.position), self._n_bodies, len(before.mode_position), len(before.is_turned))
+            state.words[:] = physics.snapshot()
+            self._packed("state", fields_of(state))
+            self._state_tick = int(state.status.tick)
+        if now - self._journal_at < JOURNAL_EVERY:
+            return
+        self._journal_at = now
+        inputs, body_inputs = physics.journal()
+        with self._notes_lock:
+            noted, self._notes = self._notes, _Notes()
+        if len(inputs) or noted:
+            self._packed("journal", {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self._n_bodies))
 
     def report(self, report: Report) -> None:
         """Add the bag, and what it is missing."""
@@ -160,42 +190,45 @@ class Recorder:
     def wrench(self, name: str, tool: int, tick: int, raw: bytes) -> None:
         """A published servo_cf, and the tick that it shows."""
         if self.active:
-            self._note([bag.Row.WRENCH, tool, tick])
+            with self._notes_lock:
+                self._notes.wrenches.append((tool, tick))
             self._raw(name, raw)
 
     def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
         """A published surface, skeleton and, if wanted, markers, and the tick that they show."""
         if self.active:
-            self._note([bag.Row.SURFACE, tick])
+            with self._notes_lock:
+                self._notes.surfaces.append((tick,))
             self._raw(self._names["surface"], surface)
             self._raw(self._names["skeleton"], skeleton)
             if markers is not None:
                 self._raw(self._names["markers"], markers)
 
-    def settings(self, sequence: int, settings: NDArray[np.float64]) -> None:
+    def settings(self, sequence: int, settings: Settings) -> None:
         """New settings."""
         if self.active:
-            self._typed("settings", "data", np.concatenate([[float(sequence)], settings]))
+            self._packed("settings", {"sequence": np.array(sequence), "settings": array_of(settings)})
 
-    def contacts(self, sequence: int, surface_tick: int, found: ContactSet, pushing: int, pairs: Sequence[int]) -> None:
+    def contacts(self, sequence: int, surface_tick: int, found: ContactSet, bodies: Sequence[BodyContact]) -> None:
         """A contact set: what it was found from, or all of it while its surface may not be in the bag."""
         self._newest_set = sequence, found
         if not self.active:
             return
-        engaged = sum(int(flag) << tool for tool, flag in enumerate(found.engaged))
-        self._note([bag.Row.CONTACT, sequence, surface_tick, engaged, pushing, *pairs])
+        with self._notes_lock:
+            self._notes.contacts.append((sequence, surface_tick))
+            self._notes.body_contacts.append(list(bodies))
         if self._state_tick < 0 or surface_tick <= self._state_tick:
             self._whole_set(sequence, found)
 
     # inside ------------------------------------------------------------------------------------
     def _whole_set(self, sequence: int, found: ContactSet) -> None:
-        whole = {name: getattr(found, name) for name in WHOLE_SET}
-        data = bag.pack(sequence=np.array([sequence]), engaged=found.engaged, **whole)
-        self._typed("contact_set", "data", data)
+        found.header.sequence = sequence
+        self._packed(
+            "contact_set", {name: array_of(value) for name, value in found._asdict().items() if name != "words"}
+        )
 
-    def _note(self, row: list[int]) -> None:
-        with self._rows_lock:
-            self._rows.append([int(value) for value in row])
+    def _packed(self, topic: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self._typed(topic, "data", bag.pack(arrays))
 
     def _raw(self, name: str, raw: bytes) -> None:
         if self._queue.qsize() > LONGEST_QUEUE:
@@ -204,14 +237,14 @@ class Recorder:
         # Wall time, but never running backwards within a bag.
         self._queue.put((name, self._epoch + time.monotonic_ns(), raw))
 
-    def _typed(self, topic: str, field: str, value: Any) -> None:
+    def _typed(self, topic: str, member: str, value: Any) -> None:
         kind = bag.PRIVATE_TOPICS[topic]
         message = self._store.types[kind]
         if kind.endswith("MultiArray"):
             layout = self._store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
             value = message(layout=layout, data=value)
         else:
-            value = message(**{field: value})
+            value = message(**{member: value})
         self._raw(self._names[topic], bytes(self._store.serialize_cdr(value, kind)))
 
     def _drain(self, writer: Writer, messages: queue.SimpleQueue[Any]) -> None:

@@ -17,11 +17,13 @@ from rosbags.typesys import Stores, get_typestore
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.finder import ContactFinder, ContactSet, hand_over
+from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
-from tissue_sim.model.inputs import take_force, take_pose
+from tissue_sim.model.contact_set import ContactSet, contact_set
+from tissue_sim.model.mailboxes import BodyInputs, JournalRow
+from tissue_sim.model.records import array_of
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
@@ -67,9 +69,9 @@ class Recording:
     config: dict[str, Any]
     organ: bytes
     state: dict[str, np.ndarray]
-    settings: dict[int, Floats]
-    contact_sets: dict[int, dict[str, np.ndarray]]
-    journal: np.ndarray  # (k, row width)
+    settings: dict[int, Settings]
+    contact_sets: dict[int, ContactSet]
+    journal: dict[str, np.ndarray]  # records by kind, see recorder
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
     angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
     forces: list[dict[int, Floats]] = field(default_factory=list)
@@ -92,20 +94,25 @@ class Recording:
             return [store.deserialize_cdr(raw, kind).data for raw in messages[f"{name}/{topic}"]]
 
         config = json.loads(data("config")[0])
-        if config["format"] > bag.FORMAT:
-            raise UserError(f"bag {path} has format {config['format']}, this package reads up to {bag.FORMAT}")
+        if config["format"] != bag.FORMAT:
+            raise UserError(
+                f"bag {path} has format {config['format']} (tissue_sim {config['package_version']}), this package reads"
+                f" {bag.FORMAT}: replay it with that version, or record it again"
+            )
         if not data("state"):
             raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
-        width = bag.row_width(sum(tool.n_bodies for tool in _tools(config)))
-        rows = [np.asarray(values).reshape(-1, width) for values in data("journal")]
-        sets = [bag.unpack(values) for values in data("contact_set")]
+        n_bodies = sum(tool.n_bodies for tool in _tools(config))
+        rows = [bag.unpack(values) for values in data("journal")]
+        kinds = rows[0] if rows else {}
+        sets = [_contact_set(bag.unpack(values), n_bodies) for values in data("contact_set")]
+        settings = [bag.unpack(values) for values in data("settings")]
         recording = cls(
             config=config,
             organ=bytes(data("organ")[0]),
             state=bag.unpack(data("state")[0]),
-            settings={int(values[0]): np.asarray(values[1:]) for values in data("settings")},
-            contact_sets={int(found["sequence"][0]): found for found in sets},
-            journal=np.concatenate([*rows, np.zeros((0, width), dtype=np.int64)]),
+            settings={int(found["sequence"]): _settings(path, found["settings"]) for found in settings},
+            contact_sets={int(found.header.sequence): found for found in sets},
+            journal={kind: np.concatenate([row[kind] for row in rows]) for kind in kinds},
         )
         for tool in config["tools"]:
             topics = {topic: config["topics"][f"{tool}/{topic}"] for topic in TOOL_TOPICS}
@@ -171,39 +178,40 @@ class _Player:
         self.tools = ToolSet(_tools(recording.config))
         self.simulation = Simulation(
             organ,
-            parameters["model"],
-            parameters["rate"],
-            parameters["local_region"],
-            self.tools.shapes,
-            parameters.get("return_target", "rest"),
-            parameters.get("integrator", "symplectic"),
+            model=parameters["model"],
+            rate=parameters["rate"],
+            local_region=parameters["local_region"],
+            shapes=self.tools.shapes,
+            return_target=parameters.get("return_target", "rest"),
+            integrator=parameters.get("integrator", "symplectic"),
         )
         self.poses = self._body_poses()
         self.forces = self._body_forces()
-        self.simulation.restore(recording.state["floats"], recording.state["integers"])
+        self.simulation.restore(recording.state)
         self.state = self.simulation.state
         self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
-        first = self.tick = self.simulation.buffer.tick_of(recording.state["integers"])
+        first = self.tick = int(self.state.status.tick)
         journal = recording.journal
-        kind = journal[:, 0]
-        inputs = journal[(kind == bag.Row.INPUT) & (journal[:, 1] > first)]
-        self.inputs = {int(row[1]): row[1:] for row in inputs}
-        sets = journal[kind == bag.Row.CONTACT]
-        self.contact_rows = {int(row[1]): row[1:] for row in sets}
-        self.needed = {int(row[2]) for row in sets}  # ticks whose surface a contact set was found from
+        self.inputs = {
+            int(row["tick"]): (row, bodies)
+            for row, bodies in zip(journal["inputs"], journal["body_inputs"], strict=True)
+        }
+        self.found_from = {
+            int(row["contact_set"]): (int(row["surface_tick"]), bodies)
+            for row, bodies in zip(journal["contacts"], journal["body_contacts"], strict=True)
+        }
+        self.needed = {tick for tick, _ in self.found_from.values()}  # ticks whose surface a contact set was found from
         self.kept: dict[int, Floats] = {}
         self.wrench_at: dict[int, list[tuple[int, int]]] = defaultdict(list)  # tick -> tool, index
         seen = [0] * len(self.tools.tools)
-        for _, tool, tick in journal[kind == bag.Row.WRENCH, :3]:
-            self.wrench_at[int(tick)].append((int(tool), seen[tool]))
+        for tool, tick in journal["wrenches"].tolist():
+            self.wrench_at[tick].append((tool, seen[tool]))
             seen[tool] += 1
-        self.surface_at = {int(tick): index for index, tick in enumerate(journal[kind == bag.Row.SURFACE, 1])}
+        self.surface_at = {tick: index for index, (tick,) in enumerate(journal["surfaces"].tolist())}
         self.last = max([first, *self.inputs, *self.wrench_at, *self.surface_at])
         # What the state had already taken up: only what is new in a row is taken up again.
-        before = journal[(kind == bag.Row.INPUT) & (journal[:, 1] <= first)]
-        self.taken = before[-1, 1:].copy() if len(before) else np.zeros(journal.shape[1] - 1, dtype=np.int64)
-        if not len(before):
-            self._taken_from_state()
+        before = max((tick for tick in self.inputs if tick <= first), default=None)
+        self.taken = self.inputs[before] if before is not None else self._taken_from_state()
 
     def _body_poses(self) -> list[dict[int, Floats]]:
         """Poses of each body by sequence: a tool's own, or those of a gripper's jaws."""
@@ -228,26 +236,28 @@ class _Player:
             return np.asarray(self.state.wrench[bodies[0]])
         return np.concatenate([self.state.wrench[bodies, :3].sum(axis=0), recorded[3:]])
 
-    def _taken_from_state(self) -> None:
+    def _taken_from_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Nothing was taken up between the bag's start and the state: the state's own numbers count."""
-        self.taken[1] = self.state.count[st.CONTACT_SEQUENCE]
-        newest = [row for _, row in sorted(self.inputs.items())][:1]
-        self.taken[2:4] = newest[0][2:4] if newest else 0
-        for tool in range(len(self.state.tool_count)):
-            self.taken[4 + 2 * tool] = self.state.tool_count[tool, st.POSE_SEQUENCE]
-            self.taken[5 + 2 * tool] = self.state.tool_count[tool, st.FORCE_SEQUENCE]
+        row = np.zeros((), dtype=JournalRow.dtype)
+        row["contact_set"] = self.state.contacts.header.sequence
+        if self.inputs:
+            newest, _ = self.inputs[min(self.inputs)]
+            row["settings"], row["resets"] = newest["settings"], newest["resets"]
+        bodies = np.zeros(len(self.poses), dtype=BodyInputs.dtype)
+        bodies["pose"], bodies["force"] = self.state.tools.pose_sequence, self.state.tools.force_sequence
+        return row, bodies
 
     def run(self) -> Result:
         result = Result()
         settings = self.recording.settings
-        start = max((s for s in settings if s <= self.taken[2]), default=min(settings))
+        start = max((number for number in settings if number <= self.taken[0]["settings"]), default=min(settings))
         self.simulation.take_settings(settings[start])
         for tick in tqdm(
             range(self.tick + 1, self.last + 1), disable=None, desc="replay", unit="tick", mininterval=0.5
         ):
             row = self.inputs.get(tick)
-            if row is not None:
-                self._take(row, result)
+            if row is not None and tick > self.tick:
+                self._take(*row, result)
                 result.inputs += 1
             self.simulation.step()
             result.ticks += 1
@@ -263,24 +273,25 @@ class _Player:
                 result.compare_surface(tick, recorded, self.simulation.positions[: len(recorded)])
         return result
 
-    def _take(self, row: np.ndarray, result: Result) -> None:
+    def _take(self, row: np.ndarray, bodies: np.ndarray, result: Result) -> None:
         """Take up what is new in a journal row, in the order of the node's loop."""
-        _, contacts, settings, resets = (int(value) for value in row[:4])
-        if resets != self.taken[3]:
-            self.simulation.reset()
-        if settings != self.taken[2]:
-            self.simulation.take_settings(self.recording.settings[settings])
+        last, last_bodies = self.taken
+        simulation = self.simulation
+        if row["resets"] != last["resets"]:
+            simulation.reset()
+        if row["settings"] != last["settings"]:
+            simulation.take_settings(self.recording.settings[int(row["settings"])])
         for body in range(len(self.poses)):
-            pose, force = int(row[4 + 2 * body]), int(row[5 + 2 * body])
-            if pose != self.taken[4 + 2 * body]:
-                take_pose(self.state, body, self._input(self.poses[body], pose, "pose"), pose)
-            if force != self.taken[5 + 2 * body]:
-                take_force(self.state, body, self._input(self.forces[body], force, "force"), force)
-        if contacts != self.taken[1]:
-            found = self._contact_set(contacts)
+            pose, force = int(bodies["pose"][body]), int(bodies["force"][body])
+            if pose != last_bodies["pose"][body]:
+                simulation.take_pose(body, self._input(self.poses[body], pose, "pose"), pose)
+            if force != last_bodies["force"][body]:
+                simulation.take_force(body, self._input(self.forces[body], force, "force"), force)
+        contacts = int(row["contact_set"])
+        if contacts != last["contact_set"]:
             result.contact_sets += 1
-            hand_over(self.state, found, contacts)
-        self.taken = row
+            simulation.take_contacts(self._contact_set(contacts), contacts)
+        self.taken = row, bodies
 
     def _input(self, values: dict[int, Floats], sequence: int, what: str) -> Floats:
         if sequence not in values:
@@ -290,22 +301,38 @@ class _Player:
     def _contact_set(self, sequence: int) -> ContactSet:
         whole = self.recording.contact_sets.get(sequence)
         if whole is not None:
-            points = (whole["tool"], whole["node"], whole["weight"], whole["normal"])
-            return ContactSet(*points, whole["tip_node"], whole["tip_weight"], whole["engaged"])
-        row = self.contact_rows.get(sequence)
-        if row is None or int(row[1]) not in self.kept:
+            return whole
+        tick, bodies = self.found_from.get(sequence, (-1, None))
+        if bodies is None or tick not in self.kept:
             raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
-        bodies = range(len(self.poses))
-        engaged = np.array([row[2] >> body & 1 for body in bodies], dtype=np.int64)
-        pushing = np.array([row[3] >> body & 1 for body in bodies], dtype=np.int64)
-        poses = np.zeros((len(bodies), 7))
-        poses[:, 6] = 1.0
-        for body in bodies:
-            number = int(row[4 + 2 * body])
+        poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(self.poses), 1))
+        for body, number in enumerate(bodies["pose"].tolist()):
             if number:
                 poses[body] = self._input(self.poses[body], number, "pose")
-        margins = np.array([1e-3 * row[5 + 2 * body] for body in bodies])
-        return self.finder.find(self.kept[int(row[1])], poses, margins, engaged, pushing)
+        engaged, pushing = (bodies[name].astype(np.int64) for name in ("engaged", "pushing"))
+        return self.finder.find(self.kept[tick], poses, np.ascontiguousarray(bodies["margin"]), engaged, pushing)
+
+
+def _settings(path: Path, recorded: np.ndarray) -> Settings:
+    """Settings from a record of them; raises UserError naming a field that one of both lacks."""
+    names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
+    if differing := sorted(set(names) ^ set(wanted)):
+        raise UserError(
+            f"bag {path}: setting '{differing[0]}' is not in both, the bag and this version; record it again"
+        )
+    settings = Settings.new()
+    for name in names:
+        setattr(settings, name, recorded[name][()])
+    return settings
+
+
+def _contact_set(fields: dict[str, np.ndarray], n_bodies: int) -> ContactSet:
+    """A contact set from its fields by name."""
+    made = contact_set(n_bodies, len(fields["body"]))
+    for name, value in made._asdict().items():
+        if name != "words":
+            array_of(value)[...] = fields[name]
+    return made
 
 
 def _tools(config: dict[str, Any]) -> list[Tool]:

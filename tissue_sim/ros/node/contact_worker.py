@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from tissue_sim.contact.finder import ContactFinder, reach_margins
-from tissue_sim.model import state as st
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.tool_port import ToolPort
 from tissue_sim.ros.shared.physics import Physics
@@ -98,7 +97,7 @@ class ContactWorker:
 
     def _refresh(self, now: float) -> None:
         settings = self._physics.settings()
-        alive = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
+        alive = settings.stale_time + settings.ramp_time
         newest = [port.newest for port in self._ports]
         sequences = [one.sequence for one in newest for _ in one.placed]
         poses = np.concatenate([one.placed for one in newest])
@@ -142,13 +141,12 @@ class ContactWorker:
         self._last_pose, self._last_time = poses, now
         found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
         self._trouble.succeeded()
-        empty = len(found.tool) == 0 and bool(np.all(found.tip_node < 0))
+        empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
         sequence = self._physics.post_contacts(found)
         self._last_empty = empty
-        self.dropped += found.dropped
-        pairs = [int(value) for pair in zip(sequences, np.rint(1e3 * margins), strict=True) for value in pair]
-        bits = sum(int(flag) << tool for tool, flag in enumerate(pushing))
-        self._recorder().contacts(sequence, tick, found, bits, pairs)
+        self.dropped += int(found.header.dropped)
+        rows = list(zip(sequences, margins, found.engaged, pushing, strict=True))
+        self._recorder().contacts(sequence, tick, found, rows)
         self.durations.append(time.monotonic() - now)
         if len(self.durations) > 1000:
             del self.durations[:500]

@@ -8,7 +8,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from tissue_sim.model import state as st
+from tissue_sim.model.state import FAULT_NAMES
 from tissue_sim.ros.node.loop_timing import MOST_BEHIND, TimingReader
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
@@ -52,15 +52,15 @@ class LoopReport:
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
-        self._timing = TimingReader(physics.box)
+        self._timing = TimingReader(physics)
 
     def report(self, report: Report) -> None:
         """Add the loop's times and counters since the last report."""
-        timing, (count, _) = self._timing.read(), self._physics.counts()
+        timing, (status, count, _, _) = self._timing.read(), self._physics.results()
         busy = np.percentile(timing.busy, [50.0, 99.0]) if timing.ticks else np.zeros(2)
-        region = "asleep" if count[st.ASLEEP] else ("whole", "frozen", "modal")[count[st.REGION]]
+        region = "asleep" if status.asleep else ("whole", "frozen", "modal")[status.region]
         report.values |= {
-            "tick": int(count[st.TICK]),
+            "tick": status.tick,
             "tick_rate_hz": timing.rate,
             "realtime_priority": self._physics.priority,
             "tick_p50_us": 1e6 * float(busy[0]),
@@ -71,21 +71,21 @@ class LoopReport:
             "behind_ms": 1e3 * timing.behind,
             "load": timing.load,
             "region": region,
-            "active_nodes": int(count[st.ACTIVE]),
-            "contact_count": int(count[st.TOUCHING]),
-            "substeps": int(count[st.SUBSTEPS]),
-            "frozen_ticks": int(count[st.FROZEN_TICKS]),
-            "modal_ticks": int(count[st.MODAL_TICKS]),
-            "slewed_ticks": int(count[st.SLEWED]),
-            "last_fault": st.FAULT_NAMES[int(count[st.FAULT_KIND])],
-            "turned_cells": int(count[st.TURNED]),
-            "skipped.asleep": int(count[st.ASLEEP_TICKS]),
-            "skipped.small_load": int(count[st.FROZEN_TICKS] + count[st.MODAL_TICKS]),
+            "active_nodes": status.active,
+            "contact_count": status.touching,
+            "substeps": status.substeps,
+            "frozen_ticks": count.frozen_ticks,
+            "modal_ticks": count.modal_ticks,
+            "slewed_ticks": count.slewed_ticks,
+            "last_fault": FAULT_NAMES[status.fault_kind],
+            "turned_cells": status.turned,
+            "skipped.asleep": count.asleep_ticks,
+            "skipped.small_load": count.frozen_ticks + count.modal_ticks,
         }
         report.problems |= {
-            "faults": int(count[st.FAULTS]),
-            "false_rest_shapes": int(count[st.SNAPS]),
-            "clamped_ticks": int(count[st.CLAMPED]),
+            "faults": count.faults,
+            "false_rest_shapes": count.snaps,
+            "clamped_ticks": count.clamped_ticks,
             "dropped_ticks": timing.dropped,
         }
         if timing.behind > MOST_BEHIND or abs(timing.real_time_factor - 1.0) > DRIFT:

@@ -6,10 +6,10 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 
-from tissue_sim.array_types import Floats
-from tissue_sim.model import state as st
 from tissue_sim.model.coupling import passive_stiffness
 from tissue_sim.model.critical_step import SAFETY, substeps_for
+from tissue_sim.model.records import copy_of, words_of
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import LONGEST_STEP, Simulation
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.shared.parameters import Parameters
@@ -24,7 +24,7 @@ WORTH = 0.9  # share of the substeps a second that half the rate may leave at th
 class LiveSettings:
     """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
 
-    post is told the sequence number and the settings (N_SETTINGS,) that were posted; periods gives the s between two
+    post is told the sequence number and the settings that were posted; periods gives the s between two
     poses of each tool.
     """
 
@@ -33,7 +33,7 @@ class LiveSettings:
         simulation: Simulation,
         physics: Physics,
         parameters: Parameters,
-        post: Callable[[int, Floats], None],
+        post: Callable[[int, Settings], None],
         periods: Callable[[], Sequence[float]],
     ) -> None:
         self._periods = periods
@@ -46,17 +46,15 @@ class LiveSettings:
         with self._lock:
             self.level = self.level if level is None else level
             settings = self._simulation.settings
-            before = settings.copy()
+            before = copy_of(settings)
             self._parameters.apply(settings)
-            settings[st.TICK_TIME] = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
-            settings[st.COUPLING_STIFFNESS] = min(
-                settings[st.COUPLING_STIFFNESS], self._passive(settings[st.TICK_TIME])
-            )
+            settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
+            settings.coupling_stiffness = min(settings.coupling_stiffness, self._passive(settings.tick_time))
             if self.level >= degrade.REGION and self._parameters["local_region"] == "auto":
-                settings[st.REGION_FORCE] = ANY_FORCE
-            if (settings != before).any():
+                settings.region_force = ANY_FORCE
+            if (words_of(settings) != words_of(before)).any():
                 self._simulation.set_substeps()
-                posted = settings.copy()
+                posted = copy_of(settings)
                 self._post(self._physics.post_settings(posted), posted)
 
     def _passive(self, tick_time: float) -> float:
@@ -73,7 +71,7 @@ class LiveSettings:
     @property
     def coupling_stiffness(self) -> float:
         """N/m between hands and tools, as it is in use."""
-        return float(self._simulation.settings[st.COUPLING_STIFFNESS])
+        return float(self._simulation.settings.coupling_stiffness)
 
     def describe(self) -> str:
         """What is given up at the present level, or that nothing is."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.model import mailboxes as mb
-from tissue_sim.model import state as st
+from tissue_sim.ros.shared.physics import Physics
 
 MOST_BEHIND = 0.005  # s that simulated and wall time may be apart before it is told
 
@@ -48,18 +48,19 @@ class Timing:
 class TimingReader:
     """Looks at a loop's mailboxes now and then; each reader has its own last look."""
 
-    def __init__(self, box: mb.Mailboxes) -> None:
-        self._box = box
+    def __init__(self, physics: Physics) -> None:
+        self._physics, self._box = physics, physics.box
         self._last = self._look()
 
     def read(self) -> Timing:
         """Timing since the last call."""
         control, last = self._box.control, self._last
-        due, napping = int(control[mb.DUE]), int(control[mb.NAPPING])
+        due, napping = int(control.due), int(control.napping)
         new = self._last = self._look()
         first = max(last.ticks, new.ticks - mb.TIMING_ROWS + 64)
-        rows: Floats = self._box.timing[np.arange(first, new.ticks) % mb.TIMING_ROWS] / 1e9
-        behind = float(rows[:, 0].max(initial=0.0))
+        rows = self._box.timing[np.arange(first, new.ticks) % mb.TIMING_ROWS]
+        late, busy = 1e-9 * rows["late"], 1e-9 * rows["duration"]
+        behind = float(late.max(initial=0.0))
         # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
         if due and not new.posted and not napping:
             behind = max(behind, 1e-9 * (new.clock - due) - self._tick_time())
@@ -68,8 +69,8 @@ class TimingReader:
         return Timing(
             ticks=new.ticks - last.ticks,
             seconds=max(new.wall - last.wall, 1e-9),
-            late=rows[:, 0],
-            busy=rows[:, 1],
+            late=late,
+            busy=busy,
             behind=behind,
             late_ticks=new.overruns - last.overruns,
             dropped_ticks=new.dropped - last.dropped,
@@ -80,20 +81,20 @@ class TimingReader:
 
     def _look(self) -> _Counters:
         control = self._box.control
-        posted = int(control[mb.SIM_TIME])
+        posted = int(control.sim_time)
         return _Counters(
             wall=time.monotonic(),
             posted=posted,
-            clock=int(control[mb.POSTED_TIME]) if posted else time.monotonic_ns(),
-            ticks=int(control[mb.LOOP_TICKS]),
-            simulated=int(control[mb.SIMULATED]),
-            overruns=int(control[mb.OVERRUNS]),
-            dropped=int(control[mb.DROPPED]),
+            clock=int(control.posted_time) if posted else time.monotonic_ns(),
+            ticks=int(control.loop_ticks),
+            simulated=int(control.simulated),
+            overruns=int(control.overruns),
+            dropped=int(control.dropped),
         )
 
     def _tick_time(self) -> float:
         """s, of the newest settings."""
-        return float(self._box.settings[int(self._box.settings_sequence[0]) % mb.IN_SLOTS, st.TICK_TIME])
+        return self._physics.tick_time
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
-from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -62,12 +61,12 @@ class TissueNode(Node):
             self.get_logger().info("compiling the kernels, once for this machine: a minute or so")
         self.simulation = Simulation(
             self.organ,
-            values["model"],
-            values["rate"],
-            values["local_region"],
-            tools.shapes,
-            values["return_target"],
-            values["integrator"],
+            model=values["model"],
+            rate=values["rate"],
+            local_region=values["local_region"],
+            shapes=tools.shapes,
+            return_target=values["return_target"],
+            integrator=values["integrator"],
         )
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
@@ -140,7 +139,7 @@ class TissueNode(Node):
         self.get_logger().info(
             f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
             f" model {self.parameters['model']}, {self.simulation.rate:g} Hz,"
-            f" {int(self.simulation.settings[st.WANTED_SUBSTEPS])} substeps; tools: {', '.join(self.parameters.tools)}"
+            f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)}"
         )
 
     def close(self) -> None:

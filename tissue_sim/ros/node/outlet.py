@@ -55,7 +55,7 @@ class Outlet:
         self._presenter, self._live, self._sim_clock = presenter, live, sim_clock
         self._poll_bag, self._tell, self._logger = poll_bag, tell, logger
         self._trouble = Trouble("outlet", logger.warning)
-        self._load = TimingReader(physics.box)
+        self._load = TimingReader(physics)
         self._ladder = degrade.Ladder()
         self._seen: tuple[int, ...] = ()
         self._next_marker = self._next_look = self._next_report = 0.0

@@ -18,7 +18,6 @@ from std_msgs.msg import Float64MultiArray
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.tools import ToolSet
-from tissue_sim.model import state as st
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, unit_pose
 from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame, Vector, rotate, rotate_back
@@ -142,7 +141,7 @@ class ToolPort:
     # in ----------------------------------------------------------------------------------------
     def _on_pose(self, raw: bytes) -> None:
         settings = self._physics.settings()
-        fresh_for = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
+        fresh_for = settings.stale_time + settings.ramp_time
         now = time.monotonic()
         try:
             last_stamp = self._pose_stamp if now - self.pose_clock < fresh_for else 0
@@ -192,7 +191,7 @@ class ToolPort:
 
     def _on_force(self, raw: bytes) -> None:
         settings = self._physics.settings()
-        fresh_for = settings[st.STALE_TIME] + settings[st.RAMP_TIME]
+        fresh_for = settings.stale_time + settings.ramp_time
         now = time.monotonic()
         try:
             last_stamp = self._force_stamp if now - self.force_clock < fresh_for else 0
@@ -329,10 +328,9 @@ class ToolPort:
         """none, fresh, stale, or refused (held off until it leaves the organ)."""
         if self.poses == 0:
             return "none"
-        if time.monotonic() - self.pose_clock > self._physics.settings()[st.STALE_TIME]:
+        if time.monotonic() - self.pose_clock > self._physics.settings().stale_time:
             return "stale"
-        _, tools = self._physics.counts()
-        return "fresh" if tools[self.bodies[0], st.ENGAGED] else "refused"
+        return "fresh" if self._physics.results().tools[self.bodies[0]].engaged else "refused"
 
 
 def _turned(wrench: Sequence[float], turn: Callable[[Vector], Vector]) -> tuple[float, ...]:

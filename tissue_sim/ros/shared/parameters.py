@@ -13,13 +13,10 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
 from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
-from tissue_sim.model.integrators import INTEGRATORS
-from tissue_sim.model.simulation import LOCAL_REGIONS
+from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Settings
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
 from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform, unit_quaternion
 from tissue_sim.ros.shared.priority import HIGHEST
@@ -29,7 +26,7 @@ from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 @dataclass(frozen=True)
 class Spec:
-    """One parameter. `setting` is the entry of the simulation's settings that it changes, if any."""
+    """One parameter. `setting` is the field of the simulation's settings that it changes, if any."""
 
     name: str
     default: Any
@@ -38,7 +35,7 @@ class Spec:
     high: float | None = None
     live: bool = False
     choices: tuple[str, ...] = ()
-    setting: int | None = None
+    setting: str = ""
     check: Callable[[Any], object] | None = None  # raises ValueError with the reason
 
 
@@ -66,10 +63,10 @@ NODE_SPECS = (
     Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
     Spec("return_target", "rest", "where return springs pull to", choices=RETURN_TARGETS),
     Spec("local_region", "off", "what moves under a small load", choices=LOCAL_REGIONS),
-    Spec("region_force", 0.3, "N above which the local region is skipped", 0.0, 100.0, True, setting=st.REGION_FORCE),
-    Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting=st.FRICTION),
-    Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting=st.FORCE_CLAMP),
-    Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting=st.FORCE_SLEW),
+    Spec("region_force", 0.3, "N above which the local region is skipped", 0.0, 100.0, True, setting="region_force"),
+    Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting="friction"),
+    Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting="force_clamp"),
+    Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting="force_slew"),
     Spec(
         "coupling_stiffness",
         0.0,
@@ -77,13 +74,13 @@ NODE_SPECS = (
         0.0,
         2e4,
         True,
-        setting=st.COUPLING_STIFFNESS,
+        setting="coupling_stiffness",
     ),
-    Spec("coupling_damping", 1.0, "N s/m on a coupled tool", 0.1, 100.0, True, setting=st.COUPLING_DAMPING),
-    Spec("stale_time", 0.05, "s without input after which it is stale", 0.005, 5.0, True, setting=st.STALE_TIME),
-    Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting=st.RAMP_TIME),
-    Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting=st.STIFFNESS_SCALE),
-    Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting=st.DAMPING_SCALE),
+    Spec("coupling_damping", 1.0, "N s/m on a coupled tool", 0.1, 100.0, True, setting="coupling_damping"),
+    Spec("stale_time", 0.05, "s without input after which it is stale", 0.005, 5.0, True, setting="stale_time"),
+    Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting="ramp_time"),
+    Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting="stiffness_scale"),
+    Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made", live=True),
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
@@ -191,11 +188,11 @@ class Parameters:
         """The frame that other frames are looked up against."""
         return self["base_frame"] or self["frame_id"]
 
-    def apply(self, settings: Floats) -> None:
+    def apply(self, settings: Settings) -> None:
         """Write the parameters that are settings of the simulation."""
         for spec in NODE_SPECS:
-            if spec.setting is not None:
-                settings[spec.setting] = self[spec.name]
+            if spec.setting:
+                setattr(settings, spec.setting, self[spec.name])
 
     def values(self) -> dict[str, Any]:
         """All parameters by name, as plain values."""
@@ -272,4 +269,4 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, (list, tuple)) else value
 
 
-SETTING_OF = {spec.name: spec.setting for spec in NODE_SPECS if spec.setting is not None}
+SETTING_OF = {spec.name: spec.setting for spec in NODE_SPECS if spec.setting}

@@ -7,17 +7,20 @@ import os
 import threading
 import time
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.contact.finder import ContactSet
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
-from tissue_sim.model import state as st
+from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.records import copy_of, words_of
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.world import World
+from tissue_sim.model.state import Region, Results, results_in
+from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
@@ -31,8 +34,11 @@ class Physics:
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
-        self.box = mb.make_mailboxes(simulation.buffer)
+        self.box = mb.make_mailboxes(simulation.state)
         self._box = handle(self.box)
+        self._pose, self._force = handle(self.box.pose), handle(self.box.force)
+        self._contacts, self._settings = handle(self.box.contacts), handle(self.box.settings)
+        self._results, self._shape = handle(self.box.results), handle(self.box.shape)
         self.n_tools = len(simulation.shapes.kind)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._journal_read = 0
@@ -40,26 +46,20 @@ class Physics:
         _libc.sem_init(bell, 0, 0)
         self._ring = partial(_libc.sem_post, bell)
         self._settings_lock = threading.Lock()
-        self.post_settings(simulation.settings.copy())
+        self.post_settings(simulation.settings)
 
     def _run(self) -> None:
         simulation = self.simulation
         # Settings of its own: those of the simulation change between ticks, when a parameter does.
-        own = World(
-            simulation.model, simulation.state, simulation.shapes, simulation.settings.copy(), simulation.scratch
-        )
+        own = copy_of(simulation.settings)
+        world = make_world(simulation.model, simulation.state, simulation.shapes, own, simulation.scratch)
         run = rt.run_implied_loop if simulation.implied else rt.run_loop
-        run(
-            handle(own),
-            self._box,
-            simulation.buffer.floats,
-            simulation.buffer.integers,
-        )
+        run(handle(world), self._box)
 
     def start(self) -> None:
         """Start the loop; returns when it runs (compiling takes a while)."""
         self._thread.start()
-        while self.box.control[mb.STARTED] == 0 and self._thread.is_alive():
+        while not self.box.control.started and self._thread.is_alive():
             time.sleep(0.01)
 
     def prefer(self, priority: int) -> None:
@@ -73,9 +73,9 @@ class Physics:
 
     def stop(self) -> None:
         """End the loop after the running tick."""
-        self.box.control[mb.STOP] = 1
+        self.box.control.stop = True
         self._ring()
-        if self._thread.is_alive() and self.box.control[mb.STARTED]:  # one that still compiles can't be stopped
+        if self._thread.is_alive() and self.box.control.started:  # one that still compiles can't be stopped
             self._thread.join(timeout=0.5)
 
     @property
@@ -84,84 +84,74 @@ class Physics:
         return self._thread.is_alive()
 
     # in ----------------------------------------------------------------------------------------
-    def post_pose(self, tool: int, pose: Floats) -> int:
-        """The newest pose (7,) of a tool; returns its sequence number."""
-        sequence = int(self.box.pose_sequence[tool]) + 1
-        self.box.pose[sequence % mb.IN_SLOTS, tool] = pose
-        self.box.pose_sequence[tool] = sequence
-        self._wake()
-        return sequence
+    def post_pose(self, body: int, pose: Floats) -> int:
+        """The newest pose (7,) of a tool's body; returns its sequence number."""
+        return self._put(self._pose, body, pose.view(np.int64))
 
-    def post_force(self, tool: int, force: Floats) -> int:
-        """The newest external force (3,) N at a tool's tip; returns its sequence number."""
-        sequence = int(self.box.force_sequence[tool]) + 1
-        self.box.force[sequence % mb.IN_SLOTS, tool] = force
-        self.box.force_sequence[tool] = sequence
-        self._wake()
-        return sequence
+    def post_force(self, body: int, force: Floats) -> int:
+        """The newest external force (3,) N at the tip of a body; returns its sequence number."""
+        return self._put(self._force, body, force.view(np.int64))
 
     def post_contacts(self, found: ContactSet) -> int:
         """The newest contact set; returns its sequence number."""
-        box = self.box
-        sequence = int(box.contact_sequence[0]) + 1
-        slot, entries = sequence % mb.IN_SLOTS, len(found.tool)
-        box.contact_entries[slot] = entries
-        box.contact_tool[slot, :entries] = found.tool
-        box.contact_node[slot, :entries] = found.node
-        box.contact_weight[slot, :entries] = found.weight
-        box.contact_normal[slot, :entries] = found.normal
-        box.tip_node[slot] = found.tip_node
-        box.tip_weight[slot] = found.tip_weight
-        box.engaged[slot] = found.engaged
-        box.contact_sequence[0] = sequence
+        return int(mb.put(self._contacts, 0, found.words))
+
+    def post_settings(self, settings: Settings) -> int:
+        """New settings; returns their sequence number."""
+        with self._settings_lock:
+            return int(mb.put(self._settings, 0, words_of(settings)))
+
+    def settings(self) -> Settings:
+        """The newest settings, a copy."""
+        words = np.empty(Settings.words(), dtype=np.int64)
+        mb.take(self._settings, 0, 0, words)
+        return Settings.at(words)
+
+    def _put(self, box: Any, body: int, message: Longs) -> int:
+        sequence = int(mb.put(box, body, message))
+        self._wake()
         return sequence
 
-    def post_settings(self, settings: Floats) -> int:
-        """New settings (N_SETTINGS,); returns their sequence number."""
-        with self._settings_lock:
-            sequence = int(self.box.settings_sequence[0]) + 1
-            self.box.settings[sequence % mb.IN_SLOTS] = settings
-            self.box.settings_sequence[0] = sequence
-            return sequence
-
-    def settings(self) -> Floats:
-        """The newest settings, a copy."""
-        return self.box.settings[int(self.box.settings_sequence[0]) % mb.IN_SLOTS].copy()
+    def _wake(self) -> None:
+        if self.box.control.napping:
+            self._ring()
 
     def reset(self) -> None:
         """Back to the rest shape before the next tick."""
-        self.box.control[mb.RESETS] += 1
+        self.box.control.resets += 1
         self._wake()
 
     def follow_posted_time(self, follow: bool) -> None:
         """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""
-        self.box.control[mb.SIM_TIME] = int(follow)
+        self.box.control.sim_time = follow
         self._ring()
 
     def post_time(self, nanoseconds: int) -> None:
         """The newest time of /clock: ticks up to it are due."""
-        self.box.control[mb.POSTED_TIME] = nanoseconds
+        self.box.control.posted_time = nanoseconds
         self._ring()
-
-    def _wake(self) -> None:
-        if self.box.control[mb.NAPPING]:
-            self._ring()
 
     # out ---------------------------------------------------------------------------------------
     @property
     def standing(self) -> bool:
         """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
-        return bool(self.box.control[mb.STANDING])
+        return bool(self.box.control.standing)
 
     @property
     def resets(self) -> int:
         """How often it was asked to go back to the rest shape."""
-        return int(self.box.control[mb.RESETS])
+        return int(self.box.control.resets)
 
     @property
     def tick_time(self) -> float:
         """Simulated time of a tick, s, by the newest settings."""
-        return float(self.settings()[st.TICK_TIME])
+        return float(self.settings().tick_time)
+
+    def results(self) -> Results:
+        """What the newest tick handed out; a copy."""
+        words = np.zeros(len(self.simulation.state.results), dtype=np.int64)
+        mb.take(self._results, 0, 0, words)
+        return results_in(words, self.n_tools)
 
     def wrenches(self) -> tuple[int, Floats]:
         """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock stands.
@@ -170,27 +160,14 @@ class Physics:
         """
         if self.standing:
             return -1, np.zeros((self.n_tools, 6))
-        while True:
-            sequence = int(self.box.out_sequence[0])
-            slot = sequence % mb.OUT_SLOTS
-            wrench, tick = self.box.out_wrench[slot].copy(), int(self.box.out_count[slot, st.TICK])
-            if int(self.box.out_sequence[0]) - sequence < mb.OUT_SLOTS - 1:
-                return tick, wrench
-
-    def counts(self) -> tuple[Longs, Longs]:
-        """Newest counters (N_COUNT,) and tool counters (T, N_TOOL_COUNT); copies."""
-        while True:
-            sequence = int(self.box.out_sequence[0])
-            slot = sequence % mb.OUT_SLOTS
-            count, tools = self.box.out_count[slot].copy(), self.box.out_tool_count[slot].copy()
-            if int(self.box.out_sequence[0]) - sequence < mb.OUT_SLOTS - 1:
-                return count, tools
+        newest = self.results()
+        return newest.status.tick, newest.wrench
 
     @property
     def surface_sequence(self) -> int:
         """Raised whenever the positions moved."""
         control = self.box.control
-        return int(control[mb.LOOP_TICKS] if control[mb.ON_DEMAND] else self.box.surface_sequence[0])
+        return int(control.loop_ticks if control.on_demand else self.box.shape.sequence[0])
 
     def positions(self, out: Floats, timeout: float = 0.02) -> int:
         """Copy the newest positions into out (n, 3) m; returns their tick.
@@ -199,63 +176,59 @@ class Physics:
         they are the last ones that it did.
         """
         control = self.box.control
-        if control[mb.ON_DEMAND]:
-            asked = int(control[mb.SURFACE_ASKED]) + 1
-            control[mb.SURFACE_ASKED] = asked
+        if control.on_demand:
+            asked = int(control.surface_asked) + 1
+            control.surface_asked = asked
             deadline = time.monotonic() + timeout
-            while control[mb.SURFACE_DONE] < asked and time.monotonic() < deadline and self.alive:
+            while control.surface_done < asked and time.monotonic() < deadline and self.alive:
                 time.sleep(2e-4)
-        while True:
-            sequence = int(self.box.surface_sequence[0])
-            slot = sequence % mb.OUT_SLOTS
-            np.copyto(out, self.box.surface[slot])
-            tick = int(self.box.surface_tick[slot])
-            if int(self.box.surface_sequence[0]) - sequence < mb.OUT_SLOTS - 1:
-                return tick
+        words = np.zeros(len(self.simulation.state.shape), dtype=np.int64)
+        mb.take(self._shape, 0, 0, words)
+        out.reshape(-1)[:] = words[1:].view(np.float64)
+        return int(words[0])
 
     # For colours: read beside the running loop, so that a tick may write in between. Nothing else may rest on them.
     def contact_forces(self) -> Floats:
         """Size of the contact force on each node, (n,) N, as the last substep had it."""
-        state = self.simulation.state
-        count, _ = self.counts()  # of a whole tick: the running one has counted no contact until its first substep ends
+        state, contacts = self.simulation.state, self.simulation.state.contacts
+        status = self.results().status  # of a whole tick: the running one has counted no contact so far
         forces = np.zeros(len(state.position))
-        if count[st.TOUCHING] == 0:
+        if status.touching == 0:
             return forces
-        entries = int(count[st.ENTRIES])
-        pressed, held = state.contact_pressed[0, :entries], state.contact_held[0, :entries]
+        points = int(contacts.header.points)
+        pressed, held = state.contact_pressed[0, :points], state.contact_held[0, :points]
         touching = np.flatnonzero(pressed > 0.0)
         impulse = np.sqrt(pressed[touching] ** 2 + np.einsum("ij,ij->i", held[touching], held[touching]))
-        shares = state.contact_weight[touching] * impulse[:, None]
-        np.add.at(forces, state.contact_node[touching], shares)
-        return forces * (max(int(count[st.SUBSTEPS]), 1) / self.tick_time)
+        shares = contacts.weight[touching] * impulse[:, None]
+        np.add.at(forces, contacts.node[touching], shares)
+        return forces * (max(status.substeps, 1) / self.tick_time)
 
     def moving(self) -> Mask:
         """Which nodes the last tick integrated, (n,)."""
         state = self.simulation.state
-        if state.count[st.ASLEEP]:
+        if state.status.asleep:
             return np.zeros(len(state.position), dtype=bool)
-        if state.count[st.REGION] == st.WHOLE:
+        if state.status.region == Region.WHOLE:
             return np.ones(len(state.position), dtype=bool)
         return np.asarray(state.region_hop >= 0)
 
-    def snapshot(self, timeout: float = 1.0) -> tuple[Floats, Longs]:
-        """The whole state after a tick: copies of the two buffers.
+    def snapshot(self, timeout: float = 1.0) -> Longs:
+        """The words of the whole state after a tick; a copy.
 
         Raises TimeoutError when the loop doesn't answer.
         """
-        box = self.box
-        box.control[mb.SNAPSHOT_ASKED] += 1
+        control = self.box.control
+        control.snapshot_asked += 1
         end = time.monotonic() + timeout
-        while box.control[mb.SNAPSHOT_DONE] != box.control[mb.SNAPSHOT_ASKED]:
+        while control.snapshot_done != control.snapshot_asked:
             if time.monotonic() > end:
                 raise TimeoutError("the physics loop gave no snapshot")
             time.sleep(0.0005)
-        return box.snapshot_floats.copy(), box.snapshot_integers.copy()
+        return self.box.snapshot.copy()
 
-    def journal(self) -> Longs:
-        """Journal rows since the last call, (k, columns); ROW_* of model.mailboxes name the columns."""
+    def journal(self) -> tuple[Any, Any]:
+        """What ticks took up since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""
         written = int(self.box.journal_written[0])
-        first = max(self._journal_read, written - mb.JOURNAL_ROWS + 64)
-        rows = self.box.journal[np.arange(first, written) % mb.JOURNAL_ROWS].copy()
+        chosen = np.arange(max(self._journal_read, written - mb.JOURNAL_ROWS + 64), written) % mb.JOURNAL_ROWS
         self._journal_read = written
-        return rows
+        return self.box.journal[chosen], self.box.journal_inputs[chosen]

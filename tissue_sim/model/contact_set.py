@@ -1,0 +1,74 @@
+"""A contact set: the surface points that tools may touch, in one piece from the finder to the bag."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.layout import carve, size_of
+from tissue_sim.model.records import Record
+
+MOST_POINTS = 2048
+
+
+class ContactSetHeader(Record):
+    """What a contact set says about itself."""
+
+    sequence: int  # its number
+    points: int  # how many it has
+    dropped: int  # how many it had no room for, the farthest ones
+
+
+class ContactSet(NamedTuple):
+    """Points on the surface that bodies may touch, and those under the bodies' tips. B bodies, C points at the most.
+
+    All fields view `words`, of which the first `used_words` make the set.
+    """
+
+    words: Longs
+    header: ContactSetHeader
+    engaged: Longs  # (B,) 1 for bodies that may touch
+    tip_node: Longs  # (B, 3) nodes of the triangle under the tip, -1 where none is near
+    tip_weight: Floats  # (B, 3) barycentric weights there
+    body: Longs  # (C,)
+    node: Longs  # (C, 3)
+    weight: Floats  # (C, 3) barycentric weights
+    normal: Floats  # (C, 3) outward unit normals of the tissue
+
+
+PER_POINT = ("body", "node", "weight", "normal")
+_POINT = np.dtype([("body", "i8"), ("node", "i8", 3), ("weight", "f8", 3), ("normal", "f8", 3)])
+_POINT_WORDS = _POINT.itemsize // 8
+
+
+def _fields(n_bodies: int) -> dict[str, Any]:
+    return {
+        "header": ContactSetHeader,
+        "engaged": (np.int64, (n_bodies,)),
+        "tip_node": (np.int64, (n_bodies, 3)),
+        "tip_weight": (np.float64, (n_bodies, 3)),
+    }
+
+
+def contact_set_words(n_bodies: int, points: int = MOST_POINTS) -> int:
+    """Words that a contact set of so many points takes."""
+    return size_of(_fields(n_bodies)) + _POINT_WORDS * points
+
+
+def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = None) -> ContactSet:
+    """An empty contact set with room for so many points; on words (contact_set_words(),), else on words of its own."""
+    if words is None:
+        words = np.zeros(contact_set_words(n_bodies, points), dtype=np.int64)
+    head: dict[str, Any] = carve(words, _fields(n_bodies))
+    rows = words[size_of(_fields(n_bodies)) :].view(_POINT)
+    points: dict[str, Any] = {name: rows[name] for name in PER_POINT}
+    return ContactSet(words=words, **head, **points)
+
+
+@kernel
+def used_words(contacts: Any) -> int:
+    """How many of a set's words make it up."""
+    return len(contacts.words) - _POINT_WORDS * (len(contacts.body) - contacts.header.points)

@@ -1,0 +1,46 @@
+"""Parameters of a simulation that may change between two ticks."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from tissue_sim.model.records import Record
+
+
+class Integrator(IntEnum):
+    """How nodes are stepped."""
+
+    SYMPLECTIC, EXPLICIT, IMPLICIT = range(3)
+
+
+class LocalRegion(IntEnum):
+    """What moves under a small load."""
+
+    OFF, FROZEN, MODAL, AUTO = range(4)
+
+
+INTEGRATORS = tuple(one.name.lower() for one in Integrator)
+LOCAL_REGIONS = tuple(one.name.lower() for one in LocalRegion)
+
+
+class Settings(Record):
+    """What `Simulation.settings` holds."""
+
+    tick_time: float  # s
+    friction: float  # Coulomb coefficient
+    force_clamp: float  # N
+    force_slew: float  # N/s, fastest change of what a hand feels
+    stale_time: float  # s
+    ramp_time: float  # s
+    stiffness_scale: float
+    damping_scale: float
+    region_force: float  # N above which the region is skipped
+    region_inertia: float  # factor on mass and damping of a modal region, so that it needs no more substeps
+    runaway_span: float  # m, displacement that the guard takes for runaway
+    coupling_stiffness: float  # N/m between hand and tool; 0: the tool is where the hand is
+    coupling_damping: float  # N s/m on the tool
+    substeps: int  # in a tick, from the critical step
+    region_substeps: int  # in a tick of a local region, whose nodes are never stepped implicitly
+    integrator: int  # Integrator
+    local_region: int  # LocalRegion
+    factor_slot: int  # which of the implicit matrix' two factors is in use
