@@ -1,4 +1,7 @@
-"""What may import what: the core knows nothing of ROS, images stay out of the model, imports run one way."""
+"""What may import what: the core knows nothing of ROS, images stay out of the model, imports run one way.
+
+And tests: what they share lies in test/helpers, and is imported from there by its full name.
+"""
 
 import ast
 import re
@@ -31,6 +34,7 @@ TOP_LEVEL = {
     *("bags", "config", "docs", "launch", "resource", "test", "tissue_sim"),
 }
 SOURCES = sorted(PACKAGE.rglob("*.py"))
+TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 
 def imported_modules(path: Path) -> Iterator[tuple[int, str]]:
@@ -91,6 +95,47 @@ def test_the_check_sees_a_violation(tmp_path, monkeypatch, file, code):
     assert len(violations(path)) == 1
 
 
+def crossings(path: Path) -> list[str]:
+    """Imports of a test or helper that are relative, or of another test module, as `file:line: what`."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.ImportFrom):
+            names = [node.module or "", *(alias.name for alias in node.names)]
+            relative = bool(node.level)
+        elif isinstance(node, ast.Import):
+            names, relative = [alias.name for alias in node.names], False
+        else:
+            continue
+        parts = {part for name in names for part in name.split(".")}
+        if relative or parts & {"test", "conftest"} or any(part.startswith("test_") for part in parts):
+            found.append(f"{path}:{node.lineno}: imports {', '.join(names)}")
+    return found
+
+
+@pytest.mark.parametrize("path", TESTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_tests_share_only_named_helpers(path):
+    assert not crossings(path)
+    is_test = path.name.startswith("test_") or path.name == "conftest.py"
+    assert is_test != ((ROOT / "test" / "helpers") in path.parents), "what tests share lies in test/helpers"
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from .test_forces import deformed",
+        "from ..scenes import ball",
+        "from test.model.test_forces import deformed",
+        "from model.test_forces import deformed",
+        "from model import test_forces",
+        "def late():\n    import test_forces",
+    ],
+)
+def test_the_check_sees_what_a_test_takes_from_another(tmp_path, code):
+    path = tmp_path / "test_a.py"
+    path.write_text(code)
+    assert len(crossings(path)) == 1
+
+
 def import_with_blocked(module: str, *blocked: str) -> subprocess.CompletedProcess[str]:
     """Import a module in a fresh interpreter in which the blocked packages cannot be imported."""
     code = f"import sys\nsys.modules.update(dict.fromkeys({blocked!r}))\nimport {module}\n"
@@ -104,7 +149,7 @@ def test_model_needs_neither_ros_nor_images_nor_meshes():
 
 def test_node_needs_no_extra():
     pytest.importorskip("rclpy")
-    blocked = ("SimpleITK", "skimage", "viser", "skfem", "pytetwild", "matplotlib", "mujoco", "pypbd")
+    blocked = ("SimpleITK", "skimage", "viser", "skfem", "netgen", "matplotlib", "mujoco", "pypbd")
     run = import_with_blocked("tissue_sim.ros.node.serve", *blocked)
     assert run.returncode == 0, run.stderr
 

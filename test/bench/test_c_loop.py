@@ -5,12 +5,11 @@ import shutil
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.bench import c_loop
 from tissue_sim.bench.c_loop import AGREEMENT, NATIVE, PLAIN, CLoop, CLoopError
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball, kidney
 
 needs_compiler = pytest.mark.skipif(not shutil.which(c_loop.COMPILER), reason="no C compiler")
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 
+from helpers.scenes import ball
 from tissue_sim.bench.compliance import Product, surface_compliance
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball
 
 
 def settled(organ, nodes, forces):

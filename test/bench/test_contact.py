@@ -2,10 +2,9 @@
 
 import numpy as np
 
+from helpers.scenes import kidney
 from tissue_sim.bench.contact import pairs, pressed, text
 from tissue_sim.cli import main
-
-from ..scenes import kidney
 
 
 def test_every_pair_presses_and_its_sets_are_counted(tmp_path):

@@ -5,10 +5,9 @@ import sys
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.bench.flex import Flex, tetrahedra
 from tissue_sim.bench.organs import patch_load
-
-from ..scenes import ball
 
 
 def test_tetrahedra_fill_the_organ():

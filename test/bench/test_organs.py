@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.bench.organs import ATOMS, bean, node_normals, patch, patch_load, press_node, spread_nodes
-
-from ..scenes import ball, kidney
 
 ORGANS = [ball(2), kidney(), bean(1000)]
 NAMES = ["ball", "kidney", "bean"]

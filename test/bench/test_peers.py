@@ -6,9 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.bench.peers.engine import Answer, Load, settle_by_steps
-
-from ..scenes import ball
 
 pytest.importorskip("skfem", reason="the peers' meshes need the extra calibration")
 pytest.importorskip("netgen", reason="the peers' meshes need the extra calibration")

@@ -5,10 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from helpers.scenes import kidney
 from tissue_sim.bench.region import SMALL, WHOLE_NONLINEAR, measure, off, summary
 from tissue_sim.cli import main
-
-from ..scenes import kidney
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, filled, kidney
 from tissue_sim.bench.sizes import assembled_anew, at_size, interpolation, sized
 from tissue_sim.organ.topology import node_area
-
-from ..scenes import ball, filled, kidney
 
 COARSE, FINE = ball(2), ball(3)
 MATRIX = np.array([[0.02, 0.01, 0.0], [-0.01, 0.03, 0.02], [0.0, 0.01, -0.02]])

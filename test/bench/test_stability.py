@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.bench import stability
 from tissue_sim.bench.organs import press_node
 from tissue_sim.bench.sweeps.cells import AXES, SMALL_ORGAN, Cell, axes_named, cells_of
@@ -14,13 +15,10 @@ from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, far_node, pa
 from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
 from tissue_sim.bench.sweeps.witness import Witness
 from tissue_sim.cli import main
-from tissue_sim.model import state as st
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.shipped import shipped_organ
-
-from ..scenes import ball, kidney
 
 
 def cell(axis="force_patch", value=1.0, integrator="symplectic", region="off"):

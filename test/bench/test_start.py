@@ -2,12 +2,11 @@
 
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.bench.start import first_start
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.shipped import shipped_organ
-
-from ..scenes import ball
 
 
 def test_first_start_takes_time():

@@ -5,12 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.bench import table1
 from tissue_sim.bench.figure6 import JAW, nip_and_release, write_figure
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
-
-from ..scenes import ball, kidney
 
 # Table 1 of Zhang, Gu et al. 2006, ms an update.
 PAPER = {

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.bench import c_loop
 from tissue_sim.bench import tick_rows as rows
 from tissue_sim.bench import tick_times as tick
@@ -17,8 +18,6 @@ from tissue_sim.bench.start import Start
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 from tissue_sim.model.integrators import INTEGRATORS
-
-from ..scenes import ball, kidney
 
 
 def timing(us):

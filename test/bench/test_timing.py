@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.timing import (
     LEAST_SAMPLES,
@@ -22,11 +23,8 @@ from tissue_sim.bench.timing import (
     time_calls,
 )
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
-
-from ..scenes import ball
 
 
 def test_describe_takes_median_and_percentile():

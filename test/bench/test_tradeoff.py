@@ -7,12 +7,11 @@ import types
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.bench.peers.engine import Answer
 from tissue_sim.bench.sizes import sized
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
-
-from ..scenes import ball, kidney
 
 pytest.importorskip("skfem", reason="the reference needs the extra calibration")
 pytest.importorskip("netgen", reason="the reference needs the extra calibration")

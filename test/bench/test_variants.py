@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, filled
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball, filled
 
 pytest.importorskip("skfem", reason="fits need the extra calibration")
 pytest.importorskip("netgen", reason="fits need the extra calibration")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.calibration.cases import (
     DEPTH,
     MOST_TRACTION,
@@ -13,8 +14,6 @@ from tissue_sim.calibration.cases import (
     surface_of,
 )
 from tissue_sim.errors import UserError
-
-from ..scenes import ball, kidney
 
 
 def test_centres_are_disjoint_and_clear_of_the_clamp():

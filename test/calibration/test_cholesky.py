@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from calibration.blocks import box
 from scipy.sparse.linalg import splu
 
+from helpers.blocks import box
 from tissue_sim.calibration.cholesky import NotPositive
 
 

@@ -5,13 +5,12 @@ import sys
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.calibration import calibrate as pipeline
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-
-from ..scenes import ball
 
 SMALL = ("--cases=30", "--steps=25", "--nonlinear=4", "--nonlinear-steps=3", "--smooth=4", "--sharp=2", "--interior=12")
 needs_finite_elements = pytest.mark.usefixtures("_finite_elements")

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration.blocks import box
-from scenes import ball
 
+from helpers.blocks import box
+from helpers.scenes import ball
 from tissue_sim.calibration.dynamics import frequencies, lowest_frequencies, release, swing
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body

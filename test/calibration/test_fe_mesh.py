@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ball
 
+from helpers.scenes import ball
 from tissue_sim.calibration.fe_mesh import Grading, _meshed, clamp_edges, clamped_triangles, fill
 from tissue_sim.calibration.fem import Body
 from tissue_sim.errors import UserError

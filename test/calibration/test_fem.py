@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ball, kidney
 
+from helpers.scenes import ball, kidney
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body, volume_change
 from tissue_sim.errors import UserError

@@ -4,15 +4,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from helpers.scenes import ball
+from helpers.springs_of_ball import ORGAN, SPRINGS, START, linear_answers
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.fit import LinearMisfit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.static import Springs
 from tissue_sim.model.assembly import assemble
 from tissue_sim.organ.organ import SpringKind
-
-from ..scenes import ball
-from .test_fit import ORGAN, SPRINGS, START, linear_answers
 
 
 def test_groups_name_the_kinds_of_springs():

@@ -5,6 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from helpers.scenes import changed
+from helpers.springs_of_ball import MODEL, ORGAN, SPRINGS, START
 from tissue_sim.calibration import inertia as motion
 from tissue_sim.calibration.inertia import (
     STEP,
@@ -18,9 +20,6 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.modes import lowest_modes
-
-from ..scenes import changed
-from .test_fit import MODEL, ORGAN, SPRINGS, START
 
 tissue_mass = cache(tissue_mass)
 

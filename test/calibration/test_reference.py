@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import ball, kidney
 
+from helpers.scenes import ball, kidney
 from tissue_sim.calibration import reference
 from tissue_sim.calibration.cases import strongest
 from tissue_sim.calibration.fe_mesh import Grading

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import assembled
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.judge import errors
 from tissue_sim.calibration.static import Springs
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
-
-from ..scenes import assembled
 
 GRAVITY = 9.81  # m/s^2
 

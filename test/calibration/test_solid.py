@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import skfem
-from calibration.blocks import box, faces, pressed
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 from skfem.helpers import ddot, eye, sym_grad, trace
 
+from helpers.blocks import box, faces, pressed
 from tissue_sim.calibration.fe_mesh import quadratic
 from tissue_sim.calibration.solid import Solid, shape_functions
 

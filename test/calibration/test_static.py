@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, changed, kidney
 from tissue_sim.calibration.static import Springs, settle
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.energy import energy_of
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball, changed, kidney
 
 HARD = replace(ball(2), hardening=1.6)
 SOFT = replace(changed(ball(2), return_stiffness=0.05), hardening=1.6)

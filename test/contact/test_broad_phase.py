@@ -4,6 +4,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from helpers.scenes import kidney
 from tissue_sim.contact.broad_phase import (
     add_normals,
     body_box,
@@ -14,8 +15,6 @@ from tissue_sim.contact.broad_phase import (
     triangles_in_box,
 )
 from tissue_sim.contact.tools import Tool, ToolSet
-
-from ..scenes import kidney
 
 ORGAN = kidney()
 POSITION = ORGAN.rest_positions

@@ -5,11 +5,10 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.state import MAX_ENTRIES
-
-from ..scenes import RADIUS, ball, kidney
 
 STILL = (0.0, 0.0, 0.0, 1.0)
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.scenes import kidney
 from tissue_sim.contact.grid import distance_grid
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.shapes import GRID, signed_distance
-
-from ..scenes import kidney
 
 
 def ring():

@@ -9,7 +9,6 @@ from tissue_sim.contact.grasp import CLEARANCE, DEPTH, SQUEEZED, at_lower_pole
 from tissue_sim.contact.gripper import WIDEST, Jaws, about, jaw_poses
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model import state as st
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from tissue_sim.model import state as st
+from helpers.naive import hops_from
+from helpers.scenes import assembled, ball, kidney, near
 from tissue_sim.model.adjacency import adjacency_of
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import assembled, ball, kidney
-from .test_local_region import hops_from, near
 
 
 def slots_with(nodes, constants, stiff_rows):

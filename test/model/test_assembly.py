@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.scenes import RADIUS, assembled, ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES, assemble, curvature_at_edges
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ, SpringKind
-
-from ..scenes import RADIUS, assembled, ball, kidney
 
 
 def mass_of(model):

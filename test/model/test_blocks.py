@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import assembled, ball, changed, kidney
 from tissue_sim.model.assembly import packed
 from tissue_sim.model.blocks import BLOCK, empty_blocks, pack
-
-from ..scenes import assembled, ball, changed, kidney
 
 
 @pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 5 * BLOCK])

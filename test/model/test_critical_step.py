@@ -7,12 +7,11 @@ import pytest
 from scipy.linalg import eigh
 from scipy.sparse.linalg import LinearOperator, eigsh
 
+from helpers.scenes import assembled, ball, changed, free_ball, kidney
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.critical_step import SAFETY, critical_step, largest_frequency, model_step, substeps_for
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
-
-from ..scenes import assembled, ball, changed, free_ball, kidney
 
 
 def force_at(model, x):

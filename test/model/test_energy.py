@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissue_sim.model import state as st
+from helpers.scenes import ball, changed, free_ball, kidney
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball, changed, free_ball, kidney
 
 HARD = replace(ball(2), hardening=1.6)
 

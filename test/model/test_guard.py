@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.scenes import ball, kidney
 from tissue_sim.model import state as st
 from tissue_sim.model.guard import (
     CELLS_A_TICK,
@@ -19,8 +20,6 @@ from tissue_sim.model.guard import (
 )
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import caution
-
-from ..scenes import ball, kidney
 
 
 def top_of(organ):

@@ -5,12 +5,10 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
+from helpers.scenes import assembled, ball, kidney
 from tissue_sim.model import hops
-from tissue_sim.model import state as st
 from tissue_sim.model.hops import LARGEST_TABLE, hop_table
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import assembled, ball, kidney
 
 
 def searched(model):

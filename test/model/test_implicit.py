@@ -5,16 +5,14 @@ import pytest
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import spsolve
 
+from helpers.pressing import line
+from helpers.scenes import RADIUS, assembled, ball, changed, kidney
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model import state as st
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.implicit import bounding_stiffness, make_factor, write_factor
 from tissue_sim.model.integrators import implicit_euler
 from tissue_sim.model.simulation import Simulation
-
-from ..contact.test_scene import line
-from ..scenes import RADIUS, assembled, ball, changed, kidney
 
 
 def top_of(organ):

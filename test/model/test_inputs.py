@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from tissue_sim.model import state as st
+from helpers.scenes import ball, free_ball
 from tissue_sim.model.inputs import LONGEST_PERIOD, take_contacts, take_force, take_pose
 from tissue_sim.model.simulation import Simulation, sphere_tools
-
-from ..scenes import ball, free_ball
 
 FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
 

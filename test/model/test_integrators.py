@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from helpers.scenes import assembled, ball
 from tissue_sim.model.assembly import Factor, packed
 from tissue_sim.model.critical_step import critical_step, largest_frequency, model_step
 from tissue_sim.model.forces import elastic_forces, return_forces
 from tissue_sim.model.implicit import make_factor
 from tissue_sim.model.integrators import INTEGRATORS, explicit_euler, implicit_euler, predict, symplectic_euler
-
-from ..scenes import assembled, ball
 
 ONE = np.array([0], dtype=np.int32)
 

@@ -2,22 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import shortest_path
 
-from tissue_sim.model import state as st
+from helpers.naive import hops_from
+from helpers.scenes import ball, kidney, near
 from tissue_sim.model.inputs import take_force
 from tissue_sim.model.simulation import Simulation, sphere_tools
-from tissue_sim.organ.organ import SpringKind
-
-from ..scenes import ball, kidney
-
-
-def hops_from(organ, sources):
-    """Hops on the surface's edges from the nearest of some surface nodes, (n_surface,)."""
-    edges = organ.spring_nodes[organ.spring_kind == SpringKind.EDGE]
-    graph = coo_array((np.ones(len(edges)), edges.T), shape=(organ.n_surface, organ.n_surface))
-    return shortest_path(graph.tocsr(), directed=False, unweighted=True, indices=sources).min(axis=0)
 
 
 def moved(simulation):
@@ -25,12 +14,6 @@ def moved(simulation):
     offset = np.abs(simulation.positions - simulation.model.rest).max(axis=1)
     assert np.all((offset == 0.0) | (offset > 1e-15)), "neither at rest nor moved"
     return np.flatnonzero(offset)
-
-
-def near(organ, *directions):
-    """Surface nodes outermost in some directions from the organ's middle."""
-    offset = organ.surface_positions - organ.surface_positions.mean(axis=0)
-    return [int(np.argmax(offset @ direction)) for direction in directions]
 
 
 UP, SIDE, SLANT = (0.0, 0.0, 1.0), (1.0, 0.0, 0.3), (0.9, 0.2, 0.4)

@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import splu
 
+from helpers.naive import hops_from
+from helpers.scenes import assembled, ball, kidney, near
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model import state as st
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.regions import CALM_TIME, RETURN_SHARE
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import assembled, ball, kidney
-from .test_local_region import hops_from, near
 
 UP, SIDE = (0.0, 0.0, 1.0), (1.0, 0.0, 0.3)
 PROBE = Tool("probe", radius=0.008)

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from helpers.scenes import ball, changed, free_ball
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.modal_region import FASTEST, advance_modes
 from tissue_sim.model.modes import lowest_modes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball, changed, free_ball
 
 
 def differences(model):

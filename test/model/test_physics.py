@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import splu
 
+from helpers.scenes import assembled, ball, filled, kidney
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import assembled, ball, filled, kidney
 
 
 def patch(organ, direction, count):

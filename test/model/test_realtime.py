@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
@@ -15,8 +16,6 @@ from tissue_sim.model import state as st
 from tissue_sim.model.inputs import take_contacts, take_force, take_pose
 from tissue_sim.model.simulation import Simulation, sphere_tools
 from tissue_sim.model.world import World
-
-from ..scenes import ball
 
 RATE = 1000.0
 RADIUS = 0.006  # m, of the tool

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from scipy.sparse import diags_array
 
+from helpers.scenes import assembled, ball, free_ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model import reduction
-from tissue_sim.model import state as st
 from tissue_sim.model.modes import N_MODES, stiffness_matrix
 from tissue_sim.model.reduction import MODES_BESIDE_TABLE, compliance, reduce_model
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import assembled, ball, free_ball, kidney
 
 
 @pytest.fixture(autouse=True)

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.pressing import line
+from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model import state as st
 from tissue_sim.model.integrators import INTEGRATORS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
-
-from ..contact.test_scene import line
-from ..scenes import ball
 
 ROOT = Path(__file__).resolve().parents[2]
 

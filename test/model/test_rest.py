@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tissue_sim.model import state as st
+from helpers.scenes import ball, changed, kidney
 from tissue_sim.model.rest import QUIET_TICKS, TURNED_TIME, largest_motion
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball, changed, kidney
 
 
 def awake(organ, **options):

@@ -11,14 +11,12 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 from scipy.sparse.linalg import LinearOperator, cg
 
+from helpers.naive import angular_energy, return_energy, spring_energy
+from helpers.scenes import ball, changed, free_ball, kidney
 from tissue_sim.errors import UserError
-from tissue_sim.model import state as st
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.rest import QUIET_TICKS
 from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation, sphere_tools
-
-from ..scenes import ball, changed, free_ball, kidney
-from .test_forces import angular_energy, return_energy, spring_energy
 
 ROOT = Path(__file__).resolve().parents[2]
 

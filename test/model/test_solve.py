@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
-
-from ..scenes import ball
 
 
 @pytest.fixture

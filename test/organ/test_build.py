@@ -18,6 +18,7 @@ import pytest
 import SimpleITK as sitk
 import trimesh
 
+from helpers.shapes import write_dicom
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build import parse_triple, report_path
@@ -25,8 +26,6 @@ from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.pipeline import Progress, Request, organ_from_mask, select_fixed
 from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
-
-from .shapes import write_dicom
 
 FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]
 ONE_WINDOW = ["--window", "3.3"]  # how a window is chosen is no matter of the command line

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from helpers.scenes import RADIUS, ball, filled, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.interior import place_interior_atoms
@@ -12,8 +13,6 @@ from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import assemble_organ
 from tissue_sim.organ.winding import inside
-
-from ..scenes import RADIUS, ball, filled, kidney
 
 
 def parts(organ):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from helpers.scenes import kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model.forces import return_forces
 from tissue_sim.organ.medial import (
@@ -16,8 +17,6 @@ from tissue_sim.organ.medial import (
     smallest_rotation,
     transported_frames,
 )
-
-from ..scenes import kidney
 
 
 def kidney_like():

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, _digest, check_surface, signed_volume
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.topology import assemble_organ
-
-from ..scenes import RADIUS, ball, kidney
 
 ARRAYS = [item.name for item in fields(Organ) if "dtype" in item.metadata]
 

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import SpringKind
 from tissue_sim.organ.topology import (
@@ -15,8 +16,6 @@ from tissue_sim.organ.topology import (
     surface_edges,
     triangle_area,
 )
-
-from ..scenes import RADIUS, ball, kidney
 
 EDGE, SPOKE, VIRTUAL, SKELETON = SpringKind
 

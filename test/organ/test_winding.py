@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.scenes import ball, kidney
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.winding import inside, winding_number
-
-from ..scenes import ball, kidney
 
 
 def crossings(points, triangles):

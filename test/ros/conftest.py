@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 
 import pytest
-from processes import Process, start_node
 
+from helpers.ros.processes import Process, start_node
 from tissue_sim.ros.shared import client
 
 
@@ -33,7 +33,7 @@ def graph():
 @pytest.fixture
 def open_page(graph):
     """Opens the page of tools, without a browser; it is closed with the test."""
-    from page import Page  # needs viser
+    from helpers.ros.page import Page  # needs viser
 
     opened = []
 

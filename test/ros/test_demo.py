@@ -9,13 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
-from processes import Process
 
+from helpers.ros.processes import STAND_IN, Process
 from tissue_sim.cli import main
 from tissue_sim.ros import demo
 from tissue_sim.ros.shared.children import Child
 
-STAND_IN = str(Path(__file__).with_name("stand_in.py"))
 SLEEPER = "import signal,time;{};print('up',flush=True);time.sleep(60)"
 
 

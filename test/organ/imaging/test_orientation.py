@@ -8,13 +8,12 @@ import SimpleITK as sitk
 import trimesh
 from scipy.spatial import cKDTree
 
+from helpers.shapes import write_dicom, write_nifti
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume, read_image, read_mask
 from tissue_sim.organ.imaging.phantom import kidney_distance, make_phantom
 from tissue_sim.organ.pipeline import Request, organ_from_image, organ_from_mask
 from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
-
-from ..shapes import write_dicom, write_nifti
 
 VOXEL = 2.0  # mm
 SIZE = (7, 6, 5)

@@ -8,12 +8,11 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
+from helpers import vessels
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 from tissue_sim.organ.skeletons.skeleton import extract
 from tissue_sim.organ.surfaces.surface import Wall
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
-
-from .. import vessels
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data" / "large_intestine"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no {DATA.name} in ../shared/data beside the project")

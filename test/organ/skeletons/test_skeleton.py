@@ -9,13 +9,12 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from skimage.measure import euler_number
 
+from helpers import vessels
+from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.skeletons.skeleton import extract
 from tissue_sim.organ.surfaces.surface import Wall, make_wall, marching_cubes_surface
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
-
-from .. import vessels
-from ..shapes import ball, solid
 
 
 def patient_mm(wall, skeleton):

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from helpers import vessels
+from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import read_mask
 from tissue_sim.organ.skeletons.skeleton import extract
 from tissue_sim.organ.surfaces.surface import make_wall
-
-from .. import vessels
-from ..shapes import ball, solid
 
 CT = Path(__file__).parents[3].parent / "shared" / "data" / "ct_abdomen"
 COARSE = (1.5, 1.5, 2.0)

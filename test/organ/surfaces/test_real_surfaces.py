@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.solids import assert_near, assert_regular
 from tissue_sim.organ.imaging.image import read_image, read_mask
 from tissue_sim.organ.meshes.mesh_input import read_mesh, voxelize
 from tissue_sim.organ.segmenting.segmentation import segment
 from tissue_sim.organ.surfaces.balloon import inflate
 from tissue_sim.organ.surfaces.surface import compare, make_wall, marching_cubes_report, marching_cubes_surface, measure
-
-from ..solids import assert_near, assert_regular
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data beside the project")

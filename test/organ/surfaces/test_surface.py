@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
 from tissue_sim.organ.surfaces.balloon import fibonacci_sphere
 from tissue_sim.organ.surfaces.surface import (
@@ -17,8 +18,6 @@ from tissue_sim.organ.surfaces.surface import (
     wall_of_surface,
 )
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
-
-from ..shapes import ball, solid
 
 
 @pytest.mark.parametrize(("spacing", "size"), [((1, 1, 1), (50, 50, 50)), ((1.0, 1.5, 3.0), (50, 34, 18))])

@@ -1,0 +1,101 @@
+"""Plain NumPy twins of what kernels compute."""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import shortest_path
+
+from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST
+from tissue_sim.organ.organ import SpringKind
+
+
+# energies, J; of complex positions too ---------------------------------------------------------
+def length_of(vectors):
+    # Not the norm: that takes magnitudes, which a complex step must pass through.
+    return np.sqrt(np.sum(vectors * vectors, axis=1))
+
+
+def spring_energy(x, model):
+    """Over k l0^2 it is e (1 + h s (s - 1)) integrated, e the strain and s = e / w: polynomials between knots."""
+    length, rest = length_of(x[model.spring_second] - x[model.spring_first]), model.spring_rest_length
+    stretch, h, w = length / rest, model.hardening, HARDENING_STRAIN
+
+    def inner(e):
+        return e**2 / 2.0 + h * (e**4 / (4.0 * w**2) - e**3 / (3.0 * w))
+
+    def pressed(e):
+        return inner(-w) + (1.0 + 2.0 * h) * (e**2 - w**2) / 2.0
+
+    strain = stretch - 1.0
+    faded = pressed(SHORTEST - 1.0) + (1.0 + 2.0 * h) * (1.0 - 1.0 / SHORTEST) * (stretch**2 - SHORTEST**2) / 2.0
+    stored = np.where(strain.real > w, inner(w) + (strain**2 - w**2) / 2.0, inner(strain))
+    stored = np.where(strain.real < -w, pressed(strain), stored)
+    return np.sum(model.spring_stiffness * rest**2 * np.where(stretch.real < SHORTEST, faded, stored))
+
+
+def angular_energy(x, model):
+    i, j, k, m = model.angular_nodes.T
+    normal = np.cross(x[j] - x[i], x[k] - x[m])
+    square = np.sum(normal * normal, axis=1)
+    length = np.where(square.real > model.angular_least_area, np.sqrt(square), np.sqrt(model.angular_least_area))
+    curved = np.einsum("hc,hcx->hx", model.angular_weight, x[model.angular_nodes])
+    bent = np.einsum("hx,hx->h", curved, normal) / length
+    return np.sum(0.5 * model.angular_stiffness * (bent - model.angular_rest) ** 2)
+
+
+def return_energy(x, model):
+    nodes = model.return_nodes
+    return np.sum(0.5 * model.return_stiffness[nodes, None] * (x[nodes] - model.rest[nodes]) ** 2)
+
+
+# forces, N -------------------------------------------------------------------------------------
+def naive_springs(x, model):
+    force = np.zeros_like(x)
+    for s in range(len(model.spring_first)):
+        i, j = model.spring_first[s], model.spring_second[s]
+        arm = x[j] - x[i]
+        length = max(np.linalg.norm(arm), SHORTEST * model.spring_rest_length[s])
+        strain = length / model.spring_rest_length[s] - 1.0
+        share = np.clip(strain / HARDENING_STRAIN, -1.0, 1.0)
+        pull = model.spring_stiffness[s] * (length - model.spring_rest_length[s]) * arm / length
+        pull *= 1.0 + model.hardening * (share**2 - share)
+        force[i] += pull
+        force[j] -= pull
+    return force
+
+
+def naive_angular(x, model):
+    """Chain rule on k/2 (s - s0)^2, with the derivative of the unit normal as a 3x3 matrix; its length is bounded."""
+    force = np.zeros_like(x)
+    for h, nodes in enumerate(model.angular_nodes):
+        i, j, k, m = nodes
+        edge, across = x[j] - x[i], x[k] - x[m]
+        long, least = np.cross(edge, across), np.sqrt(model.angular_least_area[h])
+        collapsed = np.linalg.norm(long) <= least
+        length = least if collapsed else np.linalg.norm(long)
+        normal = long / length
+        curved = model.angular_weight[h] @ x[nodes]
+        push = -model.angular_stiffness[h] * (curved @ normal - model.angular_rest[h])
+        slope = np.eye(3) if collapsed else np.eye(3) - np.outer(normal, normal)
+        turning = slope @ curved / length
+        for corner, node in enumerate(nodes):
+            force[node] += push * model.angular_weight[h, corner] * normal
+        for node, sign in ((i, -1.0), (j, 1.0)):
+            force[node] += sign * push * np.cross(across, turning)
+        for node, sign in ((k, 1.0), (m, -1.0)):
+            force[node] += sign * push * np.cross(turning, edge)
+    return force
+
+
+def naive_returns(x, model):
+    force = np.zeros_like(x)
+    for node in model.return_nodes:
+        force[node] = model.return_stiffness[node] * (model.rest[node] - x[node])
+    return force
+
+
+# the surface's graph ---------------------------------------------------------------------------
+def hops_from(organ, sources):
+    """Hops on the surface's edges from the nearest of some surface nodes, (n_surface,)."""
+    edges = organ.spring_nodes[organ.spring_kind == SpringKind.EDGE]
+    graph = coo_array((np.ones(len(edges)), edges.T), shape=(organ.n_surface, organ.n_surface))
+    return shortest_path(graph.tocsr(), directed=False, unweighted=True, indices=sources).min(axis=0)

@@ -1,0 +1,53 @@
+"""Tools led along paths into tissue, and what is seen of them."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tissue_sim.contact.tools import Tool
+from tissue_sim.model.shapes import signed_distance
+
+PROBE = Tool("left", radius=0.008)
+
+
+def top_of(organ):
+    return organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
+
+
+def lead(scene, tool, path, hold=0):
+    """One pose a tick along a path (k, 3) m, then the last one again; the forces (k + hold, 3) N."""
+    path = np.atleast_2d(path)
+    forces = []
+    for position in [*path, *[path[-1]] * hold]:
+        scene.move(tool, position)
+        scene.step()
+        forces.append(scene.wrenches[tool, :3].copy())
+    return np.array(forces)
+
+
+def line(start, end, ticks):
+    share = np.linspace(0.0, 1.0, ticks)[:, None]
+    return (1.0 - share) * np.asarray(start) + share * np.asarray(end)
+
+
+def press(scene, depth, ticks=60, hold=150, tool=0, radius=None):
+    """Lead a round tool from 2 mm above the organ's top node to `depth` m into where it was."""
+    radius = scene.tools.shapes.size[tool, 0] if radius is None else radius
+    at = top_of(scene.simulation.organ) + [0.0, 0.0, radius]
+    return lead(scene, tool, line(at + [0.0, 0.0, 0.002], at - [0.0, 0.0, depth], ticks), hold)
+
+
+def deepest(scene, tool=0):
+    """How deep the deepest surface node lies inside a tool, m."""
+    simulation = scene.simulation
+    pose = simulation.state.tool_pose[tool]
+    local = Rotation.from_quat(pose[3:]).inv().apply(simulation.positions[: simulation.organ.n_surface] - pose[:3])
+    return -min(signed_distance(scene.tools.shapes, tool, *point)[0] for point in local)
+
+
+def is_sound(scene):
+    simulation = scene.simulation
+    return (
+        np.all(np.isfinite(simulation.buffer.floats))
+        and simulation.state.count.faults == 0
+        and np.all(np.isfinite(scene.contacts.weight))
+    )

@@ -1,0 +1,129 @@
+"""Real processes for the tests: the node, and a second one that publishes tool poses."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+if TYPE_CHECKING:
+    from helpers.ros.clients import Client
+
+HERE = Path(__file__).parent
+PUBLISHER, WATCHER, STAND_IN = (str(HERE / f"{name}.py") for name in ("publish_poses", "watch_surface", "stand_in"))
+FAKE_TF = HERE / "fake_tf"  # a folder for PYTHONPATH
+READY = "surface nodes"  # in the line that the node logs when its first tick is done
+UNHURRIED = "stale_time:=0.5"  # a busy machine is no stale hand
+
+
+class Process:
+    """A child process with its output in a file."""
+
+    def __init__(self, words: list[str], log: Path, program: str = sys.executable, **environment: str) -> None:
+        self.log = log
+        self._stream = log.open("w")
+        self.child = subprocess.Popen(
+            [program, *words],
+            stdout=self._stream,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=os.environ | environment,
+        )
+        atexit.register(self.child.kill)  # a test that fails leaves nothing running
+
+    def text(self) -> str:
+        return self.log.read_text()
+
+    def wait_for(self, words: str, timeout: float = 90.0) -> None:
+        end = time.monotonic() + timeout
+        while words not in self.text():
+            assert self.child.poll() is None, f"ended with {self.child.returncode}:\n{self.text()}"
+            assert time.monotonic() < end, f"no '{words}' within {timeout} s:\n{self.text()}"
+            time.sleep(0.05)
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 20.0) -> int:
+        if self.child.poll() is None:
+            self.child.send_signal(number)
+        try:
+            return self.child.wait(timeout)
+        finally:
+            self.child.kill()
+            self._stream.close()
+
+
+def start_node(
+    folder: Path,
+    *parameters: str,
+    wait: bool = True,
+    remap: tuple[str, ...] = (),
+    profile: Path | None = None,
+    **environment: str,
+) -> Process:
+    """A node with a profile's parameters and some like `rate:=500.0`, remaps like `__ns:=/a`; waits until it ticks."""
+    words = ["-m", "tissue_sim.ros.node.program", "--ros-args"]
+    if profile is not None:
+        words += ["--params-file", str(profile)]
+    for rule in remap:
+        words += ["-r", rule]
+    for parameter in parameters:
+        words += ["-p", parameter]
+    process = Process(words, folder / "node.log", **environment)
+    if wait:
+        process.wait_for(READY)
+    return process
+
+
+@contextmanager
+def running_node(folder: Path, *parameters: str, **environment: str) -> Iterator[Process]:
+    """A node that ticks; at the end it has to go without an error."""
+    process = start_node(folder, *parameters, **environment)
+    yield process
+    assert process.stop() == 0, process.text()
+    assert "Traceback" not in process.text()
+
+
+def start_publisher(folder: Path, *, depth: float, seconds: float, hold: bool = False) -> Process:
+    """A second process that pokes the shipped kidney by depth m with tool `left`, and releases unless held."""
+    words = [PUBLISHER, f"--depth={depth}", f"--seconds={seconds}"]
+    return Process([*words, "--hold"] if hold else words, folder / "publisher.log")
+
+
+def poke_path(organ: Organ, radius: float = 0.005) -> tuple[np.ndarray, np.ndarray]:
+    """Where a sphere just touches the organ's side, (3,) m, and the direction into it."""
+    points = organ.surface_positions
+    centre = points.mean(axis=0)
+    node = int(np.argmax(points[:, 0] - 0.5 * np.abs(points[:, 2] - centre[2])))
+    inward = np.array([-1.0, 0.0, 0.0])
+    return points[node] - radius * inward, inward
+
+
+def press_until_felt(client: Client, move: Callable[[np.ndarray], None], deepest: float = 0.002) -> np.ndarray:
+    """Press the left tool in until it feels the organ; returns where it is then, (3,) m.
+
+    move sends a pose at a position and lets a moment pass. A machine that holds poses up has the tool held off; then it
+    comes from outside again.
+    """
+    touch, inward = poke_path(shipped())
+    for _ in range(6):
+        for depth in np.linspace(-0.002, deepest, 60):
+            position = touch + depth * inward
+            move(position)
+            if depth > 0.9 * deepest and client.wrenches and client.wrenches[-1][1][0] > 0.02:
+                return position
+    raise AssertionError(f"the tool feels nothing: {client.diagnostics}")
+
+
+def shipped() -> Organ:
+    return Organ.load(shipped_organ())

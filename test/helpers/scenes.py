@@ -1,0 +1,74 @@
+"""Small organs that tests share: a ball with a short chain of atoms, and the kidney that ships."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from tissue_sim.model.assembly import assemble
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
+from tissue_sim.organ.topology import assemble_like, assemble_organ
+
+RADIUS = 0.03  # m, of the ball
+
+assembled = cache(assemble)
+
+
+@cache
+def ball(subdivisions: int = 1, held: bool = True, turned: bool = True, **tissue: float) -> Organ:
+    """A ball of tissue around the origin with five medial atoms on its z axis; its lower cap is held.
+
+    subdivisions 1: 42 surface nodes, edges of 17 mm; 2: 162, 9 mm; 3: 642, 4 mm.
+    """
+    mesh = trimesh.creation.icosphere(subdivisions, RADIUS)
+    if turned:  # a little, so that nothing lies along an axis by accident
+        mesh.apply_transform(trimesh.transformations.euler_matrix(0.3, 0.2, 0.1))
+    surface = np.asarray(mesh.vertices)
+    atoms = np.zeros((5, 3))
+    atoms[:, 2] = np.linspace(-0.4, 0.4, 5) * RADIUS
+    return assemble_organ(
+        name="ball",
+        surface_positions=surface,
+        surface_triangles=mesh.faces,
+        atom_positions=atoms,
+        atom_radius=RADIUS - np.abs(atoms[:, 2]),
+        atom_parent=np.arange(-1, 4),
+        fixed=np.flatnonzero(surface[:, 2] < -0.7 * RADIUS) if held else (),
+        provenance={"source": "test"},
+        **tissue,
+    )
+
+
+def changed(organ: Organ, **factors: float) -> Organ:
+    """The organ with some of its arrays (mass, damping, ...) scaled; 0 switches a part off."""
+    arrays: dict[str, Any] = {name: factor * getattr(organ, name) for name, factor in factors.items()}
+    return replace(organ, **arrays)
+
+
+@cache
+def free_ball(subdivisions: int = 1) -> Organ:
+    """A ball that nothing holds and nothing damps: internal forces alone."""
+    return changed(ball(subdivisions, held=False), damping=0.0, return_stiffness=0.0)
+
+
+@cache
+def kidney() -> Organ:
+    """The organ that ships, as built: with the paper's 48 atoms."""
+    return Organ.load(shipped_organ(AS_BUILT))
+
+
+@cache
+def filled(organ: Organ, count: int) -> Organ:
+    """The organ assembled anew with `count` interior atoms."""
+    return assemble_like(organ, name="filled", interior_atoms=count, provenance=None)
+
+
+def near(organ, *directions):
+    """Surface nodes outermost in some directions from the organ's middle."""
+    offset = organ.surface_positions - organ.surface_positions.mean(axis=0)
+    return [int(np.argmax(offset @ direction)) for direction in directions]

@@ -1,0 +1,122 @@
+"""Bags that ship repeat; altered ones are told apart; other files are refused."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from helpers.paths import ROOT
+from tissue_sim.cli import main
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.replay import Recording, replay
+
+BAGS = sorted(path.parent for path in (ROOT / "bags").glob("*/metadata.yaml"))
+
+
+def test_a_bag_ships():
+    assert BAGS
+
+
+@pytest.mark.parametrize("path", BAGS, ids=lambda path: path.name)
+def test_shipped_bag_repeats(path, capsys):
+    assert main(["replay", str(path)]) == 0
+    assert "repeats" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return Recording.read(BAGS[0])
+
+
+def test_replay_repeats_bit_for_bit(recording):
+    first, second = replay(recording), replay(recording)
+    assert first == second
+    assert first.wrenches > 100
+    assert first.surfaces > 5
+
+
+def test_another_tool_path_is_noticed(recording):
+    """A tenth of a millimetre at one tool changes forces and shape."""
+    moved = [{number: pose + [1e-4, 0, 0, 0, 0, 0, 0] for number, pose in poses.items()} for poses in recording.poses]
+    result = replay(dataclasses.replace(recording, poses=moved))
+    assert result.force > 1e-3
+    assert result.position > 1e-5
+    assert result.force_tick > 0
+
+
+def test_other_friction_is_noticed(recording):
+    changed = {number: values.copy() for number, values in recording.settings.items()}
+    for values in changed.values():
+        values[1] *= 0.1
+    assert replay(dataclasses.replace(recording, settings=changed)).force > 1e-4
+
+
+def test_lost_input_is_named(recording):
+    poses = [dict(list(numbered.items())[:5]) for numbered in recording.poses]
+    with pytest.raises(UserError, match="the bag lacks pose number"):
+        replay(dataclasses.replace(recording, poses=poses))
+
+
+def test_deviation_gives_exit_code_1(tmp_path, capsys):
+    """The recorded wrenches scaled by 1.01."""
+    path = tmp_path / "scaled"
+    copy_bag(BAGS[0], path, scale=1.01)
+    assert main(["replay", str(path)]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED" in out
+    assert "largest deviation: force" in out
+
+
+def test_refusals(tmp_path, capsys):
+    assert main(["replay", str(tmp_path / "none")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main(["replay", str(tmp_path / "empty")]) == 2
+    assert "can't be read" in capsys.readouterr().err
+    broken = tmp_path / "broken"
+    shutil.copytree(BAGS[0], broken)
+    (data,) = broken.glob("*.mcap")
+    data.write_bytes(data.read_bytes()[: data.stat().st_size // 2])
+    assert main(["replay", str(broken)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "Traceback" not in error
+
+
+def test_foreign_bag_is_refused(tmp_path, capsys):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "foreign", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
+        text = store.types["std_msgs/msg/String"](data="hello")
+        writer.write(connection, 1, store.serialize_cdr(text, "std_msgs/msg/String"))
+    assert main(["replay", str(tmp_path / "foreign")]) == 2
+    assert "was not recorded by a tissue_sim node" in capsys.readouterr().err
+
+
+def test_arrays_survive_packing():
+    arrays = {"a": np.arange(5), "b": np.eye(3)}
+    read = bag.unpack(bag.pack(**arrays))
+    assert all(np.array_equal(read[name], arrays[name]) for name in arrays)
+
+
+def copy_bag(source: Path, target: Path, scale: float) -> None:
+    from rosbags.rosbag2 import Reader
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = "geometry_msgs/msg/WrenchStamped"
+    with Reader(source) as reader, Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {
+            connection.topic: writer.add_connection(connection.topic, connection.msgtype, typestore=store)
+            for connection in reader.connections
+        }
+        for connection, stamp, raw in reader.messages():
+            if connection.topic.endswith("servo_cf"):
+                message = store.deserialize_cdr(raw, kind)
+                message.wrench.force.x *= scale
+                raw = bytes(store.serialize_cdr(message, kind))
+            writer.write(connections[connection.topic], stamp, bytes(raw))

@@ -1,0 +1,145 @@
+"""The scripted bridge as a process: it moves tools, feels forces, and leaves the tissue when it ends."""
+
+import signal
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point
+from shape_msgs.msg import Mesh
+
+from helpers.ros.processes import STAND_IN, Process
+from helpers.ros.stand_in import ball
+from tissue_sim.cli import main
+from tissue_sim.ros.bridge.play import Player
+from tissue_sim.ros.bridge.probing import Surface
+from tissue_sim.ros.bridge.trajectory import plan
+
+BRIDGE = ["-m", "tissue_sim", "bridge"]
+
+
+class RecordedTool:
+    """Takes the place of a tool's topics."""
+
+    name = "left"
+
+    def __init__(self):
+        self.poses, self.stamps = [], []
+
+    def publish(self, stamp, pose):
+        self.stamps.append(stamp)
+        self.poses.append(pose)
+
+    def open(self, stamp, angle):
+        assert angle == 0.0, "a tool without jaws"
+
+    def feel(self):
+        pass
+
+    def rivals(self):
+        return 0
+
+
+class NoMesh:
+    def take(self):
+        return None
+
+
+@pytest.fixture
+def node(tmp_path):
+    process = Process([STAND_IN], tmp_path / "node.log")
+    process.wait_for("up", 20.0)
+    yield process
+    process.stop()
+
+
+def last_pose(process: Process) -> np.ndarray:
+    """Where the left tool was when the stand-in ended."""
+    assert process.stop() == 0, process.text()
+    line = next(line for line in process.text().splitlines() if line.startswith("last pose of left "))
+    return np.array(line.split()[-3:], dtype=float)
+
+
+@pytest.mark.parametrize("seconds", [0.3, 1.2])
+def test_poses_keep_to_the_path_in_real_time_and_end_outside(seconds):
+    vertices, triangles = ball()
+    path = plan(vertices, triangles, 0.005)
+    tools = [RecordedTool(), RecordedTool()]
+    Player(tools, 200.0, seconds).play(path, False, NoMesh(), vertices)
+    stamps, poses = 1e-9 * np.array(tools[0].stamps), np.array(tools[0].poses)
+    assert np.all(np.diff(stamps) > 0.0)
+    on_path = stamps - stamps[0] < seconds - 0.02
+    errors = [
+        np.linalg.norm(pose[:3] - path.poses(stamp - stamps[0])["left"][0])
+        for stamp, pose in zip(stamps[on_path], poses[on_path], strict=True)
+    ]
+    assert np.median(errors) < 0.15 * 0.003  # 3 ms at the highest speed
+    assert np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1).max() < 0.02  # late poses are skipped, not jumped
+    assert Surface(vertices, triangles).closest(poses[-1, :3])[0] > 0.01
+
+
+def test_another_organ_ends_the_path(monkeypatch):
+    vertices, triangles = ball()
+
+    class Meshes:
+        def take(self):
+            return Mesh(vertices=[Point(x=1.0)], triangles=[])
+
+    monkeypatch.setattr("tissue_sim.ros.bridge.play.LOOK_AGAIN", 0.1)
+    path = plan(vertices, triangles, 0.005)
+    tools = [RecordedTool(), RecordedTool()]
+    found = Player(tools, 200.0, 30.0).play(path, False, Meshes(), vertices)
+    assert found[0].tolist() == [[1.0, 0.0, 0.0]]
+    assert len(tools[0].poses) < 200
+
+
+@pytest.fixture
+def bridge(node, tmp_path):
+    process = Process([*BRIDGE, "--script", "stroke"], tmp_path / "bridge.log")
+    yield process
+    process.child.kill()
+    process.child.wait()
+
+
+def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, bridge):
+    bridge.wait_for("at 500 Hz", 20.0)
+    time.sleep(1.5)  # now it draws
+    bridge.child.send_signal(signal.SIGTERM)
+    assert bridge.child.wait(5.0) == 0
+    assert "Traceback" not in bridge.text()
+    last = bridge.text().splitlines()[-1]
+    words = last.replace(",", "").split()
+    sent, received = int(words[0]), int(words[words.index("wrenches") - 1])
+    assert 2 * 0.7 * 500 * 1.5 < sent < 2 * 500 * 4.0, last
+    assert received > 0.3 * sent, last
+    assert "left 0.50 N, right 0.00 N" in last, last
+    assert Surface(*ball()).closest(last_pose(node))[0] > 0.01
+
+
+def test_no_node_is_one_line_and_exit_code_1(capfd):
+    assert main(["bridge", "--wait", "0.3", "--node", "nobody"]) == 1
+    assert capfd.readouterr().err == (
+        "tissue_sim bridge: no mesh on /nobody/mesh in 0.3 s; start tissue_node, or name yours with --node\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--rate", "0"], "outside 1..2000 Hz"),
+        (["--rate", "fast"], "no number"),
+        (["--tools", "left,left"], "no name of its own"),
+        (["--script", "stroke,cut"], "'cut' is unknown"),
+        (["--node", "a b"], "no name of a node"),
+        (["--tools", "left", "--script", "nip"], "two tools"),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_code_2(words, message, capfd):
+    try:
+        code = main(["bridge", *words])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    error = capfd.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

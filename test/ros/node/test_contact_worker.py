@@ -1,0 +1,86 @@
+"""The thread that finds contact sets, where the search itself fails."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from helpers.ros.patience import wait_for
+from helpers.scenes import ball
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node.contact_worker import ContactWorker
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
+
+
+class Port:
+    """A tool above the organ; each pose is new."""
+
+    name, bodies, force_clock = "left", [0], -np.inf
+
+    def __init__(self, position):
+        self._pose = np.append(position, (0.0, 0.0, 0.0, 1.0))
+        self._sequence = 0
+
+    @property
+    def newest(self):
+        self._sequence += 1
+        return SimpleNamespace(sequence=self._sequence, placed=self._pose[None])
+
+    @property
+    def pose_clock(self):
+        return time.monotonic()
+
+
+@pytest.fixture
+def scene():
+    """A worker that isn't started, its finder, and the lines that it warned with."""
+    organ, tools = ball(1), ToolSet([Tool("left", "sphere", 0.005)])
+    physics = Physics(Simulation(organ, shapes=tools.shapes))
+    finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+    top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
+    warned = []
+    worker = ContactWorker(
+        finder,
+        physics,
+        [Port(top + (0.0, 0.0, 0.006))],
+        lambda: SimpleNamespace(contacts=lambda *_: None),
+        threading.Event(),
+        warned.append,
+    )
+    yield SimpleNamespace(worker=worker, finder=finder, warned=warned)
+    worker.stop()
+
+
+def report_of(worker):
+    report = Report()
+    worker.report(report)
+    return report
+
+
+def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene, monkeypatch):
+    find, fails, calls = scene.finder.find, [True], []
+
+    def sometimes(*words):
+        calls.append(words)
+        if fails[0]:
+            raise RuntimeError("no such luck")
+        return find(*words)
+
+    monkeypatch.setattr(scene.finder, "find", sometimes)
+    scene.worker.start()
+    wait_for(lambda: len(calls) > 5, 30.0)
+    line = "contact search failed: RuntimeError: no such luck"
+    assert scene.warned == [line], "not one for every set"
+    report = report_of(scene.worker)
+    assert report.failures == [line]
+    assert report.problems["contact_search_failures"] >= 5
+    fails[0] = False
+    wait_for(lambda: not report_of(scene.worker).failures, 30.0)
+    report = report_of(scene.worker)
+    assert report.problems["contact_search_failures"] >= 5, "what happened is still counted"
+    assert report.values["contact_sets"] > 0

@@ -1,0 +1,220 @@
+"""What is given up when the machine is too slow, in which order, and how it comes back."""
+
+import time
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from helpers.ros.clients import Client
+from helpers.ros.processes import poke_path, shipped, start_node
+from helpers.scenes import ball
+from tissue_sim.model import state as st
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node import degrade
+from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
+from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings
+from tissue_sim.ros.shared.physics import Physics
+
+STRAIN, MIDDLING, WELL = Look(0.95, 0.5, 0), Look(0.6, 0.0, 0), Look(0.1, 0.0, 0)
+
+
+class Run:
+    """A ladder that is looked at four times a second."""
+
+    def __init__(self, helps=lambda level: True):
+        self.ladder, self.helps, self.now = Ladder(), helps, 100.0
+
+    def look(self, look, seconds):
+        """The levels that were taken within so many s."""
+        taken = []
+        for _ in range(round(seconds / LOOK_EVERY)):
+            if self.ladder.look(self.now, look, self.helps):
+                taken.append(self.ladder.level)
+            self.now += LOOK_EVERY
+        return taken
+
+
+def test_a_look_tells_what_it_saw():
+    assert Look(0.28, 0.4, 0).words == "ticks took 28 % of the time, 40 % of them were late"
+    assert Look(0.95, 0.0, 7).words == "ticks took 95 % of the time, 0 % of them were late, 7 were given up"
+
+
+def test_steps_come_in_the_stated_order_and_go_back_in_reverse():
+    run = Run()
+    down = run.look(STRAIN, 20.0)
+    assert down == [MARKERS, REGION, RATE, RATE + 1, RATE + 2]
+    assert [degrade.name(level) for level in down] == ["markers", "region", "rate", "rate", "rate"]
+    assert [degrade.halvings(level) for level in [NONE, *down]] == [0, 0, 0, 1, 2, 3]
+    assert run.ladder.stuck
+    assert run.look(WELL, 100.0) == [RATE + 1, RATE, REGION, MARKERS, NONE]
+    assert not run.ladder.stuck
+
+
+def test_one_hiccup_changes_nothing():
+    run = Run()
+    for _ in range(20):
+        assert run.look(STRAIN, PATIENCE) == []
+        assert run.look(WELL, LOOK_EVERY) == []
+
+
+@pytest.mark.parametrize("strain", [Look(0.9, 0.0, 0), Look(0.1, 0.5, 0), Look(0.1, 0.0, 7)])
+def test_each_sign_of_strain_counts(strain):
+    assert Run().look(strain, 2.0) == [MARKERS]
+
+
+def test_between_strained_and_well_nothing_changes():
+    run = Run()
+    run.look(STRAIN, 3.0)
+    level = run.ladder.level
+    assert run.look(MIDDLING, 1000.0) == []
+    assert run.ladder.level == level > NONE
+
+
+def test_what_gives_nothing_up_is_left_out_both_ways():
+    run = Run(lambda level: level in (MARKERS, RATE))
+    assert run.look(STRAIN, 10.0) == [MARKERS, RATE]
+    assert run.ladder.stuck
+    assert run.look(WELL, 60.0) == [MARKERS, NONE]
+
+
+def test_a_step_back_that_was_too_soon_is_tried_later_each_time():
+    run = Run(lambda level: level == MARKERS)
+    run.look(STRAIN, 2.0)
+    waits = []
+    for _ in range(6):
+        before = run.now
+        while run.ladder.level == MARKERS:
+            run.look(WELL, LOOK_EVERY)
+        waits.append(run.now - before)
+        run.look(STRAIN, 2.0)
+        assert run.ladder.level == MARKERS
+    assert waits[0] == pytest.approx(HOLD, abs=1.0)
+    assert waits == sorted(waits)
+    assert waits[3] > 3.5 * waits[1]
+    assert waits[-1] < 170.0
+
+
+class Values(dict):
+    """Stands for the node's parameters."""
+
+    tools = ("left", "right")
+
+    def apply(self, settings):
+        settings.region_force = self["region_force"]
+        settings.coupling_stiffness = self["coupling_stiffness"]
+
+
+def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
+    simulation = Simulation(ball(2), rate=rate, local_region=local_region, integrator=integrator)
+    values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
+    values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
+    posted = []
+    made = LiveSettings(
+        simulation,
+        Physics(simulation),
+        Values(values),
+        lambda sequence, one: posted.append((sequence, one)),
+        lambda: [1e-3, 4e-3],
+    )
+    return made, posted
+
+
+def test_coupling_is_no_stiffer_than_the_devices_bear():
+    made, posted = live(coupling_stiffness=2000.0)
+    made.update()
+    assert posted[-1][1][st.COUPLING_STIFFNESS] == made.coupling_stiffness == 2000.0, "unknown damping: no bound"
+    made, posted = live(**{"coupling_stiffness": 2000.0, "left.device_damping": 2.0, "right.device_damping": 1.0})
+    made.update()
+    # Of the slower tool: half its period, the period until the next pose, and a tick.
+    assert made.coupling_stiffness == pytest.approx(1.0 / (0.5 * 4e-3 + 4e-3 + 1e-3))
+    made, _ = live(**{"coupling_stiffness": 100.0, "right.device_damping": 1.0})
+    made.update()
+    assert made.coupling_stiffness == 100.0
+
+
+def test_levels_become_settings_with_substeps_of_their_own():
+    made, posted = live()
+    made.update(MARKERS)
+    assert made.marker_rate == 10.0
+    assert posted == [], "the loop has nothing to do with it"
+    made.update(REGION)
+    assert posted[-1][1][st.REGION_FORCE] == ANY_FORCE
+    made.update(RATE)
+    sequence, settings = posted[-1]
+    assert settings.tick_time == 2e-3
+    substeps = Simulation(ball(2), rate=500.0, local_region="auto").settings.substeps
+    assert settings.substeps == substeps
+    assert made.describe() == "markers at 10 Hz, a modal region under any load, 500 Hz"
+    made.update(NONE)
+    assert posted[-1][0] > sequence
+    assert posted[-1][1][st.TICK_TIME] == 1e-3
+    assert posted[-1][1][st.REGION_FORCE] == 0.3
+    assert made.marker_rate == 60.0
+    count = len(posted)
+    made.update()
+    assert len(posted) == count, "nothing changed"
+
+
+def test_a_region_needs_its_tables_from_the_start():
+    assert live("auto")[0].helps(REGION)
+    for other in ("off", "frozen", "modal"):
+        assert not live(other)[0].helps(REGION)
+
+
+def test_half_the_rate_is_worth_it_only_when_it_saves_substeps():
+    assert live(integrator="implicit")[0].helps(RATE), "one step in a tick, however long"
+    assert not live(integrator="implicit", rate=50.0)[0].helps(RATE), "not under the lowest rate"
+    fine = live("off", rate=4000.0)[0]
+    assert fine.helps(RATE)
+    explicit = live("off", integrator="explicit")[0]
+    assert not explicit.helps(RATE), "the critical step asks for as many substeps a second"
+    assert np.isfinite(explicit._work(1e-3))
+
+
+def test_fewer_markers_help_only_where_there_are_more():
+    assert not live(marker_rate=5.0)[0].helps(MARKERS)
+    assert live(marker_rate=5.0)[0].marker_rate == 5.0
+
+
+@pytest.fixture
+def node(tmp_path):
+    process = start_node(
+        tmp_path, "rate:=4000.0", "integrator:=implicit", "tools:=[left]", "stale_time:=1.0", "marker_rate:=30.0"
+    )
+    yield process
+    process.child.kill()
+
+
+@pytest.fixture
+def client(node):
+    client = Client()
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics, 20.0)
+    yield client
+    client.close()
+
+
+def test_node_with_an_impossible_load_degrades_in_order_and_keeps_time(client, node):
+    """4000 implicit ticks a second are too many; fewer of them are as long, so that time is kept in the end."""
+    assert client.diagnostics["degraded"] == "none"
+    touch, inward = poke_path(shipped(), radius=0.0)
+
+    def push():
+        client.send_pose(touch - 0.0055 * inward)  # the tip stays clear of the surface
+        client.send_force(0.1 * inward)
+        client.spin(0.02)
+        return client.diagnostics["degraded"]
+
+    seen = []
+    end = time.monotonic() + 15.0
+    while time.monotonic() < end and not (seen[-1:] == ["rate"] and float(client.diagnostics["load"]) < 0.75):
+        level = push()
+        seen += [level] if level not in seen else []
+    assert seen[-2:] == ["markers", "rate"], (seen, node.text())
+    assert client.level == DiagnosticStatus.WARN
+    assert "degraded: markers at 10 Hz, " in client.message
+    lines = [line for line in node.text().splitlines() if "the machine is too slow" in line]
+    assert "markers at 10 Hz (" in lines[0]
+    assert "markers at 10 Hz, 2000 Hz (" in lines[1]
+    assert float(client.diagnostics["real_time_factor"]) > 0.5
+    assert node.stop() == 0, node.text()

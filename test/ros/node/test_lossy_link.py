@@ -1,0 +1,46 @@
+"""A viewer behind a link that loses 5 % of the packets and takes 50 ms."""
+
+import re
+import sys
+
+import pytest
+
+from helpers.ros.lossy_link import Unavailable, lossy_link
+from helpers.ros.processes import PUBLISHER, READY, WATCHER, Process, shipped
+
+LOSS, DELAY, WANTED = 0.05, 0.05, 20.0  # share, s, Hz
+SWINGS = ("damping_scale:=0.0", "integrator:=implicit", "rate:=100.0")
+
+
+@pytest.mark.timeout(180)
+def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    try:
+        link = lossy_link(LOSS, DELAY)
+        here, there = link.__enter__()
+    except Unavailable as reason:
+        pytest.skip(f"no network namespaces here: {reason}")
+    started = []
+
+    def start(side, name, *words):
+        started.append(Process(["netns", "exec", side, sys.executable, *words], tmp_path / f"{name}.log", program="ip"))
+        return started[-1]
+
+    try:
+        # Without damping it swings on when the tool is gone. Few ticks: a link is tried here, not the machine.
+        words = [word for setting in SWINGS for word in ("-p", setting)]
+        node = start(here, "node", "-m", "tissue_sim.ros.node.program", "--ros-args", *words)
+        node.wait_for(READY)
+        publisher = start(here, "publisher", PUBLISHER, "--depth=0.004", "--seconds=2")
+        assert publisher.child.wait(30.0) == 0, publisher.text()
+        watcher = start(there, "watcher", WATCHER, "6")
+        assert watcher.child.wait(60.0) == 0, watcher.text()
+        print("\n" + watcher.text())
+        assert f"mesh {shipped().n_surface} points" in watcher.text()
+        assert float(re.search(r"rate ([\d.]+)", watcher.text())[1]) >= WANTED, node.text()
+        assert node.stop() == 0, node.text()
+    finally:
+        for process in started:
+            process.child.kill()
+            process.child.wait()
+        link.__exit__(None, None, None)

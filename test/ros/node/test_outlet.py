@@ -1,0 +1,96 @@
+"""The thread that lets forces fade and shows the organ, where showing fails."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from helpers.ros.patience import wait_for
+from helpers.scenes import ball
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node.outlet import Outlet
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
+
+
+class Logger:
+    def __init__(self):
+        self.warned = []
+
+    def info(self, message):
+        pass
+
+    def warning(self, message):
+        self.warned.append(message)
+
+
+class Port:
+    """A tool whose force fades; counts how often it was published."""
+
+    poses, turns = 0, 0
+
+    def keep_publishing(self, silence):
+        self.turns += 1
+        return True
+
+
+class Presenter:
+    """Fails in two ways at every turn."""
+
+    fails = True
+
+    def present(self, record, colour):
+        if self.fails:
+            raise OSError("nobody takes pictures")
+
+    def present_tools(self):
+        if self.fails:
+            raise ValueError("nor of tools")
+
+
+@pytest.fixture(params=[60.0, 240.0])
+def scene(request):
+    """An outlet that isn't started, with what it serves; reports that it told."""
+    parts = SimpleNamespace(port=Port(), presenter=Presenter(), logger=Logger(), told=[])
+    live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0)
+
+    def tell():
+        report = Report()
+        parts.outlet.report(report)
+        parts.told.append(report)
+
+    parts.outlet = Outlet(
+        {"record_markers": False, "marker_colour": "none"},
+        Physics(Simulation(ball(1))),
+        [parts.port],
+        parts.presenter,
+        live,
+        SimpleNamespace(watch=lambda: None),
+        lambda: None,
+        tell,
+        parts.logger,
+    )
+    yield parts
+    parts.outlet.stop()
+
+
+def test_forces_fade_on_although_pictures_fail(scene):
+    scene.outlet.start()
+    wait_for(lambda: len(scene.told) >= 2, 30.0)
+    turns = scene.port.turns
+    wait_for(lambda: scene.port.turns > turns + 50, 30.0)
+    lines = ["outlet failed: OSError: nobody takes pictures", "outlet failed: ValueError: nor of tools"]
+    assert scene.told[-1].failures == lines
+    assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
+    assert set(scene.logger.warned) == set(lines)
+    assert len(scene.logger.warned) <= 2 * (len(scene.told) + 1), "not one for every picture"
+    scene.presenter.fails = False
+    told = len(scene.told)
+    wait_for(lambda: len(scene.told) >= told + 2, 30.0)
+    assert scene.told[-1].failures == []
+
+
+def test_nothing_fails_in_a_report_of_what_works(scene):
+    report = Report()
+    scene.outlet.report(report)
+    assert report.failures == []
+    assert report.problems == {"outlet_failures": 0}

@@ -1,0 +1,260 @@
+"""Every message type in and out, transforms and tf: one node with a tool for each, and its bag."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Pose, PoseStamped, TransformStamped, Wrench, WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import qos_profile_sensor_data
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import Float64MultiArray
+from visualization_msgs.msg import Marker, MarkerArray
+
+from helpers.ros.clients import LATCHED, Client
+from helpers.ros.processes import FAKE_TF, poke_path, running_node, shipped
+from tissue_sim.cli import main
+from tissue_sim.ros.shared.tool_messages import POSE_TYPES
+
+TURN = Rotation.from_euler("zyx", (90.0, 20.0, -35.0), degrees=True)  # of a device's base in the base frame
+OFFSET = np.array([0.2, -0.3, 0.1])
+ORGAN = np.array([0.5, 0.1, -0.2])  # the organ in the base frame
+HELD = Rotation.from_euler("xyz", (40.0, 10.0, 160.0), degrees=True)
+DEPTH = 0.003
+
+
+def numbers(values) -> str:
+    return "[" + ", ".join(repr(float(value)) for value in values) + "]"
+
+
+BASE_POSE = numbers([*OFFSET, *TURN.as_quat()])
+PARAMETERS = (
+    "tools:=[plain, named, odometry, led]",
+    "base_frame:=world",
+    f"organ_pose:={numbers([*ORGAN, 0.0, 0.0, 0.0, 1.0])}",
+    *("plain.frame_id:=arm_base", "plain.pose_type:=Pose", "plain.wrench_type:=Wrench", "plain.force_type:=Wrench"),
+    f"plain.base_pose:={BASE_POSE}",
+    *("named.frame_id:=arm_base", "named.pose_type:=TransformStamped", "named.wrench_type:=Float64MultiArray"),
+    *("named.array_length:=7", "named.wrench_frame:=body", "named.reliable:=true", f"named.base_pose:={BASE_POSE}"),
+    *("odometry.pose_type:=Odometry", "odometry.motion_scale:=0.5", "odometry.frame_id:=world"),
+    "led.frame_id:=elsewhere",
+    "stale_time:=5.0",  # a busy machine may hold these poses up
+)
+
+
+def six(wrench: Wrench) -> np.ndarray:
+    force, torque = wrench.force, wrench.torque
+    return np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
+
+
+class Tools(Client):
+    """A publisher and a subscription for each tool, of its types."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.felt: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": []}
+        node, best_effort = self.node, qos_profile_sensor_data
+        types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry, "led": PoseStamped}
+        self.poses = {
+            tool: node.create_publisher(kind, f"{tool}/measured_cp", 10 if tool == "named" else best_effort)
+            for tool, kind in types.items()
+        }
+        self.forces = node.create_publisher(Wrench, "plain/measured_cf", best_effort)
+        self.tf = node.create_publisher(TransformStamped, "/tf_static", LATCHED)
+        keep = {tool: felt.append for tool, felt in self.felt.items()}
+        subscribe = node.create_subscription
+        subscribe(Wrench, "plain/servo_cf", lambda m: keep["plain"](six(m)), best_effort)
+        subscribe(Float64MultiArray, "named/servo_cf", lambda m: keep["named"](np.array(m.data)), 10)
+        subscribe(WrenchStamped, "odometry/servo_cf", lambda m: keep["odometry"](six(m.wrench)), best_effort)
+        subscribe(WrenchStamped, "led/servo_cf", lambda m: keep["led"](six(m.wrench)), best_effort)
+
+    def send(self, tool: str, place: np.ndarray, turn: Rotation, frame: str = "") -> None:
+        """Publish a pose in a tool's own frame."""
+        stamp = self.stamp()
+        pose = Pose()
+        pose.position.x, pose.position.y, pose.position.z = map(float, place)
+        rotation = pose.orientation
+        rotation.x, rotation.y, rotation.z, rotation.w = map(float, turn.as_quat())
+        message = POSE_TYPES[
+            {"plain": "Pose", "named": "TransformStamped", "odometry": "Odometry"}.get(tool, "PoseStamped")
+        ].message()
+        if tool == "plain":
+            message = pose
+        elif tool == "named":
+            message.header.frame_id, message.child_frame_id = "arm_base", "a_stylus"
+            translation = message.transform.translation
+            translation.x, translation.y, translation.z = map(float, place)
+            message.transform.rotation = rotation
+        elif tool == "odometry":
+            message.header.frame_id, message.child_frame_id, message.pose.pose = "world", "hand", pose
+        else:
+            message.header.frame_id, message.pose = frame, pose
+        if hasattr(message, "header"):
+            message.header.stamp = stamp
+        self.poses[tool].publish(message)
+
+    def press(self, tool: str, to_device, turn: Rotation, frame: str = "", force=None) -> np.ndarray:
+        """Press with a tool from outside to DEPTH, into an organ that rests; the mean of the last ten wrenches, (6,).
+
+        to_device takes m in the organ's frame to the device's own.
+        """
+        self.reset()
+        touch, inward = poke_path(shipped())
+        start, arrived = time.monotonic(), 0  # s, and how many wrenches had come when the tool was deep enough
+
+        def is_settled() -> bool:
+            newest = np.array([np.linalg.norm(felt[:3]) for felt in self.felt[tool][-20:]])
+            return arrived > 0 and len(self.felt[tool]) > arrived + 40 and bool(np.ptp(newest) < 0.01 * newest.mean())
+
+        while not is_settled() and time.monotonic() < start + 20.0:
+            depth = -0.008 + (DEPTH + 0.008) * min(1.0, max(0.0, time.monotonic() - start - 0.2))
+            self.send(tool, to_device(touch + depth * inward), turn, frame)
+            if force is not None:
+                self.forces.publish(force)
+            self.spin(0.004)
+            if depth > DEPTH - 1e-9 and not arrived:
+                arrived = max(1, len(self.felt[tool]))
+        felt = np.array(self.felt[tool][-10:]).mean(axis=0)
+        for depth in np.linspace(DEPTH, -0.05, 10):  # gone before the next tool comes
+            self.send(tool, to_device(touch + depth * inward), turn, frame)
+            self.spin(0.01)
+        return felt
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("types")
+    path = os.pathsep.join(filter(None, [str(FAKE_TF), os.environ.get("PYTHONPATH")]))
+    with running_node(folder, *PARAMETERS, f"record_folder:={folder}", PYTHONPATH=path) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def tools(node):
+    tools = Tools()
+    assert tools.spin_until(lambda: all(p.get_subscription_count() for p in tools.poses.values()), 10.0)
+    yield tools
+    tools.close()
+
+
+def test_frame_that_tf_does_not_know_is_refused_by_name(node, tools):
+    def refused():
+        tools.send("led", np.ones(3), HELD, frame="moon")
+        return "led.refused.unknown_frame" in tools.diagnostics
+
+    assert tools.spin_until(refused, 5.0)
+    line = next(line for line in node.text().splitlines() if "'moon'" in line)
+    assert "expected 'elsewhere' (parameter led.frame_id names another); tf leads from none of that name to" in line
+    assert "does not exist" in line
+
+
+def in_device(point: np.ndarray) -> np.ndarray:
+    """From the organ's frame to that of a device whose base stands at TURN and OFFSET."""
+    return TURN.inv().apply(point + ORGAN - OFFSET)
+
+
+def is_outward(force: np.ndarray) -> bool:
+    """Whether a force along the organ's axes pushes the tool back out."""
+    _, inward = poke_path(shipped())
+    return 0.03 < np.linalg.norm(force) < 3.0 and force @ -inward > 0.9 * np.linalg.norm(force)
+
+
+@pytest.fixture(scope="module")
+def bag(node, tools):
+    """A bag in which each tool presses once; what was felt last, along each device's axes."""
+    assert tools.record(True).success
+    tools.spin(0.2)
+    felt = {}
+    pull = Wrench()
+    pull.force.x, pull.force.y, pull.force.z = map(float, TURN.inv().apply([0.0, 0.0, 0.02]))
+    felt["plain"] = tools.press("plain", in_device, TURN.inv() * HELD, force=pull)
+    felt["named"] = tools.press("named", in_device, TURN.inv() * HELD)
+    felt["odometry"] = tools.press("odometry", lambda point: (point + ORGAN) / 0.5, HELD)
+    transform = TransformStamped(child_frame_id="camera")
+    transform.header.frame_id = "world"
+    translation, rotation = transform.transform.translation, transform.transform.rotation
+    translation.x, translation.y, translation.z = map(float, OFFSET)
+    rotation.x, rotation.y, rotation.z, rotation.w = map(float, TURN.as_quat())
+    tools.tf.publish(transform)
+    felt["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
+    stopped = tools.record(False)
+    assert stopped.success
+    return stopped.message, felt
+
+
+def test_pose_and_wrench_without_headers_in_a_base_that_is_turned(bag):
+    wrench = bag[1]["plain"]
+    assert is_outward(TURN.apply(wrench[:3]))
+
+
+def test_transform_in_and_array_out_along_the_tools_own_axes(bag):
+    values = bag[1]["named"]
+    assert len(values) == 7
+    assert values[6] == 0.0
+    assert is_outward(HELD.apply(values[:3]))
+    assert abs(values[3:6]).max() > 1e-5, "the torque about the tip comes too"
+
+
+def test_tools_are_shown_in_the_organs_frame(tools):
+    """Whatever the bridge's frame: where the tool touches the organ."""
+    seen = []
+    tools.node.create_subscription(MarkerArray, "/tissue_sim/tools", seen.append, 10)
+    place, inward = poke_path(shipped())
+    place = place - 0.02 * inward
+
+    def is_there():
+        tools.send("plain", in_device(place), TURN.inv() * HELD)
+        return any(m.ns == "plain" and m.action == Marker.ADD for message in seen[-1:] for m in message.markers)
+
+    assert tools.spin_until(is_there, 5.0)
+    (ball,) = [m for m in seen[-1].markers if m.ns == "plain" and m.type == Marker.SPHERE]
+    assert ball.header.frame_id == "organ"
+    assert (ball.pose.position.x, ball.pose.position.y, ball.pose.position.z) == pytest.approx(place, abs=1e-9)
+    assert ball.scale.x == 0.01
+    assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led"}
+    # Nobody moves it any more.
+    gone = tools.spin_until(lambda: all(m.action == Marker.DELETE for m in seen[-1].markers), 5.0)
+    assert gone, "a tool that nobody moves is still shown"
+
+
+def test_odometry_with_motion_scaled(bag):
+    assert is_outward(bag[1]["odometry"][:3])
+
+
+def test_frame_that_tf_knows_is_looked_up(bag):
+    assert is_outward(TURN.apply(bag[1]["led"][:3]))
+
+
+def test_all_feel_the_same_tissue(bag):
+    depth = [np.linalg.norm(felt[:3]) for felt in bag[1].values()]
+    assert max(depth) < 1.5 * min(depth), bag[1]
+
+
+def test_bag_holds_poses_and_forces_in_the_organs_frame_and_replays_bit_for_bit(bag, capsys):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    touch, inward = poke_path(shipped())
+    kinds, deepest = {}, {}
+    with Reader(bag[0]) as reader:
+        for connection, _, raw in reader.messages():
+            topic = connection.topic
+            if topic.endswith(("measured_cp", "measured_cf", "servo_cf")):
+                message = store.deserialize_cdr(raw, connection.msgtype)
+                kinds[topic] = connection.msgtype
+                assert message.header.frame_id == "organ", topic
+                if topic.endswith("measured_cp"):
+                    place = message.pose.position
+                    depth = (np.array([place.x, place.y, place.z]) - touch) @ inward
+                    deepest[topic] = max(deepest.get(topic, -1.0), depth)
+                elif topic.endswith("measured_cf"):
+                    force = message.wrench.force
+                    assert [force.x, force.y, force.z] == pytest.approx([0.0, 0.0, 0.02])
+    for tool in ("plain", "named", "odometry", "led"):
+        assert kinds[f"/tissue_sim/{tool}/measured_cp"] == "geometry_msgs/msg/PoseStamped"
+        assert kinds[f"/tissue_sim/{tool}/servo_cf"] == "geometry_msgs/msg/WrenchStamped"
+        assert deepest[f"/tissue_sim/{tool}/measured_cp"] == pytest.approx(DEPTH, abs=1e-6)
+    assert kinds["/tissue_sim/plain/measured_cf"] == "geometry_msgs/msg/WrenchStamped"
+    assert main(["replay", bag[0], "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
+    assert "repeats" in capsys.readouterr().out

@@ -1,0 +1,80 @@
+"""A gripper's jaws from the viewer: they move gently, and only when somebody asks."""
+
+import numpy as np
+import pytest
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+
+from helpers.ros.participant import Participant
+from helpers.ros.processes import UNHURRIED, start_node
+from tissue_sim.ros.shared.tool_link import ToolLink
+from tissue_sim.ros.viewer.held_jaws import HeldJaws
+from tissue_sim.ros.viewer.held_tool import TOP_SPEED
+
+pytest.importorskip("viser")
+from helpers.paths import CONFIG
+from helpers.ros.told import values
+
+
+def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
+    listener = Participant("listener")
+    heard = []
+    listener.node.create_subscription(
+        JointState, "left/gripper/measured_js", lambda m: heard.append(m.position[0]), qos_profile_sensor_data
+    )
+    length = 0.06
+    jaws = HeldJaws(graph, ToolLink.told(values(left__shape="gripper", left__length=length), "left", "tissue_sim"))
+    try:
+        listener.spin(0.3)
+        assert not heard, "nobody touched it"
+        jaws.turn(0.2, 0.8)
+        assert listener.spin_until(lambda: bool(heard), 10.0)
+        assert jaws.moving
+        assert jaws.rivals() == 0
+        assert listener.spin_until(lambda: not jaws.moving, 10.0)
+        listener.spin(0.1)
+        assert heard[0] == pytest.approx(0.8, abs=0.03)
+        assert heard[-1] == pytest.approx(0.2, abs=1e-3)
+        assert np.abs(np.diff(heard)).max() * 0.5 * length < TOP_SPEED * 0.021 * 3, "a leap"
+        heard.clear()
+        listener.spin(0.5)
+        assert not heard
+    finally:
+        jaws.close()
+        listener.close()
+
+
+def test_jaws_open_from_the_page_and_only_when_somebody_asks(tmp_path, open_page):
+    node = start_node(tmp_path, UNHURRIED, profile=CONFIG / "gripper.yaml")
+    page = open_page("left")
+    listener, heard = Participant("listener"), []
+    listener.node.create_subscription(JointState, "left/gripper/measured_js", heard.append, qos_profile_sensor_data)
+    slider = page.poke.jaws._slider
+    try:
+        assert page.wait(lambda: slider.visible and not page.poke._box.disabled, 30.0)
+        page.tick(True)
+        assert page.wait(lambda: page.view.opening is not None, 20.0)
+        page.wait(lambda: False, 1.0)
+        listener.spin(0.1)
+        assert not heard
+        page.slide(40.0)
+        assert page.wait(lambda: abs(np.degrees(page.view.opening or 0.0) - 40.0) < 0.1, 20.0), node.text()
+        assert page.wait(lambda: not page.poke.jaws._jaws.moving, 10.0)
+        listener.spin(0.1)
+        assert heard[-1].position[0] == pytest.approx(np.radians(40.0), abs=1e-3)
+
+        bridge = listener.node.create_publisher(JointState, "left/gripper/measured_js", qos_profile_sensor_data)
+        page.wait(lambda: False, 1.5)
+
+        def other_hand():
+            bridge.publish(JointState(position=[np.radians(20.0)]))
+            return slider.value == 20.0
+
+        assert page.wait(other_hand, 10.0), "the slider shows what the jaws do"
+        page.slide(30.0)
+        assert page.wait(lambda: page.poke._warning.visible, 10.0)
+        assert "A bridge already moves the jaws of `left`" in page.poke._warning.content
+        assert node.stop() == 0, node.text()
+    finally:
+        listener.close()
+        node.child.kill()

@@ -1,0 +1,189 @@
+"""Poking from the browser: how a held tool moves, what it publishes, and a hand on a real page."""
+
+import io
+import time
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import qos_profile_sensor_data
+from scipy.spatial.transform import Rotation
+
+from helpers.ros.clients import Client
+from helpers.ros.participant import Participant
+from helpers.ros.processes import Process, shipped, start_node
+from tissue_sim.ros.viewer.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
+
+pytest.importorskip("viser")
+from helpers.ros import browser as browsers
+from tissue_sim.ros.viewer.poke import beside, pointing
+from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for
+
+RADIUS = 0.005
+SIZE = (900, 600)
+
+
+# the hand --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("step", [0.001, 0.004, 0.02])
+@pytest.mark.parametrize("way", [0.0005, 0.01, 0.3])
+def test_a_tool_follows_its_goal_without_a_blow(step, way):
+    goal = way * np.array([0.6, 0.0, -0.8])
+    position, velocity = np.zeros(3), np.zeros(3)
+    for _ in range(round((way / TOP_SPEED + 0.5) / step)):
+        after, speed = follow(position, velocity, goal, step)
+        assert np.linalg.norm(after - position) <= TOP_SPEED * step * (1 + 1e-9)
+        assert np.linalg.norm(speed - velocity) <= ACCELERATION * step * (1 + 1e-9)
+        position, velocity = after, speed
+        assert position @ goal <= way**2 * (1 + 0.02) + 1e-6, "past the goal"
+    assert np.linalg.norm(position - goal) < 1e-5 + 0.001 * way
+
+
+@pytest.mark.parametrize("index", range(5))
+def test_a_tool_is_taken_outside_and_points_in(index):
+    points = shipped().surface_positions
+    position, inward = beside(points, index, RADIUS)
+    assert np.linalg.norm(points - position, axis=1).min() > RADIUS + 0.005
+    assert ((points - position) @ inward).min() > RADIUS
+    ahead = points - position
+    assert np.linalg.norm(ahead - np.outer(ahead @ inward, inward), axis=1).min() < RADIUS, "nothing to poke"
+    assert Rotation.from_quat(pointing(inward)).apply([0.0, 0.0, 1.0]) == pytest.approx(inward)
+
+
+@pytest.fixture
+def graph():
+    rclpy.init()
+    node = rclpy.create_node("hand")
+    yield node
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_a_held_tool_publishes_until_it_is_released(graph):
+    listener = Participant("listener")
+    heard = []
+    listener.node.create_subscription(
+        PoseStamped, "left/measured_cp", lambda m: heard.append((time.monotonic(), m)), qos_profile_sensor_data
+    )
+    tool = HeldTool(graph, "left")
+    assert not tool.held
+    tool.take(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.0, 0.8]), "theatre")
+    listener.spin(0.7)
+    tool.goal = np.array([0.2, 0.2, 0.3])
+    del heard[:-1]
+    listener.spin(1.0)
+    assert len(heard) > 100, "poses a second"
+    assert tool.rivals() == 0
+    message = heard[-1][1]
+    assert message.header.frame_id == "theatre"
+    assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for _, m in heard])
+    x = np.array([m.pose.position.x for _, m in heard])
+    assert (np.diff(stamps) > 0.0).all()
+    assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
+    assert 0.15 < x[-1] <= 0.2002
+    listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
+    assert listener.spin_until(lambda: tool.rivals() == 1, 5.0)
+    tool.release()
+    listener.spin(0.1)
+    heard.clear()
+    listener.spin(0.3)
+    assert not heard
+    listener.close()
+
+
+# the page --------------------------------------------------------------------------------------
+BOXES = "[...document.querySelectorAll('input[type=checkbox]')].filter(e => e.getBoundingClientRect().width > 0)"
+CENTRES = f"{BOXES}.map(e => e.getBoundingClientRect()).map(r => [r.x + r.width / 2, r.y + r.height / 2])"
+
+
+def pixel(point):
+    """Where the page shows a point (3,) m."""
+    eye, looked_at = camera_for(shipped().surface_positions)
+    forward = (looked_at - eye) / np.linalg.norm(looked_at - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    ray = point - eye
+    scale = 0.5 * SIZE[1] / np.tan(0.5 * FIELD_OF_VIEW) / (ray @ forward)
+    return 0.5 * SIZE[0] + scale * (ray @ right), 0.5 * SIZE[1] - scale * (ray @ np.cross(right, forward))
+
+
+def colours(png):
+    """Red, green and blue (height, width) of a screenshot."""
+    image = pytest.importorskip("PIL.Image").open(io.BytesIO(png)).convert("RGB")
+    return np.asarray(image).astype(int).transpose(2, 0, 1)
+
+
+def share_of_yellow(png):
+    """Of the organ's part of a screenshot, how much has the colour of a displacement of mm."""
+    red, green, blue = colours(png)[:, :, : SIZE[0] - 350]  # beside the panel
+    return ((red > 180) & (green > 130) & (blue < 0.8 * green)).mean()
+
+
+def shows_an_arrow(png, place):
+    """Whether the gizmo's blue arrow is at a place of a screenshot."""
+    x, y = map(round, place)
+    red, _, blue = colours(png)[:, y - 4 : y + 5, x - 4 : x + 5]
+    return bool((blue - red > 80).any())
+
+
+@pytest.fixture
+def page(tmp_path):
+    """A node, its viewer and a browser with the viewer's page."""
+    if browsers.program() is None:
+        pytest.skip("no Chromium on this machine (apt install chromium)")
+    port = 8000 + int(time.monotonic_ns() % 900)
+    node = start_node(tmp_path, "tools:=[left]")
+    viewer = Process(["-m", "tissue_sim", "view", "--port", str(port), "--tools", "left"], tmp_path / "view.log")
+    page = None
+    try:
+        viewer.wait_for("open http", 20.0)
+        page = browsers.Browser(tmp_path, *SIZE)
+        page.open(f"http://127.0.0.1:{port}")
+        yield page
+    finally:
+        if page is not None:
+            page.close()
+        codes = viewer.stop(), node.stop()
+    assert codes == (0, 0), viewer.text() + node.text()
+    assert "Traceback" not in viewer.text()
+
+
+@pytest.mark.timeout(240)
+def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
+    client = Client()
+    poses = []
+    client.node.create_subscription(PoseStamped, "left/measured_cp", poses.append, qos_profile_sensor_data)
+
+    def force():
+        return float(np.linalg.norm(client.wrenches[-1][1][:3])) if client.wrenches else 0.0
+
+    try:
+        page.wait_for_text("Tick rate", 60.0)
+        page.wait_for(f"{BOXES}.length == 1 && !{BOXES}[0].disabled")
+        assert client.spin_until(lambda: "A bridge already moves" in page.text(), 10.0), "the client publishes too"
+        client.node.destroy_publisher(client.pose)
+        assert client.spin_until(lambda: "A bridge already moves" not in page.text(), 10.0)
+        assert share_of_yellow(page.picture()) < 0.001
+
+        page.click(page.run(CENTRES)[0])
+        assert client.spin_until(lambda: len(poses) > 50, 20.0), page.text()
+        assert force() == 0.0, "taken in hand outside the organ"
+        position, inward = beside(shipped().surface_positions, 0, RADIUS)
+        start = position + 0.022 * inward  # on the arrow that points into the organ
+        browsers.wait_for(lambda: shows_an_arrow(page.picture(), pixel(start)), 30.0, "no arrow to drag")
+        page.drag(pixel(start), pixel(start + 0.02 * inward))
+        assert client.spin_until(lambda: force() > 0.1, 30.0), page.text()
+        browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, 30.0, "no colour")
+        plotted = "Math.max(...Object.values(window.__viserTestpoints.uplots)[0].chart.data[1].filter(isFinite))"
+        browsers.wait_for(lambda: page.run(plotted) > 0.1, 10.0, "no curve")
+
+        page.open("about:blank")  # the hand leaves without letting go: the browser keeps the connection open
+        left = time.monotonic()
+        while poses and time.monotonic() < left + 30.0:
+            poses.clear()
+            client.spin(0.5)
+        assert not poses
+        assert force() == 0.0
+    finally:
+        client.close()

@@ -1,0 +1,299 @@
+"""The viewer: bands of colour, texts, messages as arrays, and the real process with a page behind it."""
+
+import re
+import signal
+import socket
+import time
+import types
+import urllib.request
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point
+from shape_msgs.msg import Mesh, MeshTriangle
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
+
+from helpers.ros.processes import STAND_IN, Process
+from helpers.ros.stand_in import ball, cloud
+from tissue_sim.cli import main
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.viewer import scene as drawing
+from tissue_sim.ros.viewer.bands import cut_into_bands
+
+pytest.importorskip("viser")
+from tissue_sim.ros.viewer import panel
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def area(vertices, triangles):
+    corners = vertices[triangles]
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+
+
+# bands -----------------------------------------------------------------------------------------
+def test_bands_cover_the_surface_once_and_keep_to_their_levels():
+    vertices, triangles = ball()
+    levels = [-0.041, -0.02, 0.0, 0.0001, 0.03, 0.06]
+    bands = cut_into_bands(vertices, triangles, vertices[:, 2], levels)
+    assert len(bands) == len(levels) + 1
+    assert sum(area(*band) for band in bands) == pytest.approx(area(vertices, triangles), rel=1e-9)
+    edges = [-np.inf, *levels, np.inf]
+    for (points, _), low, high in zip(bands, edges[:-1], edges[1:], strict=True):
+        if len(points):
+            assert points[:, 2].min() >= low - 1e-12
+            assert points[:, 2].max() <= high + 1e-12
+    assert [len(faces) > 0 for _, faces in bands] == [True] * 6 + [False]
+
+
+def test_bands_keep_their_outside_out():
+    vertices, triangles = ball()
+    for points, faces in cut_into_bands(vertices, triangles, vertices[:, 0], [-0.01, 0.004]):
+        corners = points[faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert np.einsum("ij,ij->i", normals, corners.mean(axis=1)).min() > -1e-15
+
+
+def test_nothing_to_cut_is_one_band():
+    vertices, triangles = ball()
+    first, second = cut_into_bands(vertices, triangles, np.zeros(len(vertices)), [0.001])
+    assert len(first[1]) == len(triangles)
+    assert len(second[0]) == len(second[1]) == 0
+
+
+def test_a_face_never_names_a_vertex_that_is_not_there():
+    """Each update of one property leaves a drawable mesh, whether bands grow or shrink."""
+
+    class Recorded:
+        def __init__(self, **given):
+            self.__dict__.update(given)
+
+        def __setattr__(self, name, value):
+            self.__dict__[name] = value
+            if name in ("vertices", "faces"):
+                assert len(self.faces) == 0 or self.faces.max() < len(self.vertices)
+
+    class Scene:
+        def add_mesh_simple(self, name, vertices, faces, **_):
+            return Recorded(vertices=vertices, faces=faces)
+
+    class Server:
+        scene = Scene()
+
+    vertices, triangles = ball()
+    view = drawing.OrganView(Server(), vertices, triangles)
+    for size in (0.0, 0.004, 0.012, 0.002, 0.0):
+        near = np.exp(-np.sum((vertices - vertices[0]) ** 2, axis=1) / (2 * 0.01**2))
+        view.show(vertices + size * near[:, None] * (0.0, 0.0, 1.0))
+        assert sum(area(mesh.vertices, mesh.faces) for mesh in view._meshes) >= 0.99 * area(vertices, triangles)
+    assert sum(area(mesh.vertices, mesh.faces) > 0.0 for mesh in view._meshes) == 1
+
+
+# the picture -----------------------------------------------------------------------------------
+def test_the_camera_sees_all_of_the_organ():
+    vertices, _ = ball()
+    vertices = vertices + 3.0
+    position, looked_at = drawing.camera_for(vertices)
+    forward = (looked_at - position) / np.linalg.norm(looked_at - position)
+    rays = vertices - position
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    tangent = np.tan(0.5 * drawing.FIELD_OF_VIEW)
+    depth = rays @ forward
+    assert depth.min() > 0.02  # beyond the near plane
+    assert np.abs(rays @ np.cross(right, forward) / depth).max() < tangent
+    assert np.abs(rays @ right / depth).max() < tangent
+
+
+def test_an_arrow_starts_at_the_tool_and_is_as_long_as_the_force():
+    start, end = drawing.arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0]), 0.005)[0]
+    assert start == pytest.approx([1.0, 1.995, 3.0])
+    assert end - start == pytest.approx([0.0, -0.06, 0.0], abs=1e-6)
+
+
+def seen(kind, action=Marker.ADD, scale=(0.01, 0.01, 0.01), number=0, place=(0.0, 0.0, 0.0), points=()):
+    marker = Marker(ns="left", id=number, type=kind, action=action, points=[Point(x=x, y=y, z=z) for x, y, z in points])
+    marker.scale.x, marker.scale.y, marker.scale.z = scale
+    marker.pose.position.x, marker.pose.position.y, marker.pose.position.z = place
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+class Drawn:
+    """A scene that keeps what is drawn."""
+
+    def __init__(self):
+        self.parts = {}
+
+    def __getattr__(self, kind):
+        def add(name, *_, **given):
+            self.parts[name] = Handle(kind=kind, **given)
+            return self.parts[name]
+
+        return add
+
+
+class Handle:
+    def __init__(self, **given):
+        self.dragged = self.removed = False
+        self.__dict__.update(given)
+
+    def on_drag(self, _):
+        self.dragged = True
+
+    def remove_drag_callback(self, _):
+        self.dragged = False
+
+    def remove(self):
+        self.removed = True
+
+
+@pytest.fixture
+def tool():
+    scene = Drawn()
+    return drawing.ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
+
+
+def test_a_tool_looks_as_its_markers_say_and_shows_what_is_felt(tool):
+    view, parts = tool
+    shaft = seen(Marker.CYLINDER, scale=(0.006, 0.006, 0.04), number=1, place=(0.1, 0.2, 0.28))
+    blade = seen(Marker.TRIANGLE_LIST, number=2, points=[(0.0, 0.004, 0.002), (0.003, 0.0, -0.05), (0.0, 0.0, 0.009)])
+    push = seen(Marker.ARROW, number=3, points=[(0.1, 0.2, 0.3), (0.1, 0.2, 0.33)])
+    view.show([seen(Marker.SPHERE, place=(0.1, 0.2, 0.3)), shaft, blade, push])
+    assert [parts[f"/tools/left/{k}"].kind for k in range(3)] == ["add_icosphere", "add_cylinder", "add_mesh_simple"]
+    assert (parts["/tools/left/1"].radius, parts["/tools/left/1"].height) == (0.003, 0.04)
+    assert parts["/tools/left/1"].position == (0.1, 0.2, 0.28)
+    assert view.reach == pytest.approx(0.009)
+    assert view.force == pytest.approx(1.0)
+    assert parts["/forces/left"].points[0, 0] == pytest.approx([0.1, 0.2, 0.309])
+    assert parts["/forces/left/label"].text == "left 1.00 N"
+    still = seen(Marker.ARROW, action=Marker.DELETE, number=3, points=[(0.1, 0.2, 0.3)] * 2)
+    view.show([seen(Marker.SPHERE), still])
+    assert (view.force, parts["/forces/left"].visible) == (0.0, False)
+    gone = [seen(kind, action=Marker.DELETE, number=k) for k, kind in enumerate((Marker.SPHERE, Marker.CYLINDER))]
+    view.show([*gone, seen(Marker.TRIANGLE_LIST, Marker.DELETE, number=2, points=[(0.0, 0.0, 0.0)] * 3)])
+    assert view.force is None
+    assert not any(part.visible for part in parts.values())
+
+
+def test_a_tool_of_another_node_is_drawn_anew_and_can_still_be_dragged(tool):
+    view, parts = tool
+    view.show([seen(Marker.SPHERE)])
+    view.drag(print)
+    before = parts["/tools/left/0"]
+    assert before.dragged
+    view.show([seen(Marker.SPHERE, scale=(0.02, 0.02, 0.02))])
+    assert before.removed
+    assert parts["/tools/left/0"].dragged
+    view.drag(None)
+    assert not parts["/tools/left/0"].dragged
+
+
+def test_the_legend_names_every_band():
+    legend = panel.legend_html()
+    for level, colour in drawing.BANDS:
+        assert f">{level:g}<" in legend
+        assert f"rgb{colour}" in legend
+
+
+def test_the_status_shows_what_is_there_and_survives_what_is_not():
+    text = panel.status_text(
+        {"tick_rate_hz": "999.61", "force_n": "0.4567", "left.state": "fresh", "left.force_n": "x", "recording": "/a/b"}
+    )
+    assert "| Tick rate | 1000 Hz |" in text
+    assert "| Force | 0.46 N |" in text
+    assert "| Tool left | fresh, - |" in text
+    assert "| Late ticks | - |" in text
+    assert "`/a/b`" in text
+
+
+# messages --------------------------------------------------------------------------------------
+def test_meshes_and_clouds_become_arrays():
+    mesh = Mesh(
+        vertices=[Point(x=1.0, y=2.0, z=3.0), Point(z=1.0), Point(y=-1.0)],
+        triangles=[MeshTriangle(vertex_indices=np.array([0, 2, 1], dtype=np.uint32))],
+    )
+    vertices, triangles = client.mesh_arrays(mesh)
+    assert vertices.tolist() == [[1.0, 2.0, 3.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    assert triangles.tolist() == [[0, 2, 1]]
+    columns = np.arange(12.0, dtype=np.float32).reshape(3, 4)
+    assert np.array_equal(client.cloud_array(cloud(columns)), columns)
+
+
+def test_the_headline_is_as_high_whatever_it_says():
+    warned = panel.headline("tissue_sim", 1, "a < b, " * 50)
+    assert "a &lt; b" in warned
+    assert "warns" in warned
+    height = [re.search(r"height:([^;]+);", panel.headline_html(line))[1] for line in ("", warned)]
+    assert height[0] == height[1]
+
+
+def test_the_newest_status_of_the_right_node_counts():
+    def report(name, rate):
+        status = DiagnosticStatus(name=name, values=[KeyValue(key="tick_rate_hz", value=rate)])
+        return DiagnosticArray(header=Header(stamp=Time(sec=1)), status=[status])
+
+    names = ("tissue_sim: physics", "ward/tissue_sim: physics", "ward/tissue_sim: physics", "camera: driver")
+    reports = [report(name, str(rate)) for rate, name in enumerate(names)]
+    assert client.physics_status(reports, "ward/tissue_sim") == {"tick_rate_hz": "2"}
+    assert client.physics_status(reports, "tissue_sim") == {"tick_rate_hz": "0"}
+    assert client.physics_status(reports[3:], "tissue_sim") is None
+
+
+# the process -----------------------------------------------------------------------------------
+@pytest.fixture
+def start(tmp_path):
+    """Starts a process that ends with the test at the latest."""
+    started = []
+
+    def start(*words):
+        started.append(Process(list(words), tmp_path / f"{len(started)}.log"))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.child.kill()
+        process.child.wait()
+
+
+def test_the_page_is_there_before_the_node_and_the_viewer_ends_at_once(start):
+    port = free_port()
+    viewer = start("-m", "tissue_sim", "view", "--port", str(port))
+    viewer.wait_for(f"http://127.0.0.1:{port}", 20.0)
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5.0) as page:
+        assert page.status == 200
+        assert b"<html" in page.read()
+    for words in ([STAND_IN], [STAND_IN, "--smaller"]):  # a node comes, and then one with another organ
+        node = start(*words)
+        node.wait_for("up", 20.0)
+        time.sleep(1.0)
+        assert node.stop() == 0
+    asked = time.monotonic()
+    assert viewer.stop(signal.SIGINT) == 0
+    assert time.monotonic() - asked < 3.0
+    assert viewer.text() == f"open http://127.0.0.1:{port}\n"
+
+
+def test_a_taken_port_is_one_line_and_exit_code_2(capfd):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert main(["view", "--port", str(port)]) == 2
+    error = capfd.readouterr().err
+    assert error == f"tissue_sim: error: port {port} of 127.0.0.1 is taken; choose another with --port\n"
+
+
+@pytest.mark.parametrize("words", [["--host", "no such host"], ["--port", "0"], ["--tools", "left,left"]])
+def test_wrong_use_is_one_line_and_exit_code_2(words, capfd):
+    try:
+        code = main(["view", *words])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert capfd.readouterr().err.count("\n") == 1
