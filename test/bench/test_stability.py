@@ -15,8 +15,8 @@ from tissue_sim.bench.sweeps.loads import PATCH_NODES, PROBE, Poke, far_node, pa
 from tissue_sim.bench.sweeps.trial import critical_step_of, organ_of, run_cell, simulation_of, with_mass_ratio
 from tissue_sim.bench.sweeps.witness import Witness
 from tissue_sim.cli import main
-from tissue_sim.model.integrators import INTEGRATORS
-from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
+from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.shipped import shipped_organ
 

@@ -17,7 +17,7 @@ from tissue_sim.bench.printing import aligned, noise_lines
 from tissue_sim.bench.start import Start
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
-from tissue_sim.model.integrators import INTEGRATORS
+from tissue_sim.model.settings import INTEGRATORS
 
 
 def timing(us):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
-from tissue_sim.model.state import MAX_ENTRIES
+from tissue_sim.model.contact_set import MOST_POINTS
 
 STILL = (0.0, 0.0, 0.0, 1.0)
 
@@ -40,7 +40,7 @@ def points_of(found, position):
 
 
 def check_entries(found, organ):
-    assert found.node.shape == found.weight.shape == found.normal.shape == (len(found.tool), 3)
+    assert found.node.shape == found.weight.shape == found.normal.shape == (len(found.body), 3)
     np.testing.assert_allclose(found.weight.sum(axis=1), 1.0, atol=1e-12)
     assert np.all(found.weight >= 0.0)
     assert np.all((found.node >= 0) & (found.node < organ.n_surface))
@@ -51,7 +51,7 @@ def test_far_tool_gives_an_empty_set_and_counts_the_skip():
     organ = kidney()
     finder = make_finder(organ, Tool("left", radius=0.005))
     found = find(finder, organ, [1.0, 0.0, 0.0, *STILL])
-    assert len(found.tool) == len(found.node) == len(found.weight) == len(found.normal) == 0
+    assert len(found.body) == len(found.node) == len(found.weight) == len(found.normal) == 0
     np.testing.assert_array_equal(found.tip_node, [[-1, -1, -1]])
     assert (finder.counters.sets, finder.counters.far_skips, finder.counters.narrow_phases) == (1, 1, 0)
 
@@ -60,7 +60,7 @@ def test_tool_within_the_organs_box_but_far_from_its_triangles_is_skipped_too():
     organ = ball(2)
     finder = make_finder(organ, Tool("left", radius=0.002))
     found = find(finder, organ, [0.0, 0.0, 0.0, *STILL])
-    assert len(found.tool) == 0
+    assert len(found.body) == 0
     assert (finder.counters.far_skips, finder.counters.narrow_phases) == (1, 0)
 
 
@@ -71,15 +71,15 @@ def test_tool_within_the_organs_box_but_far_from_its_triangles_is_skipped_too():
 def test_every_entry_is_a_point_of_a_triangle_near_the_tool(organ, tool):
     finder = make_finder(organ, tool)
     found = find(finder, organ, over(organ, (0.2, 0.1, 1.0), 0.0, tool.radius))
-    assert len(found.tool) > 3
+    assert len(found.body) > 3
     check_entries(found, organ)
     assert finder.counters.narrow_phases == 1
     triangles = {tuple(sorted(t)) for t in organ.surface_triangles.tolist()}
     for nodes in found.node:
         assert len(set(nodes)) == 1 or tuple(sorted(nodes.tolist())) in triangles
-    assert found.dropped == 0
+    assert found.header.dropped == 0
     twice = {tuple(np.round(point, 12)) for point in points_of(found, organ.rest_positions)}
-    assert len(twice) == len(found.tool), "a point occurs twice"
+    assert len(twice) == len(found.body), "a point occurs twice"
 
 
 @pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
@@ -88,16 +88,16 @@ def test_every_node_within_the_margin_is_an_entry(organ):
     left, right = over(organ, (0.2, 0.1, 1.0), 0.0, 0.006), over(organ, (1.0, 0.1, 0.3), 0.001, 0.003)
     found = find(finder, organ, left, right)
     check_entries(found, organ)
-    assert np.all(np.diff(found.tool) >= 0)
+    assert np.all(np.diff(found.body) >= 0)
     for tool, pose, radius in ((0, left, 0.006), (1, right, 0.003)):
         distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1) - radius
-        corner = (found.tool == tool) & (found.node[:, 0] == found.node[:, 1])
+        corner = (found.body == tool) & (found.node[:, 0] == found.node[:, 1])
         assert set(np.flatnonzero(distance < MARGIN)) <= set(found.node[corner, 0])
     # What a fast tool may reach until the next set.
     wide = find(finder, organ, left, right, margins=[0.004, 0.0])
     distance = np.linalg.norm(organ.surface_positions - left[:3], axis=1) - 0.006
-    assert set(np.flatnonzero(distance < MARGIN + 0.004)) <= set(wide.node[wide.tool == 0, 0])
-    assert np.count_nonzero(wide.tool == 1) == np.count_nonzero(found.tool == 1)
+    assert set(np.flatnonzero(distance < MARGIN + 0.004)) <= set(wide.node[wide.body == 0, 0])
+    assert np.count_nonzero(wide.body == 1) == np.count_nonzero(found.body == 1)
 
 
 @pytest.mark.parametrize("radius", [0.004, 0.002])
@@ -150,8 +150,8 @@ def test_tool_that_is_not_engaged_has_no_entries():
     finder = make_finder(organ, Tool("left"), Tool("right"))
     pose = over(organ, (0.0, 0.0, 1.0), 0.0, 0.005)
     found = find(finder, organ, pose, pose, engaged=[0, 1])
-    assert len(found.tool) > 0
-    assert np.all(found.tool == 1)
+    assert len(found.body) > 0
+    assert np.all(found.body == 1)
     np.testing.assert_array_equal(found.engaged, [0, 1])
 
 
@@ -162,7 +162,7 @@ def test_same_poses_and_surface_give_the_same_set_whatever_was_found_before():
     first = find(finder, organ, here)
     find(finder, organ, there)
     again = find(finder, organ, here)
-    for name in ("tool", "node", "weight", "normal"):
+    for name in ("body", "node", "weight", "normal"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
 
 
@@ -171,8 +171,8 @@ def test_entries_beyond_the_capacity_are_dropped_farthest_first():
     finder = make_finder(organ, Tool("left", radius=0.05))
     pose = np.array([0.0, 0.0, 0.01, *STILL])
     found = find(finder, organ, pose)
-    assert len(found.tool) == MAX_ENTRIES
-    assert found.dropped >= organ.n_surface - MAX_ENTRIES
+    assert len(found.body) == MOST_POINTS
+    assert found.header.dropped >= organ.n_surface - MOST_POINTS
     check_entries(found, organ)
     distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1)
     kept = np.zeros(organ.n_surface, dtype=bool)

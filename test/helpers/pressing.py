@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from test.helpers.states import is_finite
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.shapes import signed_distance
 
@@ -46,8 +47,4 @@ def deepest(scene, tool=0):
 
 def is_sound(scene):
     simulation = scene.simulation
-    return (
-        np.all(np.isfinite(simulation.buffer.floats))
-        and simulation.state.count.faults == 0
-        and np.all(np.isfinite(scene.contacts.weight))
-    )
+    return is_finite(simulation) and simulation.state.count.faults == 0 and np.all(np.isfinite(scene.contacts.weight))

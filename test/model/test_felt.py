@@ -5,14 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissue_sim.model import state as st
 from tissue_sim.model.felt import clamp_share, report_wrenches, slew_share
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.state import Counts, ToolStatus
 
 TICK = 1e-3
 
 
 def settings_of(clamp=10.0, slew=1e3):
-    settings = np.zeros(st.N_SETTINGS)
+    settings = Settings.new()
     settings.tick_time, settings.force_clamp, settings.force_slew = TICK, clamp, slew
     settings.stale_time, settings.ramp_time = 0.05, 0.02
     return settings
@@ -43,10 +44,10 @@ def test_kernel_is_the_twin(seed):
     felt, impulse = random.normal(0.0, 2.0, (5, 6)), random.normal(0.0, 6e-3, (5, 6))
     ages = np.array([3, 3, 55, 80, 0])
     settings = settings_of(clamp=5.0, slew=2e3)
-    count, tools = np.zeros(st.N_COUNT, dtype=np.int64), np.zeros((5, st.N_TOOL_COUNT), dtype=np.int64)
-    tools[:].age = ages
+    count, tools = Counts.new(), ToolStatus.rows(np.zeros(5 * ToolStatus.words(), dtype=np.int64))
+    tools.age = ages
     expected = twin(felt, impulse, hands, ages, settings)
-    state = SimpleNamespace(felt=felt, wrench=np.zeros((5, 6)), tool_count=tools, count=count)
+    state = SimpleNamespace(felt=felt, wrench=np.zeros((5, 6)), tools=tools, count=count)
     report_wrenches.py_func(state, SimpleNamespace(hand=hands), settings, SimpleNamespace(impulse=impulse))
     np.testing.assert_allclose(state.felt, expected[0], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(state.wrench, expected[1], rtol=1e-12, atol=1e-12)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, kidney
-from tissue_sim.model import state as st
 from tissue_sim.model.guard import (
     CELLS_A_TICK,
     KEEP_EVERY,
@@ -19,6 +18,7 @@ from tissue_sim.model.guard import (
     lead_back,
 )
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import FAULT_NAMES
 from tissue_sim.model.tick import caution
 
 
@@ -33,7 +33,7 @@ def poke(simulation, ticks, force=(0.0, 0.0, -0.05)):
 
 
 def fault_of(simulation):
-    return st.FAULT_NAMES[simulation.state.status.fault_kind]
+    return FAULT_NAMES[simulation.state.status.fault_kind]
 
 
 # what is wrong with a state --------------------------------------------------------------------
@@ -46,7 +46,7 @@ def found(spoil):
     away[nodes], speed[nodes] = [0.0, 0.001, 0.0], [1.0, 0.0, 0.0]
     spoil(away, speed, nodes[3])
     state.position[:], state.velocity[:] = model.rest + away, speed
-    return st.FAULT_NAMES[check(model, state, nodes, 0.1**2, 100.0**2, 10.0**2)]
+    return FAULT_NAMES[check(model, state, nodes, 0.1**2, 100.0**2, 10.0**2)]
 
 
 def put(which, value):

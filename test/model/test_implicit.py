@@ -7,6 +7,7 @@ from scipy.sparse.linalg import spsolve
 
 from helpers.pressing import line
 from helpers.scenes import RADIUS, assembled, ball, changed, kidney
+from test.helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.forces import elastic_forces
@@ -188,10 +189,10 @@ def test_stiffness_changed_on_the_way_uses_the_other_slot():
     fresh = Simulation(ball(2), integrator="implicit")
     fresh.settings.stiffness_scale = 5.0
     fresh.set_substeps()
-    fresh.restore(simulation.buffer.floats.copy(), simulation.buffer.integers.copy())
+    fresh.restore(snapshot(simulation))
     for one in (simulation, fresh, twin):
         poke(one, 20, [0.0, 0.0, -0.1])
-    np.testing.assert_array_equal(simulation.buffer.floats, fresh.buffer.floats)
+    assert_same(simulation, fresh)
     assert np.abs(simulation.positions - twin.positions).max() > 1e-5
 
 

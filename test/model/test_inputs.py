@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.scenes import ball, free_ball
-from tissue_sim.model.inputs import LONGEST_PERIOD, take_contacts, take_force, take_pose
+from tissue_sim.model.contact_set import contact_set
+from tissue_sim.model.inputs import LONGEST_PERIOD
 from tissue_sim.model.simulation import Simulation, sphere_tools
 
 FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
@@ -14,21 +15,21 @@ FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
 def engaged_at(pose):
     """A simulation whose only tool is engaged and stands at a pose."""
     simulation = Simulation(ball(), shapes=sphere_tools(0.005))
-    take_pose(simulation.state, 0, pose, 1)
+    simulation.take_pose(0, pose, 1)
     take_set(simulation, 2)
     return simulation
 
 
 def take_set(simulation, sequence, tip_node=(-1, -1, -1), tip_weight=(0.0, 0.0, 0.0), engaged=1):
     """A contact set without entries."""
-    none, nodes, floats = np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3))
-    tip = np.array([tip_node], dtype=np.int64), np.array([tip_weight])
-    take_contacts(simulation.state, 0, none, nodes, floats, floats, *tip, np.array([engaged]), sequence)
+    found = contact_set(1, 0)
+    found.tip_node[0], found.tip_weight[0], found.engaged[0] = tip_node, tip_weight, engaged
+    simulation.take_contacts(found, sequence)
 
 
 def test_first_pose_is_taken_at_once():
     simulation = Simulation(ball(), shapes=sphere_tools(0.005))
-    take_pose(simulation.state, 0, FAR, 7)
+    simulation.take_pose(0, FAR, 7)
     simulation.step()
     np.testing.assert_array_equal(simulation.state.tool_pose[0], FAR)
     assert simulation.state.tools[0].pose_sequence == 7
@@ -43,7 +44,7 @@ def test_tool_is_led_evenly_to_a_pose_that_took_several_ticks(period):
     turn = Rotation.from_rotvec([0.0, 0.02, 0.01])
     # The same turn with the other sign of the quaternion: no long way round.
     goal = np.array([0.01, -0.02, 0.18, *-turn.as_quat()])
-    take_pose(simulation.state, 0, goal, 2)
+    simulation.take_pose(0, goal, 2)
     path = [simulation.state.tool_pose[0].copy()]
     for _ in range(period):
         simulation.step()
@@ -61,7 +62,7 @@ def test_slow_input_leads_the_tool_no_longer_than_the_limit():
     simulation = engaged_at(FAR)
     for _ in range(LONGEST_PERIOD + 15):
         simulation.step()
-    take_pose(simulation.state, 0, FAR + 0.001, 2)
+    simulation.take_pose(0, FAR + 0.001, 2)
     assert simulation.state.tools[0].remaining == LONGEST_PERIOD
 
 
@@ -82,7 +83,7 @@ def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     simulation.settings.stale_time, simulation.settings.ramp_time = 0.010, 0.005
     triangle, weight = organ.surface_triangles[3].astype(np.int64), np.array([0.2, 0.3, 0.5])
     take_set(simulation, 1, triangle, weight, engaged=0)
-    take_force(simulation.state, 0, np.array([0.0, 0.0, 0.3]), 5)
+    simulation.take_force(0, np.array([0.0, 0.0, 0.3]), 5)
     momentum = [np.zeros(3)]
     for _ in range(20):
         simulation.step()
@@ -98,14 +99,14 @@ def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     first.step()
     again = Simulation(organ, shapes=sphere_tools(0.005))
     take_set(again, 1, triangle, weight)
-    take_force(again.state, 0, np.array([0.0, 0.0, 0.3]), 1)
+    again.take_force(0, np.array([0.0, 0.0, 0.3]), 1)
     again.step()
     np.testing.assert_allclose(again.positions, first.positions, rtol=0.0, atol=1e-15)
 
 
 def test_force_without_tissue_near_the_tip_does_nothing():
     simulation = engaged_at(FAR)
-    take_force(simulation.state, 0, np.array([0.0, 0.0, 5.0]), 3)
+    simulation.take_force(0, np.array([0.0, 0.0, 5.0]), 3)
     simulation.step()
     assert simulation.asleep
     np.testing.assert_array_equal(simulation.positions, simulation.model.rest)

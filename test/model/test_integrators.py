@@ -10,7 +10,8 @@ from tissue_sim.model.assembly import Factor, packed
 from tissue_sim.model.critical_step import critical_step, largest_frequency, model_step
 from tissue_sim.model.forces import elastic_forces, return_forces
 from tissue_sim.model.implicit import make_factor
-from tissue_sim.model.integrators import INTEGRATORS, explicit_euler, implicit_euler, predict, symplectic_euler
+from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
+from tissue_sim.model.settings import INTEGRATORS
 
 ONE = np.array([0], dtype=np.int32)
 

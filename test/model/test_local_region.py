@@ -5,8 +5,8 @@ import pytest
 
 from helpers.naive import hops_from
 from helpers.scenes import ball, kidney, near
-from tissue_sim.model.inputs import take_force
 from tissue_sim.model.simulation import Simulation, sphere_tools
+from tissue_sim.model.state import Region
 
 
 def moved(simulation):
@@ -83,8 +83,9 @@ def test_region_solves_its_nodes_as_the_whole_model_does_with_the_rest_held():
 
 def push_tip(simulation, size):
     """An external force at the tip over node TOP, along -z, N."""
-    simulation.state.tip_node[0], simulation.state.tip_weight[0] = TOP, [1.0, 0.0, 0.0]
-    take_force(simulation.state, 0, np.array([0.0, 0.0, -size]), 1)
+    contacts = simulation.state.contacts
+    contacts.tip_node[0], contacts.tip_weight[0] = TOP, [1.0, 0.0, 0.0]
+    simulation.take_force(0, np.array([0.0, 0.0, -size]), 1)
 
 
 def test_region_is_skipped_when_a_tool_pushes_harder_than_the_region_force():

@@ -6,12 +6,14 @@ from scipy.sparse.linalg import splu
 
 from helpers.naive import hops_from
 from helpers.scenes import assembled, ball, kidney, near
+from test.helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.regions import CALM_TIME, RETURN_SHARE
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import Region
 
 UP, SIDE = (0.0, 0.0, 1.0), (1.0, 0.0, 0.3)
 PROBE = Tool("probe", radius=0.008)
@@ -176,7 +178,7 @@ def test_looking_changes_nothing():
 def test_region_that_does_not_fit_goes_whole(first):
     organ = kidney()
     simulation = Simulation(organ, local_region="modal")
-    count, nodes = simulation.state.count, np.setdiff1d(np.arange(0, organ.n_surface, 7), organ.fixed)
+    status, nodes = simulation.state.status, np.setdiff1d(np.arange(0, organ.n_surface, 7), organ.fixed)
     for _ in range(5):
         simulation.apply_force(first, [0.0, 0.0, -0.01])
         simulation.step()
@@ -189,7 +191,7 @@ def test_region_that_does_not_fit_goes_whole(first):
     assert status.region == Region.WHOLE
     assert status.active == len(simulation.model.moving)
     assert np.abs(simulation.positions - before).max() < 2e-4
-    assert count.faults == 0
+    assert simulation.state.count.faults == 0
 
 
 # no jumps --------------------------------------------------------------------------------------
@@ -262,10 +264,9 @@ def test_snapshot_in_the_middle_of_a_modal_contact_continues_bit_identically():
     simulation = scene.simulation
     assert simulation.state.status.region == Region.MODAL
     assert simulation.state.status.touching > 0
-    other.simulation.restore(simulation.buffer.floats.copy(), simulation.buffer.integers.copy())
+    other.simulation.restore(snapshot(simulation))
     other._sequence = scene._sequence
     runs = [led(one, heights[120:], lambda one: None)[0] for one in (scene, other)]
     assert runs[0][-1, 2] > runs[0][0, 2] > 0.0
     np.testing.assert_array_equal(runs[0], runs[1])
-    np.testing.assert_array_equal(simulation.buffer.floats, other.simulation.buffer.floats)
-    np.testing.assert_array_equal(simulation.buffer.integers, other.simulation.buffer.integers)
+    assert_same(simulation, other.simulation)

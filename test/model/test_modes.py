@@ -13,6 +13,7 @@ from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.modal_region import FASTEST, advance_modes
 from tissue_sim.model.modes import lowest_modes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import Region
 
 
 def differences(model):

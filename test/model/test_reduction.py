@@ -10,6 +10,7 @@ from tissue_sim.model import reduction
 from tissue_sim.model.modes import N_MODES, stiffness_matrix
 from tissue_sim.model.reduction import MODES_BESIDE_TABLE, compliance, reduce_model
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import Region
 
 
 @pytest.fixture(autouse=True)

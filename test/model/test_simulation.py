@@ -13,10 +13,12 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from helpers.naive import angular_energy, return_energy, spring_energy
 from helpers.scenes import ball, changed, free_ball, kidney
+from test.helpers.states import assert_same, snapshot
 from tissue_sim.errors import UserError
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.rest import QUIET_TICKS
-from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation, sphere_tools
+from tissue_sim.model.settings import LOCAL_REGIONS
+from tissue_sim.model.simulation import Simulation, sphere_tools
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -190,35 +192,33 @@ def test_two_runs_are_bit_identical(region):
         poke(simulation, 60)
         for _ in range(60):
             simulation.step()
-        runs.append((simulation.buffer.floats.copy(), simulation.buffer.integers.copy()))
-    assert np.array_equal(runs[0][0], runs[1][0])
-    assert np.array_equal(runs[0][1], runs[1][1])
-    assert np.abs(runs[0][0]).max() > 0.0
+        runs.append(simulation.state.words.copy())
+    np.testing.assert_array_equal(*runs)
+    assert np.any(simulation.positions != simulation.model.rest)
 
 
 @pytest.mark.parametrize("region", LOCAL_REGIONS)
 def test_restored_snapshot_continues_bit_identically(region):
     simulation = Simulation(organ_for(region), local_region=region)
     poke(simulation, 30)
-    floats, integers = simulation.buffer.floats.copy(), simulation.buffer.integers.copy()
+    taken = snapshot(simulation)
     other = Simulation(organ_for(region), local_region=region)
     poke(other, 11, force=(-0.3, 0.2, 0.0))
-    other.restore(floats, integers)
-    assert other.buffer.tick_of(integers) == 30
+    other.restore(taken)
+    assert other.state.status.tick == 30
     for one in (simulation, other):
         poke(one, 30)
         for _ in range(30):
             one.step()
-    assert np.array_equal(simulation.buffer.floats, other.buffer.floats)
-    assert np.array_equal(simulation.buffer.integers, other.buffer.integers)
+    assert_same(simulation, other)
 
 
 def test_snapshot_of_another_organ_is_refused():
     simulation, other = Simulation(ball()), Simulation(ball(2))
-    before = simulation.buffer.floats.copy()
-    with pytest.raises(UserError, match="snapshot belongs to another organ"):
-        simulation.restore(other.buffer.floats, other.buffer.integers)
-    np.testing.assert_array_equal(simulation.buffer.floats, before)
+    before = simulation.state.words.copy()
+    with pytest.raises(UserError, match="belongs to another organ"):
+        simulation.restore(snapshot(other))
+    np.testing.assert_array_equal(simulation.state.words, before)
 
 
 UNCOMPILED = """

@@ -12,8 +12,8 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES
-from tissue_sim.model.settings import INTEGRATORS
-from tissue_sim.model.simulation import LOCAL_REGIONS, Simulation
+from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
 

@@ -176,9 +176,12 @@ def make_state(n: int, n_tools: int, n_modes: int = 0, n_cells: int = 0) -> Stat
     )
 
 
+_ONLY_HANDED_OUT = ("words", "results", "shape", "shape_tick")  # no part of what a tick starts from
+
+
 def fields_of(state: State) -> dict[str, NDArray[Any]]:
     """The state's fields by name, as arrays that view it; of the contact points those that count."""
-    named = {name: value for name, value in state._asdict().items() if name not in ("words", "results", "shape")}
+    named = {name: value for name, value in state._asdict().items() if name not in _ONLY_HANDED_OUT}
     points = int(state.contacts.header.points)
     for name, value in named.pop("contacts")._asdict().items():
         if name != "words":

@@ -9,7 +9,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from helpers.ros.clients import Client
 from helpers.ros.processes import poke_path, shipped, start_node
 from helpers.scenes import ball
-from tissue_sim.model import state as st
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
@@ -123,7 +122,7 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
 def test_coupling_is_no_stiffer_than_the_devices_bear():
     made, posted = live(coupling_stiffness=2000.0)
     made.update()
-    assert posted[-1][1][st.COUPLING_STIFFNESS] == made.coupling_stiffness == 2000.0, "unknown damping: no bound"
+    assert posted[-1][1].coupling_stiffness == made.coupling_stiffness == 2000.0, "unknown damping: no bound"
     made, posted = live(**{"coupling_stiffness": 2000.0, "left.device_damping": 2.0, "right.device_damping": 1.0})
     made.update()
     # Of the slower tool: half its period, the period until the next pose, and a tick.
@@ -139,7 +138,7 @@ def test_levels_become_settings_with_substeps_of_their_own():
     assert made.marker_rate == 10.0
     assert posted == [], "the loop has nothing to do with it"
     made.update(REGION)
-    assert posted[-1][1][st.REGION_FORCE] == ANY_FORCE
+    assert posted[-1][1].region_force == ANY_FORCE
     made.update(RATE)
     sequence, settings = posted[-1]
     assert settings.tick_time == 2e-3
@@ -148,8 +147,8 @@ def test_levels_become_settings_with_substeps_of_their_own():
     assert made.describe() == "markers at 10 Hz, a modal region under any load, 500 Hz"
     made.update(NONE)
     assert posted[-1][0] > sequence
-    assert posted[-1][1][st.TICK_TIME] == 1e-3
-    assert posted[-1][1][st.REGION_FORCE] == 0.3
+    assert posted[-1][1].tick_time == 1e-3
+    assert posted[-1][1].region_force == 0.3
     assert made.marker_rate == 60.0
     count = len(posted)
     made.update()

@@ -8,7 +8,6 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model import state as st
 from tissue_sim.ros.shared.physics import Physics
 
 
@@ -27,7 +26,7 @@ def test_contact_forces_are_of_whole_ticks():
     physics.post_pose(0, held)
     physics.start()
     try:
-        while physics.counts()[0][st.TOUCHING] == 0:
+        while physics.results().status.touching == 0:
             time.sleep(1e-3)
         for _ in range(300):
             physics.post_pose(0, held)
