@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.pressing import PROBE, deepest, is_sound, lead, line, press, top_of
 from helpers.scenes import RADIUS, ball, free_ball, kidney
-from test.helpers.states import is_finite
+from helpers.states import is_finite
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.contact_constraint import give_impulse

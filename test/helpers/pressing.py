@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from test.helpers.states import is_finite
+from helpers.states import is_finite
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.shapes import signed_distance
 

@@ -7,7 +7,7 @@ from scipy.sparse.linalg import spsolve
 
 from helpers.pressing import line
 from helpers.scenes import RADIUS, assembled, ball, changed, kidney
-from test.helpers.states import assert_same, snapshot
+from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.forces import elastic_forces

@@ -6,7 +6,7 @@ from scipy.sparse.linalg import splu
 
 from helpers.naive import hops_from
 from helpers.scenes import assembled, ball, kidney, near
-from test.helpers.states import assert_same, snapshot
+from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE

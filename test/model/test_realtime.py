@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball
-from test.helpers.states import assert_same
+from helpers.states import assert_same
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt

@@ -10,7 +10,7 @@ import pytest
 
 from helpers.pressing import line
 from helpers.scenes import ball
-from test.helpers.states import assert_same, snapshot
+from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from helpers.naive import angular_energy, return_energy, spring_energy
 from helpers.scenes import ball, changed, free_ball, kidney
-from test.helpers.states import assert_same, snapshot
+from helpers.states import assert_same, snapshot
 from tissue_sim.errors import UserError
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.rest import QUIET_TICKS

@@ -64,8 +64,8 @@ def contact_set(n_bodies: int, points: int = MOST_POINTS, words: Longs | None = 
         words = np.zeros(contact_set_words(n_bodies, points), dtype=np.int64)
     head: dict[str, Any] = carve(words, _fields(n_bodies))
     rows = words[size_of(_fields(n_bodies)) :].view(_POINT)
-    points: dict[str, Any] = {name: rows[name] for name in PER_POINT}
-    return ContactSet(words=words, **head, **points)
+    each: dict[str, Any] = {name: rows[name] for name in PER_POINT}
+    return ContactSet(words=words, **head, **each)
 
 
 @kernel

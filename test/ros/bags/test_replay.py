@@ -12,8 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from helpers.paths import ROOT
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
+from tissue_sim.model.records import array_of, copy_of
 from tissue_sim.ros.bags import bag
-from tissue_sim.ros.bags.replay import Recording, replay
+from tissue_sim.ros.bags.replay import Recording, replay, settings_of
 
 BAGS = sorted(path.parent for path in (ROOT / "bags").glob("*/metadata.yaml"))
 
@@ -50,10 +51,23 @@ def test_another_tool_path_is_noticed(recording):
 
 
 def test_other_friction_is_noticed(recording):
-    changed = {number: values.copy() for number, values in recording.settings.items()}
-    for values in changed.values():
-        values[1] *= 0.1
+    changed = {number: copy_of(settings) for number, settings in recording.settings.items()}
+    for settings in changed.values():
+        settings.friction *= 0.1
     assert replay(dataclasses.replace(recording, settings=changed)).force > 1e-4
+
+
+def test_a_setting_that_one_of_both_lacks_is_named(recording):
+    recorded = array_of(next(iter(recording.settings.values())))
+    names = [name for name in recorded.dtype.names if name != "friction"]
+    with pytest.raises(UserError, match="setting 'friction' is not in both"):
+        settings_of(Path("bag"), recorded[names])
+
+
+def test_a_state_that_lacks_a_field_is_named(recording):
+    state = {name: array for name, array in recording.state.items() if name != "velocity"}
+    with pytest.raises(UserError, match="another 'velocity'"):
+        replay(dataclasses.replace(recording, state=state))
 
 
 def test_lost_input_is_named(recording):

@@ -9,7 +9,6 @@ by the names of their fields (npz), so that a field more or less is noticed by n
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +61,10 @@ class SurfaceRow(Record):
     tick: int
 
 
-def pack(arrays: Mapping[str, NDArray]) -> NDArray[np.uint8]:
+def pack(**arrays: NDArray) -> NDArray[np.uint8]:
     """Arrays as the bytes of an npz."""
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **{name: np.asarray(array) for name, array in arrays.items()})
+    np.savez(stream, allow_pickle=False, **arrays)
     return np.frombuffer(stream.getvalue(), dtype=np.uint8)
 
 

@@ -228,7 +228,7 @@ class Recorder:
         )
 
     def _packed(self, topic: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        self._typed(topic, "data", bag.pack(arrays))
+        self._typed(topic, "data", bag.pack(**arrays))
 
     def _raw(self, name: str, raw: bytes) -> None:
         if self._queue.qsize() > LONGEST_QUEUE:

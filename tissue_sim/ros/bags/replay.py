@@ -110,7 +110,7 @@ class Recording:
             config=config,
             organ=bytes(data("organ")[0]),
             state=bag.unpack(data("state")[0]),
-            settings={int(found["sequence"]): _settings(path, found["settings"]) for found in settings},
+            settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
             contact_sets={int(found.header.sequence): found for found in sets},
             journal={kind: np.concatenate([row[kind] for row in rows]) for kind in kinds},
         )
@@ -313,7 +313,7 @@ class _Player:
         return self.finder.find(self.kept[tick], poses, np.ascontiguousarray(bodies["margin"]), engaged, pushing)
 
 
-def _settings(path: Path, recorded: np.ndarray) -> Settings:
+def settings_of(path: Path, recorded: np.ndarray) -> Settings:
     """Settings from a record of them; raises UserError naming a field that one of both lacks."""
     names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
     if differing := sorted(set(names) ^ set(wanted)):
