@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import tempfile
@@ -19,7 +20,7 @@ from numba.core.runtime.nrtdynmod import _meminfo_struct_type as _MEMORY
 from numba.core.typing.templates import AttributeTemplate
 from numba.experimental import structref
 from numba.experimental.jitclass.base import imp_dtor
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 from tissue_sim.store import user_cache
 
@@ -90,6 +91,37 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
     # Nobody calls a kernel from C: a wrapper for it would only take time to compile.
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
     return numba.njit(cache=True, **options)(function)
+
+
+def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A function whose callers are compiled with one of several kernels in its place, and without the others.
+
+    pick: which one, of the arguments' compiled types, or of the arguments themselves where nothing is compiled. All
+    kernels take the arguments of the function, of which only name and description count.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def plain(*arguments: Any) -> Any:
+            return pick(*arguments)(*arguments)
+
+        @overload(plain)
+        def _compiled_choice(*arguments):  # type: ignore[no-untyped-def]
+            kernel = pick(*arguments)
+            return lambda *arguments: kernel(*arguments)
+
+        return plain
+
+    return decorate
+
+
+def has(values: Any, name: str) -> bool:
+    """True when a field of a NamedTuple, or of the compiled type of one, isn't None."""
+    if isinstance(values, Handle):
+        return values.field_dict[name] != types.none
+    if isinstance(values, types.Type):
+        return values[values.fields.index(name)] != types.none  # type: ignore[attr-defined, index]
+    return getattr(values, name) is not None
 
 
 class Handle(types.StructRef):  # type: ignore[name-defined]

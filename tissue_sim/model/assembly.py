@@ -27,7 +27,7 @@ MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
 
 class Adjacency(NamedTuple):
-    """Which springs each node has, as compressed rows; empty without a local region."""
+    """Which springs each node has, as compressed rows."""
 
     edge_start: Ints  # (n + 1,)
     edges: Ints  # slots in Model.edges, block after block
@@ -47,7 +47,7 @@ class Reduction(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """L D L' of the matrix of the implicit step, twice: one in use, one to be written. Empty without it."""
+    """L D L' of the matrix of the implicit step, twice: one in use, one to be written."""
 
     order: Ints  # (a,) moving nodes in the order of elimination
     start: Ints  # (a + 1,) columns of L below its diagonal
@@ -87,15 +87,13 @@ class Model(NamedTuple):
     neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
     neighbours: Ints
     hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0): searched on demand
-    adjacency: Adjacency
+    adjacency: Adjacency | None  # None: without a local region
     reduction: Reduction
-    factor: Factor
+    factor: Factor | None  # None: never stepped implicitly
     work: Floats  # (9 BLOCK,) room for the force kernels
 
 
 NO_HOPS = np.zeros((0, 0), dtype=np.uint8)
-_NO_INTS = np.zeros(0, dtype=np.int32)
-NO_ADJACENCY = Adjacency(*[_NO_INTS] * 4)
 NO_REDUCTION = Reduction(
     frequency=np.zeros(0),
     shape=np.zeros((0, 3, 0)),
@@ -103,14 +101,6 @@ NO_REDUCTION = Reduction(
     compliance=np.zeros((0, 0), dtype=np.float32),
     edge_slopes=np.zeros((0, 21 * BLOCK)),
     link_slopes=np.zeros((0, 6 * BLOCK)),
-)
-NO_FACTOR = Factor(
-    order=_NO_INTS,
-    start=_NO_INTS,
-    row=_NO_INTS,
-    value=np.zeros((2, 0)),
-    pivot=np.zeros((2, 0)),
-    mobility=np.zeros((2, 0)),
 )
 
 
@@ -195,9 +185,9 @@ def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -
             neighbour_start=_ints(graph.indptr),
             neighbours=_ints(graph.indices),
             hops=NO_HOPS,
-            adjacency=NO_ADJACENCY,
+            adjacency=None,
             reduction=NO_REDUCTION,
-            factor=NO_FACTOR,
+            factor=None,
             work=np.zeros(9 * BLOCK),
         )
     )

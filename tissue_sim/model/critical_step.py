@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.jit import handle
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.forces import elastic_forces
 
@@ -20,7 +22,7 @@ def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e
     Power iteration on M^-1 K; K v is the central difference of the force kernels, so every kind
     of spring counts without being assembled a second time.
     """
-    n = len(model.rest)
+    n, held = len(model.rest), handle(model)
     root = np.sqrt(model.inverse_mass)[:, None]
     vector = root * np.random.default_rng(0).standard_normal((n, 3))
     length = float(np.ptp(model.rest, axis=0).max())
@@ -32,7 +34,7 @@ def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e
         vector /= norm
         push = root * vector
         small = 1e-7 * length / max(float(np.abs(push).max()), 1e-300)
-        product = -root * (_force(model, push * small) - _force(model, -push * small)) / (2.0 * small)
+        product = -root * (_force(model, held, push * small) - _force(model, held, -push * small)) / (2.0 * small)
         last, eigenvalue = eigenvalue, float(np.vdot(vector, product))
         vector = product
         if abs(eigenvalue - last) <= tolerance * abs(eigenvalue):
@@ -78,7 +80,7 @@ def substeps_for(tick_time: float, longest_step: float) -> int:
     return max(1, math.ceil(tick_time / (SAFETY * longest_step)))
 
 
-def _force(model: Model, displacement: Floats) -> Floats:
+def _force(model: Model, held: Any, displacement: Floats) -> Floats:
     force = np.zeros_like(model.rest)
-    elastic_forces(model, model.rest + displacement, force)
+    elastic_forces(held, model.rest + displacement, force)
     return force

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import kernel, part
+from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy, copy_nodes
-from tissue_sim.model.modal_region import driving, forget_region
+from tissue_sim.model.regions import modes_are_finite, restore_shape, watched_nodes
 from tissue_sim.model.state import Fault, Region
 
 MAX_BACKOFF = 8
@@ -40,11 +40,9 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         if not is_bounded(x, v, x0, span * PER_AXIS, min(speed, RUNAWAY_RATE * span) * PER_AXIS):
             fault = check(model, state, model.moving, span * span, speed * speed, energy)
     else:
-        fault = check(model, state, watched(state, scratch), span * span, speed * speed, energy)
-    if status.region == Region.MODAL:
-        for k in range(len(state.mode_position)):
-            if not abs(state.mode_position[k]) < math.inf or not abs(state.mode_velocity[k]) < math.inf:
-                fault = Fault.NOT_FINITE
+        fault = check(model, state, watched_nodes(model, state, scratch), span * span, speed * speed, energy)
+        if not modes_are_finite(state):
+            fault = Fault.NOT_FINITE
     collapsing = status.turned > MOST_TURNED * len(model.cells)
     if collapsing and not status.collapsing:
         count.faults += 1
@@ -53,14 +51,11 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     if fault == 0:
         if collapsing:
             lead_back(model, state, settings)
-        keep(state, scratch)
+        keep(model, state, scratch)
         return
-    restore(state, scratch)
+    restore_shape(model, state, scratch)
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
-    if status.region == Region.MODAL:
-        forget_region(state)
-        status.region = Region.WHOLE
     scratch.impulse[:] = 0.0
     count.faults += 1
     status.fault_kind = fault
@@ -83,14 +78,6 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
             state.velocity[node, c] = 0.0
             displacement = max(displacement, abs(offset))
     return displacement
-
-
-@part
-def watched(state: Any, scratch: Any) -> Any:
-    """The nodes that a region moves or places."""
-    if state.status.region == Region.MODAL:
-        return driving(state, scratch)
-    return scratch.region_node[: state.status.region_nodes]
 
 
 @kernel
@@ -135,27 +122,16 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
 
 
 @kernel
-def keep(state: Any, scratch: Any) -> None:
+def keep(model: Any, state: Any, scratch: Any) -> None:
     """Take this shape as the last good one; of the whole organ every few ticks only, since copying it takes a while."""
     if state.status.region != Region.WHOLE:
-        copy_nodes(state.position, state.good_position, watched(state, scratch))
+        copy_nodes(state.position, state.good_position, watched_nodes(model, state, scratch))
         state.status.good_age = KEEP_EVERY
         return
     state.status.good_age += 1
     if state.status.good_age >= KEEP_EVERY:
         copy(state.position, state.good_position)
         state.status.good_age = 0
-
-
-@kernel
-def restore(state: Any, scratch: Any) -> None:
-    """Back to the last good shape, without speed; outside a modal region it is the one that was last looked at."""
-    if state.status.region == Region.MODAL:
-        copy_nodes(state.good_position, state.position, watched(state, scratch))
-        copy(state.position, state.good_position)
-    else:
-        copy(state.good_position, state.position)
-    state.velocity[:] = 0.0
 
 
 @kernel

@@ -64,9 +64,10 @@ def make_factor(model: Model, step: float, stiffness_scale: float, damping_scale
 def write_factor(model: Model, slot: int, step: float, stiffness_scale: float, damping_scale: float) -> None:
     """Write the factor for other settings into a slot that is not in use."""
     made = _decompose(model, step, stiffness_scale, damping_scale)
-    model.factor.value[slot] = made.value
-    model.factor.pivot[slot] = made.pivot
-    model.factor.mobility[slot] = made.mobility
+    if model.factor is not None:
+        model.factor.value[slot] = made.value
+        model.factor.pivot[slot] = made.pivot
+        model.factor.mobility[slot] = made.mobility
 
 
 def _decompose(model: Model, step: float, stiffness_scale: float, damping_scale: float) -> _Decomposition:

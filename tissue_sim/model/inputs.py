@@ -7,7 +7,7 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.contact_set import used_words
-from tissue_sim.model.modal_region import forget_region
+from tissue_sim.model.regions import drop_region
 
 LONGEST_PERIOD = 20  # ticks over which a tool is led to its newest pose at the most
 
@@ -102,7 +102,7 @@ def reset_state(model: Any, state: Any) -> None:
     """Back to the rest shape, asleep, without tools; the counters go on."""
     status = state.status
     status.snapped = status.collapsing = False
-    status.region = status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0
+    status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0
     status.touching = status.active = status.loaded = status.turned = status.next_cell = 0
     status.good_age = status.shown = 0
     status.asleep = True
@@ -116,7 +116,7 @@ def reset_state(model: Any, state: Any) -> None:
     state.is_turned[:] = 0
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
-    forget_region(state)
+    drop_region(state)
     state.tool_goal[:] = 0.0
     state.tool_goal[:, 6] = 1.0
     copy(state.tool_goal, state.hand_pose)

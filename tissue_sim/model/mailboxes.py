@@ -17,10 +17,10 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact_set import ContactSet, contact_set
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
-from tissue_sim.model.modal_region import place_outside
 from tissue_sim.model.records import Record
+from tissue_sim.model.regions import is_shown, show_region
 from tissue_sim.model.settings import Settings
-from tissue_sim.model.state import Region, State
+from tissue_sim.model.state import State
 
 SLOTS = 4
 JOURNAL_ROWS = 8192
@@ -247,11 +247,11 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
     """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
     state, control = world.state, box.control
     put(box.results, 0, state.results)
-    lazy = state.status.region == Region.MODAL and not state.status.asleep
+    lazy = not is_shown(state)
     control.on_demand = lazy
     asked = control.surface_asked
     if lazy and asked != control.surface_done:
-        place_outside(world.model, state, world.settings, world.scratch)
+        show_region(world.model, state, world.settings, world.scratch)
         lazy, moved = False, True
     if moved and not lazy:
         state.shape_tick[0] = state.status.tick

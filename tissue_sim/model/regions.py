@@ -1,12 +1,18 @@
-"""Which nodes move: the whole organ, or a local region around a small load, and the change from one to the other."""
+"""Which nodes move: the whole organ, or a local region around a small load, and the change from one to the other.
+
+All that the tick, the guard and the mailboxes know of local regions. A model that has none (`adjacency` is None) is
+compiled without them.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
-from tissue_sim.jit import kernel, part
+from tissue_sim.jit import chosen, has, kernel, part
 from tissue_sim.model import local_region, modal_region
+from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.contact_constraint import add_contact_impulses
 from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.state import Region
@@ -18,15 +24,29 @@ SLOWEST = 1.01  # of the time in which the far field takes up a load: the longes
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 
+def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """A function that is one kernel for models with a local region, and another for those without."""
+    return chosen(lambda model, *_: kernel if has(model, "adjacency") else without)
+
+
 @kernel
-def choose_region(state: Any, settings: Any) -> None:
-    """On waking: a local region if asked for and ticks are short enough for it, else the whole model."""
-    if settings.local_region == LocalRegion.OFF or is_slow(settings):
+def _nothing(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """What there is to do where the whole organ always moves."""
+
+
+@kernel
+def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    if is_slow(settings):
         state.status.region = Region.WHOLE
         return
     modal_region.forget_region(state)
     state.status.calm = 0
     state.status.region = Region.FROZEN if settings.local_region == LocalRegion.FROZEN else Region.MODAL
+
+
+@_or(_choose, _nothing)
+def choose_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """On waking: a local region if ticks are short enough for it, else the whole model."""
 
 
 @kernel
@@ -36,9 +56,10 @@ def is_slow(settings: Any) -> bool:
 
 
 @kernel
-def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Grow the local region to what is loaded, and move its edge."""
+def _prepare(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     status, count = state.status, state.count
+    if status.region == Region.WHOLE:
+        return
     modal = status.region == Region.MODAL
     if scratch.stale[0] == 1:
         local_region.list_nodes(state, scratch)
@@ -68,6 +89,42 @@ def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     modal_region.place_boundary(model, state, settings, scratch)
 
 
+@_or(_prepare, _nothing)
+def prepare_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Before a tick: grow the local region to what is loaded, and move its edge; or hand over to the whole model."""
+
+
+@kernel
+def _forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+    local_region.clear_force(state, scratch)
+    local_region.region_forces(model, state, scratch)
+    if state.status.region == Region.MODAL and last:
+        modal_region.measure_drive(state, settings, scratch)
+    local_region.region_return_forces(model, state, scratch)
+    local_region.scale_force(state, scratch, settings.stiffness_scale)
+
+
+@kernel
+def _no_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+    """Never called."""
+
+
+@_or(_forces, _no_forces)
+def region_forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> None:
+    """Elastic forces of the region's springs into scratch.force (n, 3) N; last: in the tick's last substep."""
+
+
+@kernel
+def _absorb(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    if state.status.region == Region.MODAL:
+        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
+
+
+@_or(_absorb, _nothing)
+def absorb_load(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """After the substeps: hand the tick's loads to what surrounds the region."""
+
+
 @kernel
 def collect(model: Any, state: Any, scratch: Any) -> None:
     """Make the region's lists from its nodes."""
@@ -79,9 +136,8 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
     scratch.stale[0] = 0
 
 
-@part
-def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
+@kernel
+def _change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     status = state.status
     if is_slow(settings):
         if status.region != Region.WHOLE:
@@ -106,6 +162,16 @@ def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: A
 
 
 @kernel
+def _no_change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """The whole organ always moves."""
+
+
+@_or(_change, _no_change)
+def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
+
+
+@kernel
 def is_calm(model: Any, state: Any) -> bool:
     """True when no node moves faster than a new region could take up."""
     for index in range(len(model.moving)):
@@ -119,8 +185,113 @@ def is_calm(model: Any, state: Any) -> bool:
 def leave_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """From here on the whole model moves, from where the region and the rest of the organ are."""
     if state.status.region == Region.MODAL:
-        modal_region.place_outside(model, state, settings, scratch)
+        show_region(model, state, settings, scratch)
     state.status.region = Region.WHOLE
+
+
+@kernel
+def _show(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    modal_region.place_outside(model, state, settings, scratch)
+
+
+@_or(_show, _nothing)
+def show_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Put the nodes outside a modal region where they belong; they are worked out when somebody looks."""
+
+
+@kernel
+def is_shown(state: Any) -> bool:
+    """True when all positions are up to date; else show_region makes them so."""
+    return state.status.region != Region.MODAL or state.status.asleep
+
+
+@kernel
+def drop_region(state: Any) -> None:
+    """From here on the whole model moves, from where its nodes are."""
+    state.status.region = Region.WHOLE
+    modal_region.forget_region(state)
+
+
+@kernel
+def inertia_of(state: Any, settings: Any) -> float:
+    """Factor on mass and damping of the nodes that move."""
+    return settings.region_inertia if state.status.region == Region.MODAL else 1.0
+
+
+@kernel
+def damping_of(state: Any, settings: Any) -> float:
+    """Factor on the damping; a modal region has at least the organ's own.
+
+    Its surroundings follow the load a little late, which swings up what nothing damps.
+    """
+    scale = settings.damping_scale
+    return max(scale, 1.0) if state.status.region == Region.MODAL else scale
+
+
+@part
+def integrated_nodes(model: Any, state: Any, scratch: Any) -> Any:
+    """The nodes (k,) that a tick integrates."""
+    return model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
+
+
+@part
+def watched_nodes(model: Any, state: Any, scratch: Any) -> Any:
+    """The nodes (k,) that a tick moves or places."""
+    if state.status.region == Region.WHOLE:
+        return model.moving
+    if state.status.region == Region.MODAL:
+        return modal_region.driving(state, scratch)
+    return scratch.region_node[: state.status.region_nodes]
+
+
+@kernel
+def modes_are_finite(state: Any) -> bool:
+    """True when no mode of a modal region is infinite or none at all."""
+    finite = True
+    for k in range(len(state.mode_position)):
+        finite = finite and abs(state.mode_position[k]) < math.inf and abs(state.mode_velocity[k]) < math.inf
+    return finite
+
+
+@kernel
+def _swing(model: Any, state: Any) -> tuple[float, float]:
+    """Largest speed, m/s, and displacement, m, that the modes may have anywhere."""
+    speed = away = 0.0
+    if state.status.region == Region.MODAL:
+        for k in range(len(model.reduction.peak)):
+            away += abs(state.mode_position[k]) * model.reduction.peak[k]
+            speed += abs(state.mode_velocity[k]) * model.reduction.peak[k]
+    return speed, away
+
+
+@kernel
+def largest_motion(model: Any, state: Any, scratch: Any) -> tuple[float, float]:
+    """Largest components of velocity, m/s, and of displacement from rest, m, of the nodes."""
+    speed_x = speed_y = speed_z = away_x = away_y = away_z = 0.0
+    position, velocity, rest = state.position, state.velocity, model.rest
+    nodes = scratch.region_node[: state.status.region_nodes] if state.status.region == Region.MODAL else model.moving
+    for index in range(len(nodes)):
+        node = nodes[index]
+        speed_x = max(speed_x, abs(velocity[node, 0]))
+        speed_y = max(speed_y, abs(velocity[node, 1]))
+        speed_z = max(speed_z, abs(velocity[node, 2]))
+        away_x = max(away_x, abs(position[node, 0] - rest[node, 0]))
+        away_y = max(away_y, abs(position[node, 1] - rest[node, 1]))
+        away_z = max(away_z, abs(position[node, 2] - rest[node, 2]))
+    swing_speed, swing = _swing(model, state)
+    return max(speed_x, speed_y, speed_z, swing_speed), max(away_x, away_y, away_z, swing)
+
+
+@kernel
+def restore_shape(model: Any, state: Any, scratch: Any) -> None:
+    """Back to the last good shape, without speed; outside a modal region it is the one that was last looked at."""
+    if state.status.region == Region.MODAL:
+        copy_nodes(state.good_position, state.position, watched_nodes(model, state, scratch))
+        copy(state.position, state.good_position)
+        drop_region(state)
+    else:
+        copy(state.good_position, state.position)
+    state.velocity[:] = 0.0
 
 
 @part

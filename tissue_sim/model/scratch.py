@@ -67,7 +67,7 @@ def make_scratch(model: Model, n_tools: int) -> Scratch:
     n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
     modes = len(model.reduction.frequency)
     # Only a model that has a local region needs room for one.
-    local = n if len(model.adjacency.edge_start) else 0
+    local = 0 if model.adjacency is None else n
     region_hinges, region_links = (hinges, links) if local else (0, 0)
     modal = modes > 0
     rows = 3 * MOST_BOUNDARY if modal else 0
@@ -91,7 +91,7 @@ def make_scratch(model: Model, n_tools: int) -> Scratch:
         mobility=empty(n),
         mobility_key=empty(5),
         predicted=model.rest.copy(),
-        change=empty(len(model.factor.order), 3),
+        change=empty(0 if model.factor is None else len(model.moving), 3),
         origin=empty(n_tools, 3),
         rotation=empty(n_tools, 9),
         last_origin=empty(n_tools, 3),

@@ -250,7 +250,7 @@ class Simulation:
     def _set_factor(self) -> None:
         """Factor the implicit matrix for the present settings, into the slot that is not in use."""
         settings, made_for = self.settings, self._step_settings()
-        if not len(self.model.factor.start):
+        if self.model.factor is None:
             self.model = self.model._replace(factor=make_factor(self.model, *made_for))
         elif made_for != self._made_for:
             slot = 1 - int(settings.factor_slot)

@@ -7,19 +7,28 @@ inputs taken up -> anything touching or moving? -> local region or whole -> subs
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
-from tissue_sim.jit import kernel, part
-from tissue_sim.model import local_region, modal_region
+from tissue_sim.jit import chosen, has, kernel, part
 from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
 from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
-from tissue_sim.model.regions import change_region, choose_region, prepare_region
+from tissue_sim.model.regions import (
+    absorb_load,
+    change_region,
+    choose_region,
+    damping_of,
+    inertia_of,
+    integrated_nodes,
+    prepare_region,
+    region_forces,
+)
 from tissue_sim.model.rest import find_back, rest_if_quiet
-from tissue_sim.model.settings import Integrator, LocalRegion
+from tissue_sim.model.settings import Integrator
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
@@ -49,7 +58,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
             return
         status.asleep = False
         status.quiet = 0
-        choose_region(state, settings)
+        choose_region(model, state, settings, scratch)
     if status.snapped:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
@@ -57,14 +66,13 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
             follow_hands(state)
             return
         status.snapped = False
-    if status.region != Region.WHOLE:
-        prepare_region(model, state, settings, scratch)
+    prepare_region(model, state, settings, scratch)
     if status.region == Region.WHOLE:
         status.active = len(model.moving)
 
     scratch.impulse[:] = 0.0
     implicit = settings.integrator == Integrator.IMPLICIT
-    whole = status.region == Region.WHOLE and (not implicit or steps_implicitly(state, settings))
+    whole = status.region == Region.WHOLE and (not implicit or steps_implicitly(model, state, settings))
     wanted = settings.substeps if whole else settings.region_substeps
     substeps = wanted * status.backoff * caution(model, state)
     eased = substeps < status.substeps
@@ -72,27 +80,39 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
     for substep in range(substeps):
         advance_substep(model, state, shapes, settings, scratch, substep, substeps, eased and substep == 0)
-    if status.region == Region.MODAL:
-        modal_region.absorb_load(state, settings, scratch, modal_region.load_share(model, settings))
+    absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
     check_cells(model, state)
     report_wrenches(state, shapes, settings, scratch)
-    if settings.local_region != LocalRegion.OFF:
-        change_region(model, state, shapes, settings, scratch)
+    change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
     status.alone = 0 if forced or status.touching > 0 else status.alone + 1
     if status.alone > 0:
         rest_if_quiet(model, state, settings, scratch)
 
 
+def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """A function that is one kernel for models that are stepped implicitly, and another for the others."""
+    return chosen(lambda model, *_: kernel if has(model, "factor") else without)
+
+
 @kernel
-def steps_implicitly(state: Any, settings: Any) -> bool:
+def _if_sound(model: Any, state: Any, settings: Any) -> bool:
+    status = state.status
+    return status.region == Region.WHOLE and status.turned == 0 and status.backoff == 1
+
+
+@kernel
+def _never(model: Any, state: Any, settings: Any) -> bool:
+    return False
+
+
+@_or(_if_sound, _never)
+def steps_implicitly(model: Any, state: Any, settings: Any) -> Any:
     """True when this tick is one of the implicit integrator.
 
     Not in a local region; nor after a fault or while cells are inside out, where its one step gains energy.
     """
-    sound = state.status.turned == 0 and state.status.backoff == 1
-    return settings.integrator == Integrator.IMPLICIT and state.status.region == Region.WHOLE and sound
 
 
 @kernel
@@ -114,7 +134,7 @@ def advance_substep(
     """Forces, integration and contact of one substep; eased: the first of a longer step than the last."""
     step = settings.tick_time / substeps
     hold_tools(state, settings, scratch, step, 1.0 / (substeps - substep))
-    implicit = steps_implicitly(state, settings)
+    implicit = steps_implicitly(model, state, settings)
     if state.status.region == Region.WHOLE:
         scratch.force[:] = 0.0
         if implicit and eased:
@@ -126,12 +146,7 @@ def advance_substep(
             elastic_forces(model, state.position, scratch.force)
         scale_force(settings, scratch.force)
     else:
-        local_region.clear_force(state, scratch)
-        local_region.region_forces(model, state, scratch)
-        if state.status.region == Region.MODAL and substep == substeps - 1:
-            modal_region.measure_drive(state, settings, scratch)
-        local_region.region_return_forces(model, state, scratch)
-        local_region.scale_force(state, scratch, settings.stiffness_scale)
+        region_forces(model, state, settings, scratch, substep == substeps - 1)
     add_loads(state, settings, scratch.force)
     if implicit and eased:
         carry_momentum(model, state, scratch.force, step)
@@ -156,25 +171,54 @@ def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
 
 
 @kernel
+def _implicitly(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
+    add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
+    implicit_euler(
+        state.position,
+        state.velocity,
+        scratch.force,
+        model.factor,
+        settings.factor_slot,
+        model.damping,
+        settings.damping_scale,
+        step,
+        scratch.change,
+    )
+
+
+@kernel
+def _not_at_all(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
+    """Never called."""
+
+
+@_or(_implicitly, _not_at_all)
+def integrate_implicitly(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
+    """Move the nodes by scratch.force and the last contact impulses for an implicit step, s."""
+
+
+@kernel
+def _implicit_mobility(model: Any, slot: int, node: int) -> float:
+    return model.factor.mobility[slot, node]
+
+
+@kernel
+def _no_mobility(model: Any, slot: int, node: int) -> float:
+    return 0.0
+
+
+@_or(_implicit_mobility, _no_mobility)
+def implicit_mobility(model: Any, slot: int, node: int) -> Any:
+    """Velocity that an impulse gives a node within an implicit step, 1/kg."""
+
+
+@kernel
 def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
-        add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
-        slot, scale = int(settings.factor_slot), settings.damping_scale
-        implicit_euler(
-            state.position,
-            state.velocity,
-            scratch.force,
-            model.factor,
-            slot,
-            model.damping,
-            scale,
-            step,
-            scratch.change,
-        )
+        integrate_implicitly(model, state, shapes, settings, scratch, step)
         return
-    scale, inertia = damping_scale(state, settings), region_inertia(state, settings)
-    nodes = model.moving if state.status.region == Region.WHOLE else scratch.moved_node[: scratch.moved[0]]
+    scale, inertia = damping_of(state, settings), inertia_of(state, settings)
+    nodes = integrated_nodes(model, state, scratch)
     if settings.integrator == Integrator.EXPLICIT:
         explicit_euler(
             state.position,
@@ -201,32 +245,16 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
 
 
 @kernel
-def region_inertia(state: Any, settings: Any) -> float:
-    """Factor on mass and damping of the nodes that move."""
-    return settings.region_inertia if state.status.region == Region.MODAL else 1.0
-
-
-@kernel
-def damping_scale(state: Any, settings: Any) -> float:
-    """Factor on the damping; a modal region has at least the organ's own.
-
-    Its surroundings follow the load a little late, which swings up what nothing damps.
-    """
-    scale = settings.damping_scale
-    return max(scale, 1.0) if state.status.region == Region.MODAL else scale
-
-
-@kernel
 def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any) -> None:
     """Velocity that an impulse gives each node within a substep, (n,) 1/kg, when settings have changed.
 
     The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With 1/m alone
     a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
-    implicit = steps_implicitly(state, settings)
-    slot = settings.factor_slot if implicit else -1.0
-    key, damping, scale = scratch.mobility_key, damping_scale(state, settings), settings.stiffness_scale
-    inertia = region_inertia(state, settings)
+    implicit = steps_implicitly(model, state, settings)
+    slot = float(settings.factor_slot) if implicit else -1.0
+    key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
+    inertia = inertia_of(state, settings)
     if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale and key[4] == inertia:
         return
     key[0], key[1], key[2], key[3], key[4] = step, damping, slot, scale, inertia
@@ -235,7 +263,7 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
         node = moving[index]
         inverse = inverse_mass[node]
         if implicit:
-            mobility[node] = model.factor.mobility[int(slot), node]
+            mobility[node] = implicit_mobility(model, settings.factor_slot, node)
         elif settings.integrator == Integrator.EXPLICIT:
             mobility[node] = inverse
         else:

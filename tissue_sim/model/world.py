@@ -8,8 +8,8 @@ from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
-from tissue_sim.model.modal_region import place_outside
 from tissue_sim.model.records import words_of
+from tissue_sim.model.regions import show_region
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.tick import tick
 
@@ -53,7 +53,7 @@ def reset_world(world: Any) -> None:
 @kernel
 def show_world(world: Any) -> None:
     """Bring the nodes outside a modal region up to date."""
-    place_outside(world.model, world.state, world.settings, world.scratch)
+    show_region(world.model, world.state, world.settings, world.scratch)
 
 
 @kernel

@@ -240,7 +240,10 @@ class _Watch:
         if np.any(state.wrench) or status.snapped or status.collapsing:
             self._least_energy = math.nan  # a tool does work; and led back, an organ goes along a line that may climb
             return
-        plain, implicit = self.simulation.energy.total, steps_implicitly(state, self.simulation.settings)
+        plain, implicit = (
+            self.simulation.energy.total,
+            steps_implicitly(self.simulation.model, state, self.simulation.settings),
+        )
         energy, modal = plain + self._held_besides(implicit), status.region == Region.MODAL
         if implicit != self._implicit:
             # What the two kinds of steps keep can't be compared: E alone tells what the first step of a kind gains.
