@@ -5,6 +5,8 @@ import pytest
 import trimesh
 from clearance import clearance
 
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -107,6 +109,22 @@ def test_jaws_face_each_other_and_squeeze(planned):
     lifted = poses[names == "nip/hold", :, :3][0]
     assert np.linalg.norm(lifted - closed, axis=1) == pytest.approx(0.01, abs=1e-4)
     assert (lifted - closed)[:, 2].min() > 0.0
+
+
+def test_the_nip_lifts_the_kidney():
+    """Tick by tick, without a node: what is between the jaws comes along, and they still hold it at the end."""
+    organ = Organ.load(shipped_organ())
+    path = plan(*kidney(), RADIUS, script=("nip",), rate=1000.0)
+    scene = Scene(organ, [Tool("left", radius=RADIUS), Tool("right", radius=RADIUS)], ticks_a_set=4)
+    begin, end = (np.flatnonzero(path.phases == name)[index] for name, index in (("nip/close", 0), ("nip/hold", -1)))
+    for poses in path.poses[begin:end]:
+        for tool, pose in enumerate(poses):
+            scene.move(tool, pose[:3], pose[3:])
+        scene.step()
+    lift = path.poses[end, 0, :3] - path.poses[path.phases == "nip/lift", 0, :3][0]
+    moved = (scene.simulation.positions[: organ.n_surface] - organ.surface_positions) @ lift / np.linalg.norm(lift)
+    assert np.sort(moved)[-8] > 0.004
+    assert np.linalg.norm(scene.wrenches[:, :3], axis=1).min() > 0.2, "N"
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.17, 0.3, 0.45, 0.68, 0.75, 0.99])

@@ -17,7 +17,7 @@ UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is held
 MARGIN = 0.012  # m, of the ball around organ and tool
 POINT = 1e-6  # m, radius of a ball that stands for a point; and how near to the surface a ball stops
 STROKE_LENGTH, STROKE_POINTS = 0.040, 21  # m
-NIP_THICKNESS = 0.025  # m between the jaws: twice as thick is as bad as sides that slope by 40 degrees
+NIP_THICKNESS = 0.025  # m between the jaws: so much more is as bad as a side that slopes by 26 degrees
 MOST_SAMPLES = 150  # of the surface, to look for a place to nip
 
 
@@ -129,7 +129,7 @@ class Surface:
                 # Squareness counts most: a jaw slides off a slope.
                 slope = 1.0 - min(self.normal(far) @ inward, self.normal(near) @ -inward)
                 deep = self._high[2] - 0.5 * (near.place[2] + far.place[2])
-                if (cost := gap / NIP_THICKNESS + 4.0 * slope + 0.5 * deep / height) < least:
+                if (cost := gap / NIP_THICKNESS + 10.0 * slope + 0.5 * deep / height) < least:
                     best, least = [near, far], cost
         if not best:
             raise UserError("found no place on the organ for two jaws; leave 'nip' out of the script")
