@@ -9,11 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.grasp import Grasp, at_lower_pole
+from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.motion import Ball
 
 FRONT = np.array([0.0, 1.0, 0.0])  # the way the first tool looks: from the front to the back of a patient (LPS)
 UP = np.array([0.0, 0.0, 1.0])  # away from the lowest tenth, which is held
+REFERENCE = 0.03  # m: organs that are thinner get proportionally smaller depths and ways
 MARGIN = 0.012  # m, of the ball around organ and tool
 POINT = 1e-6  # m, radius of a ball that stands for a point; and how near to the surface a ball stops
 STROKE_LENGTH, STROKE_POINTS = 0.040, 21  # m
@@ -45,9 +48,10 @@ class Surface:
     """
 
     def __init__(self, vertices: Floats, triangles: Longs, radius: float) -> None:
-        self._corners, self._radius = vertices[triangles], radius
+        self._vertices, self._triangles, self._radius = vertices, triangles, radius
         self._low, self._high = vertices.min(axis=0), vertices.max(axis=0)
-        self.thinnest = float((self._high - self._low).min())
+        self._thinnest = float((self._high - self._low).min())
+        self.scale = min(1.0, self._thinnest / REFERENCE)  # of depths and ways
         centre = 0.5 * (self._low + self._high)
         self.ball = Ball(centre, float(np.linalg.norm(vertices - centre, axis=1).max()) + radius + MARGIN)
         # The organ's longest direction across the front's line of sight, pointing up.
@@ -90,7 +94,7 @@ class Surface:
         """Touches along the front, about STROKE_LENGTH m, all so many m deep."""
         length = min(STROKE_LENGTH, 0.4 * self._length)
         line = np.linspace(-0.5, 0.5, STROKE_POINTS)[:, None] * length * self._along
-        sideways = 0.1 * self.thinnest * np.cross(self._along, FRONT)
+        sideways = 0.1 * self._thinnest * np.cross(self._along, FRONT)
         for shift in (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0):
             found = [self.touch(point, FRONT, depth) for point in self.ball.centre + shift * sideways + line]
             touches = [touch for touch in found if touch]
@@ -111,10 +115,11 @@ class Surface:
 
     def nip_places(self) -> list[Touch]:
         """Two touches that face each other across little tissue, near the upper pole."""
-        edges = self._corners[:, 1:] - self._corners[:, :1]
+        corners = self._vertices[self._triangles]
+        edges = corners[:, 1:] - corners[:, :1]
         normals = np.cross(edges[:, 0], edges[:, 1])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        points = self._corners.mean(axis=1)
+        points = corners.mean(axis=1)
         height = self._high[2] - self._low[2]
         upper = points[:, 2] > self._high[2] - 0.4 * height
         # Jaws come from the sides: pressed on from above or below, the tissue would slip out of them, and organs
@@ -134,3 +139,10 @@ class Surface:
         if not best:
             raise UserError("found no place on the organ for two jaws; leave 'nip' out of the script")
         return best
+
+    def grasp(self, jaws: Jaws) -> Grasp:
+        """Across the lower pole, which hangs free of an organ that is held along its back."""
+        try:
+            return at_lower_pole(self._vertices, self._triangles, jaws, self.scale)
+        except ValueError as error:
+            raise UserError(f"the organ has no place for a gripper: {error}; give it longer jaws") from None

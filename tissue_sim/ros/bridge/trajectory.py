@@ -10,15 +10,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.grasp import at_lower_pole
 from tissue_sim.contact.gripper import Jaws
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.motion import FAST, Path
 from tissue_sim.ros.bridge.places import FRONT, UP, Surface, Touch, looking
 from tissue_sim.ros.bridge.script import SCRIPT, check
 
-# Depths and ways in m, for organs at least REFERENCE m thick; smaller ones get proportionally smaller values.
-REFERENCE = 0.03
+# Depths and ways in m, of a tool of a radius in m; thin organs get proportionally smaller values.
 STROKE_DEPTH, POKE_DEPTH, SQUEEZE, LIFT = 0.002, 0.006, 0.006, 0.010
 HOVER = 0.006  # between tool and surface, where a fast approach ends
 # Peak speeds in m/s, times in s.
@@ -45,7 +43,7 @@ def plan(
     holders = [(index, grippers[tool]) for index, tool in enumerate(tools) if grippers and tool in grippers]
     if "grip" in script and not holders:
         raise UserError(f"a grip needs a gripper, and {', '.join(tools)} has no jaws; name one that has")
-    planner = _Planner(vertices, triangles, radius, len(tools), holders, rate)
+    planner = _Planner(Surface(vertices, triangles, radius), radius, len(tools), holders[:1], rate)
     for action in script:
         getattr(planner, action)()
     return planner.closed_path()
@@ -55,25 +53,16 @@ class _Planner:
     """Appends actions to a path; each begins and ends outside of the organ."""
 
     def __init__(
-        self,
-        vertices: Floats,
-        triangles: Longs,
-        radius: float,
-        n_tools: int,
-        grippers: Sequence[tuple[int, Jaws]],
-        rate: float,
+        self, surface: Surface, radius: float, n_tools: int, gripper: Sequence[tuple[int, Jaws]], rate: float
     ) -> None:
-        self._vertices, self._triangles, self._grippers = vertices, triangles, grippers
-        self._surface = Surface(vertices, triangles, radius)
-        self._scale = min(1.0, self._surface.thinnest / REFERENCE)
+        self._surface, self._scale, self._gripper = surface, surface.scale, gripper
         self._stroke_depth = self._scale * min(STROKE_DEPTH, 0.8 * radius)
         self._placed: set[int] = set()
         # A tool without a part waits behind the organ, each a little farther round.
         outward = [Rotation.from_rotvec(0.5 * (tool - 1) * UP).apply(FRONT) for tool in range(n_tools)]
-        ball, reach = self._surface.ball, max((jaws.length for _, jaws in grippers), default=0.0)
-        self._path = Path.standing(
-            np.array([np.append(ball.leave(ball.centre, way), looking(-way)) for way in outward]), rate, ball, reach
-        )
+        poses = [np.append(surface.ball.leave(surface.ball.centre, way), looking(-way)) for way in outward]
+        reach = max((jaws.length for _, jaws in gripper), default=0.0)
+        self._path = Path.standing(np.array(poses), rate, surface.ball, reach)
 
     def stroke(self) -> None:
         """The first tool, along the front, pressed in evenly."""
@@ -115,12 +104,9 @@ class _Planner:
         self._leave()
 
     def grip(self) -> None:
-        """A gripper across the lower pole, which hangs free of an organ that is held along its back, lifts it."""
-        tool, jaws = self._grippers[0]
-        try:
-            grasp = at_lower_pole(self._vertices, self._triangles, jaws, self._scale)
-        except ValueError as error:
-            raise UserError(f"the organ has no place for a gripper: {error}; give it longer jaws") from None
+        """A gripper, across the lower pole."""
+        tool, jaws = self._gripper[0]
+        grasp = self._surface.grasp(jaws)
         touch = Touch(grasp.place, -grasp.out, grasp.turn)
         self._enter("grip", {tool: touch}, grasp.depth + HOVER, angle={tool: grasp.opened})
         self._then("enter", {tool: touch.place}, PRESS)
