@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +23,8 @@ TOOLS = ("left", "right")  # of a node that tells none
 LOOK_AGAIN = 1.0  # s between two looks for another organ, or another bridge
 
 
-class Cast(NamedTuple):
-    """How each tool is spoken to, what they play, the jaws of those that grip, and the radius m that a path is for."""
-
-    links: list[ToolLink]
-    script: tuple[str, ...]
-    jaws: dict[str, Jaws]
-    radius: float
+# How each tool is spoken to, what they play, the jaws of those that grip, and the radius m that a path is for.
+Cast = tuple[list[ToolLink], tuple[str, ...], dict[str, Jaws], float]
 
 
 def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
@@ -57,7 +52,7 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
         if set(script) == {"grip"} and not args.tools:
             links = [link for link in links if link.tool.name in jaws][:1]
     check(script, [link.tool.name for link in links])
-    return Cast(links, script, jaws, args.radius or max(link.tool.radius for link in links))
+    return links, script, jaws, args.radius or max(link.tool.radius for link in links)
 
 
 class Player:

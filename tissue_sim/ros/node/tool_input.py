@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -15,7 +16,7 @@ from std_msgs.msg import Float64MultiArray
 
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.freshness import Freshness
-from tissue_sim.ros.node.served_tool import ServedTool, turned
+from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, unit_pose
 from tissue_sim.ros.shared.frames import Transform, UnknownFrame, rotate
 from tissue_sim.ros.shared.messages import NumbersTemplate
@@ -95,7 +96,7 @@ class ToolInput:
 
     def _on_pose(self, raw: bytes) -> None:
         tool = self._tool
-        try:
+        with self._refusing("pose"):
             message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
@@ -103,52 +104,41 @@ class ToolInput:
                 pose = unit_pose(np.array(message.values))
             except ValueError as error:
                 raise Refused("zero_quaternion", str(error)) from None
-            if np.abs(pose[:3]).max() > FARTHEST:
-                raise Refused("far_pose", f"it lies {np.abs(pose[:3]).max():.3g} m away; positions are in metres")
-        except Refused as refused:
-            self._refuse("pose", refused)
-            return
-        if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
-            raw = self._bag_pose.message(self._stamp(message), message.values)
-        angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
-        placed = tool.tools.poses(tool.index, pose, self._angle)
-        for body, at in zip(tool.bodies, placed, strict=True):
-            sequence = self._physics.post_pose(body, at)
-        self.newest = self.newest._replace(
-            sequence=sequence, pose=pose, placed=placed, to_organ=to_organ, raw=raw, angle=angle
-        )
-        self._pose_freshness.came(message.stamp)
-        self.poses += 1
-        self._recorder.received(self._bagged_pose, raw)
-        if tool.is_gripper:
-            self._recorder.received(self._bagged_angle, angle)
-        self._pose_came()
+            if (farthest := np.abs(pose[:3]).max()) > FARTHEST:
+                raise Refused("far_pose", f"it lies {farthest:.3g} m away; positions are in metres")
+            if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
+                raw = self._bag_pose.message(self._stamp(message), message.values)
+            angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
+            placed = tool.tools.poses(tool.index, pose, self._angle)
+            for body, at in zip(tool.bodies, placed, strict=True):
+                sequence = self._physics.post_pose(body, at)
+            self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
+            self._pose_freshness.came(message.stamp)
+            self.poses += 1
+            self._recorder.received(self._bagged_pose, raw)
+            if tool.is_gripper:
+                self._recorder.received(self._bagged_angle, angle)
+            self._pose_came()
 
     def _on_angle(self, message: JointState) -> None:
         """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""
-        try:
+        with self._refusing("angle"):
             if not message.position:
                 raise Refused("no_angle", "it holds no position")
             if not math.isfinite(message.position[0]):
                 raise Refused("nan_angle", "it holds a value that is not finite")
-        except Refused as refused:
-            self._refuse("angle", refused)
-            return
-        self._angle = float(message.position[0])
+            self._angle = float(message.position[0])
 
     def _on_force(self, raw: bytes) -> None:
-        try:
+        with self._refusing("force"):
             message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
-        except Refused as refused:
-            self._refuse("force", refused)
-            return
-        self._force_freshness.came(message.stamp)
-        if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
-            message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
-            raw = self._bag_force.message(self._stamp(message), message.values)
-        self._newest_force = (self._physics.post_force(self._tool.bodies[0], np.array(message.values[:3])), raw)
-        self._recorder.received(self._bagged_force, raw)
-        self._force_came()
+            self._force_freshness.came(message.stamp)
+            if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
+                message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
+                raw = self._bag_force.message(self._stamp(message), message.values)
+            self._newest_force = (self._physics.post_force(self._tool.bodies[0], np.array(message.values[:3])), raw)
+            self._recorder.received(self._bagged_force, raw)
+            self._force_came()
 
     def _read(
         self, raw: bytes, kind: Incoming, n_values: int, what: str, freshness: Freshness
@@ -180,9 +170,14 @@ class ToolInput:
     def _stamp(self, message: Stamped) -> int:
         return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)
 
-    def _refuse(self, what: str, refused: Refused) -> None:
-        self.refused[refused.name] += 1
-        now = time.monotonic()
-        if now - self._warned.get(refused.name, -math.inf) > WARN_EVERY:
-            self._warned[refused.name] = now
-            self._log.warning(f"tool '{self._tool.name}': {what} refused: {refused}")
+    @contextmanager
+    def _refusing(self, what: str) -> Iterator[None]:
+        """What is refused in here is counted, and told about now and then."""
+        try:
+            yield
+        except Refused as refused:
+            self.refused[refused.name] += 1
+            now = time.monotonic()
+            if now - self._warned.get(refused.name, -math.inf) > WARN_EVERY:
+                self._warned[refused.name] = now
+                self._log.warning(f"tool '{self._tool.name}': {what} refused: {refused}")
