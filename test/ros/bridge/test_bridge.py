@@ -8,11 +8,11 @@ import pytest
 from geometry_msgs.msg import Point
 from shape_msgs.msg import Mesh
 
+from helpers.ros.clearance import clearance
 from helpers.ros.processes import STAND_IN, Process
 from helpers.ros.stand_in import ball
 from tissue_sim.cli import main
-from tissue_sim.ros.bridge.play import Player
-from tissue_sim.ros.bridge.probing import Surface
+from tissue_sim.ros.bridge.player import Player
 from tissue_sim.ros.bridge.trajectory import plan
 
 BRIDGE = ["-m", "tissue_sim", "bridge"]
@@ -63,19 +63,19 @@ def last_pose(process: Process) -> np.ndarray:
 @pytest.mark.parametrize("seconds", [0.3, 1.2])
 def test_poses_keep_to_the_path_in_real_time_and_end_outside(seconds):
     vertices, triangles = ball()
-    path = plan(vertices, triangles, 0.005)
+    path = plan(vertices, triangles, 0.005, rate=200.0)
     tools = [RecordedTool(), RecordedTool()]
-    Player(tools, 200.0, seconds).play(path, False, NoMesh(), vertices)
+    Player(tools, seconds).play(path, False, NoMesh(), vertices)
     stamps, poses = 1e-9 * np.array(tools[0].stamps), np.array(tools[0].poses)
     assert np.all(np.diff(stamps) > 0.0)
     on_path = stamps - stamps[0] < seconds - 0.02
     errors = [
-        np.linalg.norm(pose[:3] - path.poses(stamp - stamps[0])["left"][0])
+        np.linalg.norm(pose[:3] - path.poses[round(200.0 * (stamp - stamps[0])), 0, :3])
         for stamp, pose in zip(stamps[on_path], poses[on_path], strict=True)
     ]
     assert np.median(errors) < 0.15 * 0.003  # 3 ms at the highest speed
     assert np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1).max() < 0.02  # late poses are skipped, not jumped
-    assert Surface(vertices, triangles).closest(poses[-1, :3])[0] > 0.01
+    assert clearance(vertices, triangles, poses[-1, :3]) > 0.01
 
 
 def test_another_organ_ends_the_path(monkeypatch):
@@ -85,10 +85,10 @@ def test_another_organ_ends_the_path(monkeypatch):
         def take(self):
             return Mesh(vertices=[Point(x=1.0)], triangles=[])
 
-    monkeypatch.setattr("tissue_sim.ros.bridge.play.LOOK_AGAIN", 0.1)
-    path = plan(vertices, triangles, 0.005)
+    monkeypatch.setattr("tissue_sim.ros.bridge.player.LOOK_AGAIN", 0.1)
+    path = plan(vertices, triangles, 0.005, rate=200.0)
     tools = [RecordedTool(), RecordedTool()]
-    found = Player(tools, 200.0, 30.0).play(path, False, Meshes(), vertices)
+    found = Player(tools, 30.0).play(path, False, Meshes(), vertices)
     assert found[0].tolist() == [[1.0, 0.0, 0.0]]
     assert len(tools[0].poses) < 200
 
@@ -113,7 +113,7 @@ def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, bridge):
     assert 2 * 0.7 * 500 * 1.5 < sent < 2 * 500 * 4.0, last
     assert received > 0.3 * sent, last
     assert "left 0.50 N, right 0.00 N" in last, last
-    assert Surface(*ball()).closest(last_pose(node))[0] > 0.01
+    assert clearance(*ball(), last_pose(node)) > 0.01
 
 
 def test_no_node_is_one_line_and_exit_code_1(capfd):

@@ -1,7 +1,6 @@
 """The thread that finds contact sets, where the search itself fails."""
 
 import threading
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +19,8 @@ from tissue_sim.ros.shared.report import Report
 class Port:
     """A tool above the organ; each pose is new."""
 
-    name, bodies, force_clock = "left", [0], -np.inf
+    name, bodies = "left", [0]
+    pose_freshness, force_freshness = SimpleNamespace(counts=True), SimpleNamespace(counts=False)
 
     def __init__(self, position):
         self._pose = np.append(position, (0.0, 0.0, 0.0, 1.0))
@@ -30,10 +30,6 @@ class Port:
     def newest(self):
         self._sequence += 1
         return SimpleNamespace(sequence=self._sequence, placed=self._pose[None])
-
-    @property
-    def pose_clock(self):
-        return time.monotonic()
 
 
 @pytest.fixture
@@ -48,7 +44,7 @@ def scene():
         finder,
         physics,
         [Port(top + (0.0, 0.0, 0.006))],
-        lambda: SimpleNamespace(contacts=lambda *_: None),
+        SimpleNamespace(contacts=lambda *_: None),
         threading.Event(),
         warned.append,
     )

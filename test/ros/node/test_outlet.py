@@ -23,10 +23,10 @@ class Logger:
         self.warned.append(message)
 
 
-class Port:
-    """A tool whose force fades; counts how often it was published."""
+class Output:
+    """A tool's, whose force fades; counts how often it was published."""
 
-    poses, turns = 0, 0
+    turns = 0
 
     def keep_publishing(self, silence):
         self.turns += 1
@@ -50,7 +50,7 @@ class Presenter:
 @pytest.fixture(params=[60.0, 240.0])
 def scene(request):
     """An outlet that isn't started, with what it serves; reports that it told."""
-    parts = SimpleNamespace(port=Port(), presenter=Presenter(), logger=Logger(), told=[])
+    parts = SimpleNamespace(output=Output(), presenter=Presenter(), logger=Logger(), told=[])
     live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0)
 
     def tell():
@@ -61,7 +61,7 @@ def scene(request):
     parts.outlet = Outlet(
         {"record_markers": False, "marker_colour": "none"},
         Physics(Simulation(ball(1))),
-        [parts.port],
+        [SimpleNamespace(input=SimpleNamespace(poses=0), output=parts.output)],
         parts.presenter,
         live,
         SimpleNamespace(watch=lambda: None),
@@ -76,8 +76,8 @@ def scene(request):
 def test_forces_fade_on_although_pictures_fail(scene):
     scene.outlet.start()
     wait_for(lambda: len(scene.told) >= 2, 30.0)
-    turns = scene.port.turns
-    wait_for(lambda: scene.port.turns > turns + 50, 30.0)
+    turns = scene.output.turns
+    wait_for(lambda: scene.output.turns > turns + 50, 30.0)
     lines = ["outlet failed: OSError: nobody takes pictures", "outlet failed: ValueError: nor of tools"]
     assert scene.told[-1].failures == lines
     assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1

@@ -22,6 +22,7 @@ from tissue_sim.cli import main
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.viewer import scene as drawing
 from tissue_sim.ros.viewer.bands import cut_into_bands
+from tissue_sim.ros.viewer.tool_view import ToolView, arrow
 
 pytest.importorskip("viser")
 from tissue_sim.ros.viewer import panel
@@ -113,7 +114,7 @@ def test_the_camera_sees_all_of_the_organ():
 
 
 def test_an_arrow_starts_at_the_tool_and_is_as_long_as_the_force():
-    start, end = drawing.arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0]), 0.005)[0]
+    start, end = arrow(np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0]), 0.005)[0]
     assert start == pytest.approx([1.0, 1.995, 3.0])
     assert end - start == pytest.approx([0.0, -0.06, 0.0], abs=1e-6)
 
@@ -158,7 +159,7 @@ class Handle:
 @pytest.fixture
 def tool():
     scene = Drawn()
-    return drawing.ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
+    return ToolView(types.SimpleNamespace(scene=scene), "left", 0), scene.parts
 
 
 def test_a_tool_looks_as_its_markers_say_and_shows_what_is_felt(tool):

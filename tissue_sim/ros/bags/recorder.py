@@ -62,15 +62,14 @@ class _Notes:
 class Recorder:
     """Records while started. Messages may be written from any thread; they only go into a queue.
 
-    node_name absolute, like /tissue_sim; tool_topics maps (tool, topic of TOOL_TOPICS or GRIPPER_TOPICS) to names.
+    node_name absolute, like /tissue_sim.
     """
 
-    def __init__(
-        self, node_name: str, n_bodies: int, tool_topics: dict[tuple[str, str], str], config: dict[str, Any]
-    ) -> None:
+    def __init__(self, node_name: str, n_bodies: int, config: dict[str, Any]) -> None:
+        self._node_name = node_name
         self._names = {name: f"{node_name}/{name}" for name in bag.PRIVATE_TOPICS}
         self._n_bodies = n_bodies
-        self._tool_topics = tool_topics
+        self._tool_topics: dict[str, str] = {}  # tool/topic to the name in a bag
         self._config = config
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._queue: queue.SimpleQueue[tuple[Any, int, Any] | None] = queue.SimpleQueue()
@@ -88,6 +87,13 @@ class Recorder:
         self.active = False
         self.lost = 0
         self.error = ""
+
+    def add_topic(self, tool: str, topic: str, name: str = "") -> str:
+        """Give bags a tool's topic, of TOOL_TOPICS or GRIPPER_TOPICS; returns what it is called there.
+
+        name: that of the bridge's own topic, where a bag holds its very bytes.
+        """
+        return self._tool_topics.setdefault(f"{tool}/{topic}", name or f"{self._node_name}/{tool}/{topic}")
 
     # life --------------------------------------------------------------------------------------
     def start(
@@ -111,7 +117,8 @@ class Recorder:
         except OSError as error:
             raise UserError(f"cannot record to {path}: {error.strerror}") from None
         types = {self._names[name]: kind for name, kind in bag.PRIVATE_TOPICS.items()}
-        types |= {name: (TOOL_TOPICS | GRIPPER_TOPICS)[topic] for (_, topic), name in self._tool_topics.items()}
+        tool_types = TOOL_TOPICS | GRIPPER_TOPICS
+        types |= {name: tool_types[topic.split("/")[1]] for topic, name in self._tool_topics.items()}
         self._connections = {
             name: writer.add_connection(name, kind, typestore=self._store) for name, kind in types.items()
         }
@@ -123,7 +130,8 @@ class Recorder:
         physics.journal()  # rows of ticks before this bag
         self._notes, self._state_tick, self._started = _Notes(), -1, time.monotonic()
         self.path, self.lost, self.error = path, 0, ""
-        self._typed("config", "data", json.dumps(self._config | {"first": {n: s for n, (s, _) in newest.items()}}))
+        first = {name: sequence for name, (sequence, _) in newest.items()}
+        self._typed("config", "data", json.dumps(self._config | {"topics": self._tool_topics, "first": first}))
         self._typed("organ", "data", np.frombuffer(organ_bytes, dtype=np.uint8))
         self._raw(self._names["mesh"], mesh)
         for name, (_, raw) in newest.items():

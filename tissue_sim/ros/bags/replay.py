@@ -230,7 +230,7 @@ class _Player:
         return made
 
     def _wrench(self, tool: int, recorded: Floats) -> Floats:
-        """What a tool's hand feels, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
+        """A tool's wrench, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
         bodies = self.tools.bodies[tool]
         if len(bodies) == 1:
             return np.asarray(self.state.wrench[bodies[0]])

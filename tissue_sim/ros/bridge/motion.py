@@ -1,19 +1,25 @@
-"""Smooth motion of tools: minimum-jerk pieces joined into a path that repeats."""
+"""Smooth motion of tools: minimum-jerk legs, joined into a path of poses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation, Slerp
 
 from tissue_sim.array_types import Floats
 
 PEAK_OVER_MEAN = 1.875  # of a minimum-jerk motion's speed
+FAST, OPENING = 0.150, 0.075  # m/s, peak
 TURNING = 2.5  # rad/s, peak
-SHORTEST = 0.1  # s, of any motion
+SHORTEST = 0.1  # s, of any leg that moves
+ARC_POINTS = 400
+
+_QUINTIC = BPoly.from_derivatives([0.0, 1.0], [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 
 
 def minimum_jerk(progress: Floats) -> Floats:
@@ -21,193 +27,100 @@ def minimum_jerk(progress: Floats) -> Floats:
 
     Flash and Hogan (1985).
     """
-    s = np.clip(progress, 0.0, 1.0)
-    return np.minimum(s**3 * (10.0 + s * (6.0 * s - 15.0)), 1.0)  # rounding takes it past 1 right before the end
+    return np.clip(_QUINTIC(np.clip(progress, 0.0, 1.0)), 0.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Move:
-    """How one tool moves: along a spline through points (k, 3) m, turning from one rotation to another."""
+class Ball(NamedTuple):
+    """Centre (3,) and radius, m, of a ball that holds the organ and the tools when they touch it."""
 
-    points: Floats
-    rotations: Rotation  # two: at the start and at the end
+    centre: Floats
+    radius: float
 
-    @staticmethod
-    def line(start: Floats, end: Floats, turn: Rotation) -> Move:
-        """Straight, without turning."""
-        return Move(np.array([start, end]), Rotation.concatenate([turn, turn]))
+    def leave(self, start: Floats, way: Floats) -> Floats:
+        """Where a line along a unit way (3,) leaves the ball; the start itself when that is outside already."""
+        offset = start - self.centre
+        b, c = float(offset @ way), float(offset @ offset) - self.radius**2
+        return start if c >= 0.0 else start + (np.sqrt(b * b - c) - b) * way
 
-    @staticmethod
-    def arc(centre: Floats, start: Floats, end: Floats, turn: tuple[Rotation, Rotation]) -> Move:
-        """Around a centre, the short way; start and end lie at the same distance from it."""
-        a, b = start - centre, end - centre
-        radius = float(np.linalg.norm(a))
-        axis = np.cross(a, b)
-        if np.linalg.norm(axis) < 1e-9 * radius**2:  # the same point, or the opposite one: any way round will do
-            axis = np.cross(a, np.eye(3)[np.abs(a).argmin()])
-        axis /= np.linalg.norm(axis)
-        angle = float(np.arctan2(np.cross(a, b) @ axis, a @ b))
-        steps = np.linspace(0.0, angle, max(2, int(np.ceil(abs(angle) / 0.05)) + 1))
-        points = centre + Rotation.from_rotvec(steps[:, None] * axis).apply(a)
-        return Move(points, Rotation.concatenate(turn))
-
-    @property
-    def length(self) -> float:
-        """Metres from start to end."""
-        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
-
-    @property
-    def angle(self) -> float:
-        """Radians from the first rotation to the last."""
-        return float((self.rotations[0].inv() * self.rotations[1]).magnitude())
-
-    def poses(self, fraction: Floats) -> Floats:
-        """Poses (m, 7), position m and quaternion x y z w, at fractions (m,) of the way."""
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        out = np.empty((len(fraction), 7))
-        if steps.sum() < 1e-12:
-            out[:, :3] = self.points[0]
-        elif len(self.points) == 2:
-            out[:, :3] = self.points[0] + fraction[:, None] * (self.points[1] - self.points[0])
-        else:
-            along = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
-            out[:, :3] = CubicSpline(along, self.points)(fraction)
-        out[:, 3:] = Slerp([0.0, 1.0], self.rotations)(fraction).as_quat()
-        return out
-
-
-@dataclass(frozen=True)
-class Segment:
-    """One phase of a path.
-
-    name; duration s; one move for each tool; outward (T, 3): the way out of the tissue, zero where a
-    tool is outside and clear of it; jaws (2, T): angles in rad between the jaws of each at the start and at the end,
-    zero for tools that have none.
-    """
-
-    name: str
-    duration: float
-    moves: tuple[Move, ...]
-    outward: Floats
-    jaws: Floats | None = None  # None: all are zero
-
-    @staticmethod
-    def timed(
-        name: str, moves: Sequence[Move], outward: Floats, speed: float, jaws: Floats | None = None, reach: float = 0.0
-    ) -> Segment:
-        """A segment as long as its farthest move takes with a peak speed in m/s, also of the tips of jaws.
-
-        reach: m from their hinge to their tips.
-        """
-        duration = max(max(PEAK_OVER_MEAN * m.length / speed, PEAK_OVER_MEAN * m.angle / TURNING) for m in moves)
-        if jaws is not None:
-            duration = max(duration, PEAK_OVER_MEAN * 0.5 * float(np.ptp(jaws, axis=0).max()) * reach / speed)
-        return Segment(name, max(duration, SHORTEST), tuple(moves), outward, jaws)
-
-    def poses(self, time: Floats) -> Floats:
-        """Poses (m, T, 7) at times (m,) s from the segment's start."""
-        fraction = minimum_jerk(time / self.duration)
-        return np.stack([move.poses(fraction) for move in self.moves], axis=1)
-
-    def angles(self, time: Floats) -> Floats:
-        """Angles (m, T) rad between the jaws at times (m,) s from the segment's start."""
-        start, end = np.zeros((2, len(self.moves))) if self.jaws is None else self.jaws
-        return start + minimum_jerk(time / self.duration)[:, None] * (end - start)
+    def arc(self, start: Floats, end: Floats) -> Floats:
+        """Points (k, 3) m around the centre, the short way; start and end lie at the same distance from it."""
+        turn = Rotation.align_vectors([end - self.centre], [start - self.centre])[0].as_rotvec()
+        steps = Rotation.from_rotvec(np.linspace(0.0, 1.0, ARC_POINTS)[:, None] * turn)
+        return self.centre + steps.apply(start - self.centre)
 
 
 @dataclass(frozen=True)
 class Path:
-    """Motion of tools, in a frame, that ends where it begins.
+    """Poses of T tools at a rate in Hz.
 
-    tools (T); segments in order; centre (3,) m and radius m of a ball that holds the organ and the
-    tools when they touch it.
+    phases (m,): what goes on, such as `poke/hold`; poses (m, T, 7), m and quaternions xyzw; angles (m, T) rad between
+    jaws; outward (m, T, 3): the way out of the tissue, zero where a tool is outside and clear of it. reach: m from the
+    hinge of jaws to their tips.
     """
 
-    tools: tuple[str, ...]
-    segments: tuple[Segment, ...]
-    centre: Floats
-    radius: float
-    starts: Floats = field(init=False, repr=False)  # s, of each segment, and the end
+    rate: float
+    ball: Ball
+    reach: float
+    phases: NDArray[np.str_]
+    poses: Floats
+    angles: Floats
+    outward: Floats
 
-    def __post_init__(self) -> None:
-        durations = [segment.duration for segment in self.segments]
-        object.__setattr__(self, "starts", np.concatenate([[0.0], np.cumsum(durations)]))
+    @classmethod
+    def standing(cls, poses: Floats, rate: float, ball: Ball, reach: float) -> Path:
+        """A path of one pose of each tool, (T, 7), with closed jaws."""
+        none = np.zeros((1, len(poses), 3))
+        return cls(rate, ball, reach, np.array(["pause"]), poses[None], none[:, :, 0], none)
 
     @property
     def duration(self) -> float:
-        """Seconds of one cycle."""
-        return float(self.starts[-1])
+        """Seconds from its first pose to the first of the next turn."""
+        return len(self.poses) / self.rate
 
-    def _at(self, time: float) -> tuple[Segment, float]:
-        time = float(time) % self.duration
-        index = min(int(np.searchsorted(self.starts, time, side="right")) - 1, len(self.segments) - 1)
-        return self.segments[index], time - float(self.starts[index])
+    def then(
+        self,
+        phase: str,
+        to: Mapping[int, Floats] | None = None,
+        speed: float = FAST,
+        seconds: float = 0.0,
+        angle: Mapping[int, float] | None = None,
+        turn: Mapping[int, Floats] | None = None,
+        outward: Mapping[int, Floats] | None = None,
+    ) -> Path:
+        """This path and one more leg; by the number of a tool what changes, all else stays.
 
-    def phase(self, time: float) -> str:
-        """Name of the phase at a time in s, such as `poke/hold`; the path repeats."""
-        return self._at(time)[0].name
-
-    def poses(self, time: float) -> dict[str, tuple[Floats, Floats]]:
-        """Position (3,) m and quaternion (4,) x y z w of each tool at a time in s; the path repeats."""
-        segment, since = self._at(time)
-        pose = segment.poses(np.array([since]))[0]
-        return {tool: (pose[i, :3], pose[i, 3:]) for i, tool in enumerate(self.tools)}
-
-    def sample(self, rate: float) -> Floats:
-        """One cycle as poses (m, T, 7) at a rate in Hz."""
-        return self._sample(rate, Segment.poses, (len(self.tools), 7))
-
-    def sample_jaws(self, rate: float) -> Floats:
-        """The angles (m, T) rad between the jaws of each tool, beside the poses of `sample`."""
-        return self._sample(rate, Segment.angles, (len(self.tools),))
-
-    def _sample(self, rate: float, values: Callable[[Segment, Floats], Floats], shape: tuple[int, ...]) -> Floats:
-        times = np.arange(max(1, round(self.duration * rate))) / rate
-        which = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, len(self.segments) - 1)
-        out = np.empty((len(times), *shape))
-        for index, segment in enumerate(self.segments):
-            chosen = which == index
-            out[chosen] = values(segment, times[chosen] - self.starts[index])
-        return out
-
-    def retreat(self, time: float, rate: float, speed: float = 0.15) -> Floats:
-        """Poses (m, T, 7) at a rate in Hz that take the tools straight out, from where they are at a time.
-
-        Jaws open first: they would take along what they hold.
+        to: where it goes, (3,) m, or the points (k, 3) that it goes through, at a peak speed in m/s, also of the tips
+        of jaws; angle: rad between its jaws, turn: its rotation (4,), at the end; seconds: how long it takes at least.
         """
-        return self._leave(time, rate, speed, Segment.poses)
+        before, shut = self.poses[-1], self.angles[-1]
+        to, angle, turn, outward = to or {}, angle or {}, turn or {}, outward or {}
+        ways = [np.vstack([pose[:3], to.get(tool, pose[:3])]) for tool, pose in enumerate(before)]
+        along = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))) for way in ways]
+        turns = [Rotation.from_quat([pose[3:], turn.get(tool, pose[3:])]) for tool, pose in enumerate(before)]
+        opening = np.array([angle.get(tool, now) for tool, now in enumerate(shut)]) - shut
+        turning = max((end * start.inv()).magnitude() for start, end in turns)
+        going = max(0.5 * self.reach * np.abs(opening).max(), *(length[-1] for length in along))
+        least = PEAK_OVER_MEAN * max(going / speed, turning / TURNING)
+        n = int(np.ceil(self.rate * max(least, SHORTEST if least > 1e-6 else 0.0, seconds) - 1e-9))
+        share = minimum_jerk(np.arange(1, n + 1) / max(n, 1))
+        places = [
+            np.stack([np.interp(share * length[-1], length, axis) for axis in way.T], axis=1)
+            for way, length in zip(ways, along, strict=True)
+        ]
+        rotations = [Slerp([0.0, 1.0], pair)(share).as_quat() for pair in turns]
+        out = np.array([outward.get(tool, np.zeros(3)) for tool in range(len(before))])
+        return replace(
+            self,
+            phases=np.append(self.phases, [phase] * n),
+            poses=np.concatenate([self.poses, np.concatenate([places, rotations], axis=2).swapaxes(0, 1)]),
+            angles=np.concatenate([self.angles, shut + share[:, None] * opening]),
+            outward=np.concatenate([self.outward, np.broadcast_to(out, (n, *out.shape))]),
+        )
 
-    def retreat_jaws(self, time: float, rate: float, speed: float = 0.15) -> Floats:
-        """The angles (m, T) rad between the jaws of each tool, beside the poses of `retreat`."""
-        return self._leave(time, rate, speed, Segment.angles)
-
-    def _leave(self, time: float, rate: float, speed: float, values: Callable[[Segment, Floats], Floats]) -> Floats:
-        segment, since = self._at(time)
-        now = np.array([since])
-        pose, angle = segment.poses(now)[0], segment.angles(now)[0]
-        stay, out = [], []
-        for tool, way in enumerate(segment.outward):
-            start, turn = pose[tool, :3], Rotation.from_quat(pose[tool, 3:])
-            stay.append(Move.line(start, start, turn))
-            out.append(Move.line(start, leave(start, way, self.centre, self.radius), turn))
-        opened = np.where(segment.outward.any(axis=1), self._widest(), angle)
-        parts = [Segment.timed("retreat", out, segment.outward, speed, np.array([opened, opened]))]
-        if np.any(opened > angle):
-            turning = PEAK_OVER_MEAN * float((opened - angle).max()) / TURNING
-            parts.insert(0, Segment("open", turning, tuple(stay), segment.outward, np.array([angle, opened])))
-        times = [np.arange(1, max(2, int(np.ceil(part.duration * rate)) + 1)) / rate for part in parts]
-        return np.concatenate([values(part, at) for part, at in zip(parts, times, strict=True)])
-
-    def _widest(self) -> Floats:
-        """Largest angle (T,) rad between the jaws of each tool."""
-        none = np.zeros((1, len(self.tools)))
-        return np.asarray(np.concatenate([none, *(s.jaws for s in self.segments if s.jaws is not None)]).max(axis=0))
-
-
-def leave(start: Floats, way: Floats, centre: Floats, radius: float) -> Floats:
-    """Where a line from inside a ball leaves it; the start itself when `way` is zero or it is outside already."""
-    offset = start - centre
-    b, c = float(offset @ way), float(offset @ offset) - radius**2
-    if not np.any(way) or c >= 0.0:
-        return start
-    return start + (-b + np.sqrt(b * b - c)) * way
+    def retreat(self, index: int) -> Path:
+        """From one of the poses straight out. Jaws open first: they would take along what they hold."""
+        here = {name: getattr(self, name)[index : index + 1] for name in ("phases", "poses", "angles", "outward")}
+        inside = {tool: way for tool, way in enumerate(self.outward[index]) if way.any()}
+        opened = {tool: float(self.angles[:, tool].max()) for tool in inside}
+        out = {tool: self.ball.leave(self.poses[index, tool, :3], way) for tool, way in inside.items()}
+        return replace(self, **here).then("open", speed=OPENING, angle=opened).then("retreat", out)

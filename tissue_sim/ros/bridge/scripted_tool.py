@@ -16,7 +16,7 @@ from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_WRENCH, WRENCH_TY
 
 
 class ScriptedTool:
-    """Poses out, and the angle between jaws if it has some; the wrench for the hand in."""
+    """Poses out, and the angle between jaws if it has some; its wrench in."""
 
     def __init__(self, node: Node, link: ToolLink, has_jaws: bool = False) -> None:
         topics = link.topics

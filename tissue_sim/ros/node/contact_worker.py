@@ -29,7 +29,7 @@ class ContactWorker:
         finder: ContactFinder,
         physics: Physics,
         ports: Sequence[ToolPort],
-        recorder: Callable[[], Recorder],
+        recorder: Recorder,
         woken: threading.Event,
         warn: Callable[[str], None],
     ) -> None:
@@ -42,14 +42,12 @@ class ContactWorker:
         self._recorder, self._woken, self._warn = recorder, woken, warn
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="contact", daemon=True)
-        # The port of each body, and whether it is the port's first one.
-        self._port_of = [port for port in ports for _ in port.bodies]
-        self._is_first = [k == 0 for port in ports for k in range(len(port.bodies))]
-        n_tools = len(self._port_of)
+        self._port_of = [port for port in ports for _ in port.bodies]  # of each body
+        n_bodies = len(self._port_of)
         self._positions = np.zeros((len(physics.simulation.model.rest), 3))
-        self._engaged = np.zeros(n_tools, dtype=np.int64)
-        self._held_off = [False] * n_tools
-        self._last_pose = np.zeros((n_tools, 7))
+        self._engaged = np.zeros(n_bodies, dtype=np.int64)
+        self._held_off = [False] * n_bodies
+        self._last_pose = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[int, ...] = ()
         self._last_empty = False
@@ -66,10 +64,6 @@ class ContactWorker:
         self._woken.set()
         if self._thread.is_alive():
             self._thread.join(timeout=0.5)
-
-    def engaged(self, tool: int) -> bool:
-        """True while a tool may touch."""
-        return bool(self._engaged[tool])
 
     def report(self, report: Report) -> None:
         """Add what was found, what was not looked for, and how long it took."""
@@ -96,19 +90,16 @@ class ContactWorker:
                 time.sleep(rest)
 
     def _refresh(self, now: float) -> None:
-        settings = self._physics.settings()
-        alive = settings.stale_time + settings.ramp_time
         newest = [port.newest for port in self._ports]
         sequences = [one.sequence for one in newest for _ in one.placed]
         poses = np.concatenate([one.placed for one in newest])
         if self._physics.resets != self._last_resets:  # the organ has jumped back under the tools
             self._last_resets = self._physics.resets
             self._engaged[:] = 0
-        # While the clock stands no tool touches, so that none bears on the organ at once when it goes on.
-        standing = self._physics.standing
-        fresh = [now - port.pose_clock < alive and not standing for port in self._port_of]
-        pushed = [now - port.force_clock < alive for port in self._port_of]
-        pushing = np.logical_and(pushed, self._is_first).astype(np.int64)
+        fresh = [counts for port in self._ports for counts in [port.pose_freshness.counts] * len(port.bodies)]
+        # The first of its bodies pushes with the tool's force.
+        pushing = np.zeros(len(fresh), dtype=np.int64)
+        pushing[[port.bodies[0] for port in self._ports if port.force_freshness.counts]] = 1
         if not any(fresh) and not pushing.any() and self._last_empty and not self._engaged.any():
             self.unchanged_skips += 1
             self._idle = True
@@ -123,21 +114,21 @@ class ContactWorker:
         elapsed = max(now - self._last_time, 1e-4)
         reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (self.rate * elapsed))
         margins = np.zeros(len(poses))
-        for tool, is_fresh in enumerate(fresh):
+        for body, is_fresh in enumerate(fresh):
             if not is_fresh:
-                self._engaged[tool] = 0
+                self._engaged[body] = 0
                 continue
-            if not self._engaged[tool]:
-                if self._finder.is_inside(tool, self._positions, poses[tool]):
-                    if not self._held_off[tool]:
-                        name = self._port_of[tool].name
+            if not self._engaged[body]:
+                if self._finder.is_inside(body, self._positions, poses[body]):
+                    if not self._held_off[body]:
+                        name = self._port_of[body].name
                         self._warn(f"tool '{name}' appeared inside the organ; move it out to engage it")
-                    self._held_off[tool] = True
+                    self._held_off[body] = True
                     continue
-                self._engaged[tool] = 1
-                self._held_off[tool] = False
+                self._engaged[body] = 1
+                self._held_off[body] = False
             else:
-                margins[tool] = reach[tool]
+                margins[body] = reach[body]
         self._last_pose, self._last_time = poses, now
         found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
         self._trouble.succeeded()
@@ -146,7 +137,7 @@ class ContactWorker:
         self._last_empty = empty
         self.dropped += int(found.header.dropped)
         rows = list(zip(sequences, margins, found.engaged, pushing, strict=True))
-        self._recorder().contacts(sequence, tick, found, rows)
+        self._recorder.contacts(sequence, tick, found, rows)
         self.durations.append(time.monotonic() - now)
         if len(self.durations) > 1000:
             del self.durations[:500]

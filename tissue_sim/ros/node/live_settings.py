@@ -12,6 +12,7 @@ from tissue_sim.model.records import copy_of, words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import LONGEST_STEP, Simulation
 from tissue_sim.ros.node import degrade
+from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.shared.parameters import Parameters
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
@@ -24,8 +25,8 @@ WORTH = 0.9  # share of the substeps a second that half the rate may leave at th
 class LiveSettings:
     """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
 
-    post is told the sequence number and the settings that were posted; periods gives the s between two
-    poses of each tool.
+    post is told the sequence number and the settings that were posted; poses tells how often those of
+    each tool come.
     """
 
     def __init__(
@@ -34,9 +35,9 @@ class LiveSettings:
         physics: Physics,
         parameters: Parameters,
         post: Callable[[int, Settings], None],
-        periods: Callable[[], Sequence[float]],
+        poses: Sequence[Freshness],
     ) -> None:
-        self._periods = periods
+        self._poses = poses
         self._simulation, self._physics, self._parameters, self._post = simulation, physics, parameters, post
         self._lock = threading.Lock()
         self.level = degrade.NONE
@@ -63,14 +64,14 @@ class LiveSettings:
         A force answers the pose before the newest one, and a tick later.
         """
         bounds = [
-            passive_stiffness(self._parameters[f"{tool}.device_damping"], period, period + tick_time)
-            for tool, period in zip(self._parameters.tools, self._periods(), strict=True)
+            passive_stiffness(self._parameters[f"{tool}.device_damping"], poses.period, poses.period + tick_time)
+            for tool, poses in zip(self._parameters.tools, self._poses, strict=True)
         ]
         return min(bounds, default=math.inf)
 
     @property
     def coupling_stiffness(self) -> float:
-        """N/m between hands and tools, as it is in use."""
+        """N/m between device and tool, as it is in use."""
         return float(self._simulation.settings.coupling_stiffness)
 
     def describe(self) -> str:

@@ -8,6 +8,7 @@ pose and publish the newest wrench.
 from __future__ import annotations
 
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.node.presenter import Presenter
+from tissue_sim.ros.node.served_tool import ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
@@ -73,28 +75,24 @@ class TissueNode(Node):
         self.physics = Physics(self.simulation)
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken = threading.Event()
+        self.sim_clock = SimClock(self, self.physics)
+        self.recorder = Recorder(self.get_fully_qualified_name(), self.physics.n_tools, self._config())
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
-        self.recorder = Recorder(
-            self.get_fully_qualified_name(), self.physics.n_tools, self._tool_topics(), self._config()
-        )
         finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
         self.contacts = ContactWorker(
-            finder, self.physics, self.ports, lambda: self.recorder, self._woken, self.get_logger().warning
+            finder, self.physics, self.ports, self.recorder, self._woken, self.get_logger().warning
         )
         self.finder = finder
-        self.presenter = Presenter(
-            self, self.organ, self.frame_id, self.physics, self.ports, lambda: self.recorder, tools
-        )
+        self.presenter = Presenter(self, self.organ, self.frame_id, self.physics, self.ports, self.recorder, tools)
         self.diagnostics = Diagnostics(self, self.organ.name)
         self.live = LiveSettings(
             self.simulation,
             self.physics,
             values,
-            lambda sequence, posted: self.recorder.settings(sequence, posted),
-            lambda: [port.period for port in self.ports],
+            self.recorder.settings,
+            [port.pose_freshness for port in self.ports],
         )
         self.namesakes = Namesakes(self)
-        self.sim_clock = SimClock(self, self.physics, self._on_jump_back)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         values.changed.append(self._on_parameters)
@@ -115,7 +113,7 @@ class TissueNode(Node):
             self.presenter,
             self.live,
             self.sim_clock,
-            lambda: self.recorder.poll(self.physics),
+            partial(self.recorder.poll, self.physics),
             self._report,
             self.get_logger(),
         )
@@ -147,7 +145,7 @@ class TissueNode(Node):
         if self._outlet is not None:
             self._outlet.stop()
         for port in self.ports:
-            port.publish_zero()
+            port.output.publish_zero()
         self.presenter.close()
         self.contacts.stop()
         path = self.recorder.stop(self.physics, BAG_PATIENCE)
@@ -172,21 +170,9 @@ class TissueNode(Node):
     # wiring ------------------------------------------------------------------------------------
     def _port(self, index: int, name: str, tools: ToolSet) -> ToolPort:
         values = self.parameters
-        return ToolPort(
-            self,
-            index,
-            name,
-            tools,
-            topics_of(values, name),
-            frames_of(values, name, self._lookup),
-            self.frame_id,
-            self.physics,
-            lambda: self.recorder,
-            self._woken,
-        )
-
-    def _tool_topics(self) -> dict[tuple[str, str], str]:
-        return {(port.name, topic): name for port in self.ports for topic, name in port.bag_names.items()}
+        topics, frames = topics_of(values, name), frames_of(values, name, self._lookup)
+        tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
+        return ToolPort(self, tool, self.physics, self.recorder, self.sim_clock, self._woken)
 
     def _config(self) -> dict[str, Any]:
         return {
@@ -196,7 +182,6 @@ class TissueNode(Node):
             "organ": {"name": self.organ.name, "digest": self.organ.digest()},
             "parameters": self.parameters.values(),
             "tools": self.parameters.tools,
-            "topics": {f"{tool}/{topic}": name for (tool, topic), name in self._tool_topics().items()},
         }
 
     # services and parameters -------------------------------------------------------------------
@@ -218,26 +203,13 @@ class TissueNode(Node):
         return response
 
     def _start_recording(self) -> Path:
-        newest = {}
-        for port in self.ports:
-            pose = port.newest
-            for topic, (sequence, raw) in (
-                ("measured_cp", (pose.sequence, pose.raw)),
-                ("measured_js", (pose.sequence, pose.angle)),
-                ("measured_cf", port.newest_force),
-            ):
-                if raw:
-                    newest[port.bag_names[topic]] = (sequence, raw)
+        newest = {name: message for port in self.ports for name, message in port.input.newest_messages().items()}
         folder = Path(self.parameters["record_folder"]).absolute()
         return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest)
 
     def _on_parameters(self, _: set[str]) -> None:
         self.contacts.rate = self.parameters["contact_rate"]
         self.live.update()
-
-    def _on_jump_back(self) -> None:
-        for port in self.ports:
-            port.forget_stamps()
 
     def _report(self) -> None:
         if self.parameters["coupling_stiffness"] > 0.0:

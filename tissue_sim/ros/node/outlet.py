@@ -87,7 +87,7 @@ class Outlet:
         noted, fading = self._trouble.noted, False
         for port in self._ports:
             with noted():
-                fading |= port.keep_publishing(SILENCE)
+                fading |= port.output.keep_publishing(SILENCE)
         now = time.monotonic()
         if now >= self._next_marker:
             self._next_marker = max(self._next_marker + 1.0 / self._marker_rate(), now)
@@ -111,7 +111,7 @@ class Outlet:
 
     def _marker_rate(self) -> float:
         """Nothing moves in an organ that sleeps, but somebody may have come to look."""
-        before, self._seen = self._seen, (self._physics.surface_sequence, *(port.poses for port in self._ports))
+        before, self._seen = self._seen, (self._physics.surface_sequence, *(port.input.poses for port in self._ports))
         rate = self._live.marker_rate
         return rate if self._seen != before else min(rate, IDLE_MARKER_RATE)
 

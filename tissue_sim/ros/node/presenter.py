@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -40,7 +40,7 @@ class Presenter:
         frame_id: str,
         physics: Physics,
         ports: Sequence[ToolPort],
-        recorder: Callable[[], Recorder],
+        recorder: Recorder,
         tools: ToolSet,
     ) -> None:
         self._organ, self._physics, self._ports, self._recorder = organ, physics, list(ports), recorder
@@ -77,7 +77,7 @@ class Presenter:
 
         colour: what the markers' surface is coloured by, one of MARKER_COLOURS.
         """
-        physics, recorder = self._physics, self._recorder()
+        physics, recorder = self._physics, self._recorder
         n_markers = self._markers.get_subscription_count()
         n_surface = self._surface.get_subscription_count() + self._skeleton.get_subscription_count()
         sequence = physics.surface_sequence
@@ -127,7 +127,7 @@ class Presenter:
             return
         now = time.monotonic()
         newest = [port.newest for port in self._ports]
-        fresh = [now - port.pose_clock < POSE_LASTS for port in self._ports]
+        fresh = [port.pose_freshness.age < POSE_LASTS for port in self._ports]
         tips, wrenches = self._touches()
         forces = wrenches[:, :3]
         shown = (*(pose.sequence for pose in newest), *fresh, forces.tobytes())
@@ -161,11 +161,11 @@ class Presenter:
         return self._coloured_bytes.message(stamp, self._positions, tips, wrenches, self._share(colour))
 
     def _touches(self) -> tuple[Floats, Floats]:
-        """Where each tool's origin is, (T, 3) m, and what its hand feels, (T, 6) N, N m."""
+        """Where each tool's origin is, (T, 3) m, and its wrench, (T, 6) N, N m."""
         _, wrenches = self._physics.wrenches()
         for index, port in enumerate(self._ports):
             self._tips[index] = port.newest.pose[:3]
-            self._felt[index] = port.share_of(wrenches)
+            self._felt[index] = port.wrench(wrenches)
         return self._tips, self._felt
 
     def _share(self, colour: str) -> Floats:

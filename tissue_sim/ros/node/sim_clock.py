@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from rclpy.clock import ClockChange, JumpThreshold, TimeJump
@@ -17,16 +18,21 @@ NANOSECOND = Duration(nanoseconds=1)
 class SimClock:
     """Hands every time of /clock to the loop. Without a clock there is no tick; a jump back resets the organ.
 
-    jumped_back is called before the organ goes back to rest.
+    What is in `jumped` is called when times begin anew: after a jump back, before the organ goes back to rest, and
+    when ticks follow another clock.
     """
 
-    def __init__(self, node: Node, physics: Physics, jumped_back: Callable[[], None]) -> None:
-        self._clock, self._log = node.get_clock(), node.get_logger()
-        self._physics, self._jumped_back = physics, jumped_back
+    def __init__(self, node: Node, physics: Physics) -> None:
+        self._clock, self._log, self._physics = node.get_clock(), node.get_logger(), physics
+        self.jumped: list[Callable[[], None]] = []
         self._active = self._waiting = self._stood = False
         threshold = JumpThreshold(min_forward=NANOSECOND, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._handle = self._clock.create_jump_callback(threshold, post_callback=self._on_jump)
         self._follow(bool(node.get_parameter("use_sim_time").value))
+
+    def now(self) -> float:
+        """Seconds on the clock that ticks follow: of /clock, or monotonic."""
+        return 1e-9 * self._clock.now().nanoseconds if self._active else time.monotonic()
 
     def state(self) -> str:
         """wall, /clock, or why nothing ticks: no /clock yet, /clock stands."""
@@ -60,15 +66,20 @@ class SimClock:
             self._log.warning(
                 f"/clock jumped back by {-1e-9 * jump.delta.nanoseconds:.3f} s: the organ is back at rest"
             )
-            self._jumped_back()
+            self._begin_anew()
             self._physics.reset()
         self._physics.post_time(self._clock.now().nanoseconds)
 
     def _follow(self, active: bool) -> None:
         self._active = active
-        time = self._clock.now().nanoseconds if active else 0
-        self._waiting = active and time == 0
+        self._begin_anew()
+        posted = self._clock.now().nanoseconds if active else 0
+        self._waiting = active and posted == 0
         if self._waiting:
             self._log.info("use_sim_time is set: waiting for /clock before the first tick")
-        self._physics.post_time(time)
+        self._physics.post_time(posted)
         self._physics.follow_posted_time(active)
+
+    def _begin_anew(self) -> None:
+        for tell in self.jumped:
+            tell()

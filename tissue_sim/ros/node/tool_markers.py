@@ -1,4 +1,4 @@
-"""The tools as markers: the shape of each body where it is, and an arrow for what each hand feels."""
+"""The tools as markers: the shape of each body where it is, and an arrow for the force on each tool."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.held_jaws import HeldJaws
-from tissue_sim.ros.viewer.scene import ToolView
+from tissue_sim.ros.viewer.tool_view import ToolView
 
 WIDEST = 90.0  # degrees
 STEP = 0.5  # degrees

@@ -17,7 +17,7 @@ LEAST_TOP = 0.5  # N: the noise of a tool in the air is no mountain
 
 
 class ForceHistory:
-    """What the hands felt in the last SPAN seconds."""
+    """The forces on the tools in the last SPAN seconds."""
 
     def __init__(self, tools: Sequence[str]) -> None:
         self._tools = tuple(tools)

@@ -16,7 +16,8 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.held_tool import HeldTool
 from tissue_sim.ros.viewer.jaws import JawSlider
-from tissue_sim.ros.viewer.scene import VIEW, ToolView
+from tissue_sim.ros.viewer.scene import VIEW
+from tissue_sim.ros.viewer.tool_view import ToolView
 
 CLEAR = 0.008  # m between a tool that is taken and the organ
 GIZMO = 0.03  # m, length of its arrows

@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.plot import ForcePlot
 from tissue_sim.ros.viewer.poke import Poke
-from tissue_sim.ros.viewer.scene import ToolView
+from tissue_sim.ros.viewer.tool_view import ToolView
 
 SILENT_AFTER = 3.0  # s without markers, or without diagnostics
 

@@ -1,0 +1,112 @@
+"""Who plays a script, and the playing: a path's poses at absolute deadlines."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.gripper import Jaws
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bridge.motion import Path
+from tissue_sim.ros.bridge.script import SCRIPT, check
+from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.tool_link import ToolLink
+
+TOOLS = ("left", "right")  # of a node that tells none
+LOOK_AGAIN = 1.0  # s between two looks for another organ, or another bridge
+
+
+# How each tool is spoken to, what they play, the jaws of those that grip, and the radius m that a path is for.
+Cast = tuple[list[ToolLink], tuple[str, ...], dict[str, Jaws], float]
+
+
+def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
+    """Who plays, by a node's parameters; one that tells none is taken for a node as it is by default.
+
+    Raises UserError when it lacks a tool, or a gripper to grip with.
+    """
+    there = tuple(values.get("tools", ()))
+    for name in args.tools or ():
+        if there and name not in there:
+            raise UserError(f"/{args.node} has no tool '{name}'; it has {', '.join(there)}: choose with --tools")
+    links = [
+        ToolLink.told(values, name, args.node) or ToolLink.by_default(name, "organ")
+        for name in args.tools or there or TOOLS
+    ]
+    script = args.script or SCRIPT[: len(SCRIPT) if len(links) > 1 else -1]
+    jaws: dict[str, Jaws] = {}
+    if "grip" in script:
+        jaws = {link.tool.name: link.tool.jaws for link in links if link.tool.shape == "gripper"}
+        if not jaws:
+            shapes = ", ".join(f"'{link.tool.name}' is a {link.tool.shape}" for link in links)
+            raise UserError(
+                f"a grip needs a gripper; on /{args.node} {shapes}: start it with --params-file config/gripper.yaml"
+            )
+        if set(script) == {"grip"} and not args.tools:
+            links = [link for link in links if link.tool.name in jaws][:1]
+    check(script, [link.tool.name for link in links])
+    return links, script, jaws, args.radius or max(link.tool.radius for link in links)
+
+
+class Player:
+    """Sends a path's poses for so many seconds; late ones are left out, so that speeds stay true."""
+
+    def __init__(self, tools: Sequence[ScriptedTool], seconds: float | None) -> None:
+        self._tools = tools
+        self._end = np.inf if seconds is None else time.monotonic() + seconds
+        self.skipped = 0
+        self._told: set[str] = set()  # of which tools it was told that others move them
+
+    def play(self, path: Path, stop: client.Stop, meshes: client.Inbox, organ: Floats) -> Any:
+        """Play a path again and again, until the time is over, a signal asks for it, or the node has another organ.
+
+        Then the tools leave the tissue. Returns the other organ's vertices and triangles, or None.
+        """
+        poses, angles = path.poses, path.angles
+        start, next_look, tick, found = time.monotonic(), time.monotonic() + LOOK_AGAIN, 0, None
+        while not stop and found is None and (now := time.monotonic()) < self._end:
+            due = int((now - start) * path.rate)
+            self.skipped += max(0, due - tick)
+            tick = max(tick, due)
+            self._send(poses[tick % len(poses)], angles[tick % len(poses)], start + tick / path.rate)
+            tick += 1
+            if now > next_look:
+                next_look = now + LOOK_AGAIN
+                found = _other_organ(meshes.take(), organ)
+                self._tell_of_rivals()
+        start, leaving = time.monotonic(), path.retreat(max(tick - 1, 0) % len(poses))
+        for step, stance in enumerate(zip(leaving.poses, leaving.angles, strict=True)):
+            self._send(*stance, start + step / path.rate)
+        return found
+
+    def _tell_of_rivals(self) -> None:
+        for tool in self._tools:
+            if tool.name not in self._told and tool.rivals() > 0:
+                self._told.add(tool.name)
+                what = f"{tool.topic} has another publisher: {tool.name} jumps between both"
+                sys.stderr.write(f"tissue_sim bridge: {what}\n")
+
+    def _send(self, poses: Floats, angles: Floats, deadline: float) -> None:
+        if (ahead := deadline - time.monotonic()) > 0.0:
+            time.sleep(ahead)
+        stamp = time.time_ns()
+        for tool, angle in zip(self._tools, angles, strict=True):  # first: the node opens the jaws with the next pose
+            tool.open(stamp, float(angle))
+        for tool, pose in zip(self._tools, poses, strict=True):
+            tool.publish(stamp, pose)
+        for tool in self._tools:
+            tool.feel()
+
+
+def _other_organ(mesh: Any, organ: Floats) -> Any:
+    if mesh is None:
+        return None
+    vertices, triangles = client.mesh_arrays(mesh)
+    return None if np.array_equal(vertices, organ) else (vertices, triangles)

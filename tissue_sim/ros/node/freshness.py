@@ -1,0 +1,62 @@
+"""Whether what came in still counts, by the one clock that ticks follow: /clock, or the monotonic one."""
+
+from __future__ import annotations
+
+import math
+
+from tissue_sim.ros.node.sim_clock import SimClock
+from tissue_sim.ros.shared.physics import Physics
+
+FIRST_PERIOD = 1e-3  # s between two messages, until they come
+LONGEST_PERIOD = 0.1  # s between two messages of a stream
+COARSE = 1.25  # step of the scale of periods, so that what depends on them changes seldom
+
+
+class Freshness:
+    """When the newest pose, or force, of a tool came, by simulated time, and what follows from that.
+
+    While the clock stands nothing counts, so that no tool bears on the organ at once when it goes on; a clock that
+    jumps back, or is exchanged, begins anew.
+    """
+
+    def __init__(self, clock: SimClock, physics: Physics) -> None:
+        self._clock, self._physics = clock, physics
+        self._came, self._stamp = -math.inf, 0  # s, ns
+        self._period = FIRST_PERIOD  # s, on average
+        clock.jumped.append(self._forget)
+
+    def came(self, stamp: int) -> None:
+        """A message was taken up; stamp in ns, or UNSTAMPED."""
+        now = self._clock.now()
+        if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock are one to the ticks
+            self._period += 0.02 * (gap - self._period)
+        self._came, self._stamp = now, stamp
+
+    @property
+    def age(self) -> float:
+        """Seconds since the newest message; infinite when there was none."""
+        return self._clock.now() - self._came
+
+    @property
+    def is_fresh(self) -> bool:
+        """True until `stale_time` has gone by without a message."""
+        return not self._physics.standing and self.age <= self._physics.settings().stale_time
+
+    @property
+    def counts(self) -> bool:
+        """True until what is stale has faded too, a `ramp_time` later."""
+        settings = self._physics.settings()
+        return not self._physics.standing and self.age < settings.stale_time + settings.ramp_time
+
+    @property
+    def last_stamp(self) -> int:
+        """Stamp in ns before which the next message can't be; 0 for a stream that begins anew, with any stamp."""
+        return self._stamp if self.counts else 0
+
+    @property
+    def period(self) -> float:
+        """Seconds between two messages, on average, to the next step of a coarse scale."""
+        return float(COARSE ** math.ceil(math.log(self._period, COARSE)))
+
+    def _forget(self) -> None:
+        self._came, self._stamp = -math.inf, 0

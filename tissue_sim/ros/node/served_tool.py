@@ -1,0 +1,75 @@
+"""What a tool's input and its output both know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.gripper import about
+from tissue_sim.contact.tools import ToolSet
+from tissue_sim.ros.shared.frames import Frames, Transform, Vector
+from tissue_sim.ros.shared.tool_messages import ToolTopics
+
+
+@dataclass(frozen=True)
+class ServedTool:
+    """A tool of the node: its number and name, the set that it is one of, how its bridge speaks, and in which frames.
+
+    organ_frame: that of everything inside the node, and of what a bag holds.
+    """
+
+    index: int
+    name: str
+    tools: ToolSet
+    topics: ToolTopics
+    frames: Frames
+    organ_frame: str
+
+    @property
+    def bodies(self) -> list[int]:
+        """Which of all rigid bodies are the tool's: the two jaws of a gripper, or one."""
+        return self.tools.bodies[self.index]
+
+    @property
+    def is_gripper(self) -> bool:
+        """True for a tool of two jaws."""
+        return len(self.bodies) > 1
+
+    @property
+    def is_unmoved(self) -> bool:
+        """True when its poses come in the organ's frame."""
+        return self.frames.to_organ(self.topics.frame_id).is_identity
+
+    @property
+    def nowhere(self) -> NewestPose:
+        """What stands for its newest pose before there is one."""
+        pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        to_organ = self.frames.to_organ(self.topics.frame_id)
+        return NewestPose(0, pose, np.tile(pose, (len(self.bodies), 1)), to_organ, b"", b"")
+
+    def wrench(self, of_bodies: Floats, pose: NewestPose) -> Floats:
+        """The tool's wrench (6,), N and N m about its origin, of those of all bodies, (B, 6)."""
+        if not self.is_gripper:
+            return of_bodies[self.bodies[0]]
+        return about(pose.pose[:3], of_bodies[self.bodies], pose.placed[:, :3])
+
+
+class NewestPose(NamedTuple):
+    """A pose that was taken up, and what a bag holds of it; replaced as one, so that its parts belong together."""
+
+    sequence: int
+    pose: Floats  # (7,)
+    placed: Floats  # (b, 7) of the tool's bodies
+    to_organ: Transform  # from the frame that it came in
+    raw: bytes
+    angle: bytes  # of a gripper
+
+
+def turned(wrench: Sequence[float], turn: Callable[[Vector], Vector]) -> tuple[float, ...]:
+    """A wrench (6,) with its force and its torque turned."""
+    fx, fy, fz, tx, ty, tz = wrench
+    return (*turn((fx, fy, fz)), *turn((tx, ty, tz)))

@@ -1,0 +1,183 @@
+"""A tool's poses, forces and jaws as they come in: read, checked, led to the organ's frame, and handed on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.freshness import Freshness
+from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
+from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, unit_pose
+from tissue_sim.ros.shared.frames import Transform, UnknownFrame, rotate
+from tissue_sim.ros.shared.messages import NumbersTemplate
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.qos import RELIABLE, STREAM
+from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming
+
+FARTHEST = 100.0  # m: a pose beyond it is in another unit
+WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
+
+
+class Refused(Exception):
+    """Input that is not taken up: a short name for the counter, and the line for the user."""
+
+    def __init__(self, name: str, line: str) -> None:
+        super().__init__(line)
+        self.name = name
+
+
+class ToolInput:
+    """Subscribes a tool's measured_cp, measured_cf and, of a gripper, measured_js; posts them to the loop and the bag.
+
+    Inside, and in a bag, a pose is a PoseStamped and a force a WrenchStamped, both in the organ's frame.
+    pose_came is called after each pose, force_came after each force that was taken up.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        tool: ServedTool,
+        physics: Physics,
+        recorder: Recorder,
+        freshness: tuple[Freshness, Freshness],
+        pose_came: Callable[[], None],
+        force_came: Callable[[], None],
+    ) -> None:
+        self._tool, self._physics, self._recorder = tool, physics, recorder
+        self._pose_freshness, self._force_freshness = freshness
+        self._pose_came, self._force_came = pose_came, force_came
+        self._log, self._clock = node.get_logger(), node.get_clock()
+        self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws
+        self._newest_force: tuple[int, bytes] = (0, b"")
+        self.poses = 0
+        self.refused: Counter[str] = Counter()
+        self._warned: dict[str, float] = {}
+        topics = tool.topics
+        self._pose_type, self._force_type = POSE_TYPES[topics.pose_type], FORCE_TYPES[topics.force_type]
+        # Bytes that come in just as a bag holds them are not made a second time.
+        self._bag_pose = NumbersTemplate(PoseStamped(), N_POSE, tool.organ_frame)
+        self._bag_force = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
+        self._bag_angle = NumbersTemplate(Float64MultiArray(data=[0.0]), 1)
+        qos, names = RELIABLE if topics.reliable else STREAM, topics.names
+        poses, forces, *_ = self._subscriptions = [
+            node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True),
+            node.create_subscription(self._force_type.message, names["measured_cf"], self._on_force, qos, raw=True),
+        ]
+        pose_as_bagged = tool.is_unmoved and topics.pose_type == "PoseStamped"
+        force_as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
+        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", poses.topic_name if pose_as_bagged else "")
+        self._bagged_force = recorder.add_topic(tool.name, "measured_cf", forces.topic_name if force_as_bagged else "")
+        if tool.is_gripper:
+            self._subscriptions.append(
+                node.create_subscription(JointState, names["measured_js"], self._on_angle, qos),
+            )
+            self._bagged_angle = recorder.add_topic(tool.name, "measured_js")
+
+    def newest_messages(self) -> dict[str, tuple[int, bytes]]:
+        """Sequence number and bytes of what came last, by its topic in a bag."""
+        pose, found = self.newest, {}
+        if pose.raw:
+            found[self._bagged_pose] = (pose.sequence, pose.raw)
+        if pose.angle:
+            found[self._bagged_angle] = (pose.sequence, pose.angle)
+        if self._newest_force[1]:
+            found[self._bagged_force] = self._newest_force
+        return found
+
+    def _on_pose(self, raw: bytes) -> None:
+        tool = self._tool
+        with self._refusing("pose"):
+            message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
+            if not to_organ.is_identity:
+                message = message._replace(values=to_organ.of(message.values))
+            try:
+                pose = unit_pose(np.array(message.values))
+            except ValueError as error:
+                raise Refused("zero_quaternion", str(error)) from None
+            if (farthest := np.abs(pose[:3]).max()) > FARTHEST:
+                raise Refused("far_pose", f"it lies {farthest:.3g} m away; positions are in metres")
+            if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
+                raw = self._bag_pose.message(self._stamp(message), message.values)
+            angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
+            placed = tool.tools.poses(tool.index, pose, self._angle)
+            for body, at in zip(tool.bodies, placed, strict=True):
+                sequence = self._physics.post_pose(body, at)
+            self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
+            self._pose_freshness.came(message.stamp)
+            self.poses += 1
+            self._recorder.received(self._bagged_pose, raw)
+            if tool.is_gripper:
+                self._recorder.received(self._bagged_angle, angle)
+            self._pose_came()
+
+    def _on_angle(self, message: JointState) -> None:
+        """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""
+        with self._refusing("angle"):
+            if not message.position:
+                raise Refused("no_angle", "it holds no position")
+            if not math.isfinite(message.position[0]):
+                raise Refused("nan_angle", "it holds a value that is not finite")
+            self._angle = float(message.position[0])
+
+    def _on_force(self, raw: bytes) -> None:
+        with self._refusing("force"):
+            message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
+            self._force_freshness.came(message.stamp)
+            if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
+                message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
+                raw = self._bag_force.message(self._stamp(message), message.values)
+            self._newest_force = (self._physics.post_force(self._tool.bodies[0], np.array(message.values[:3])), raw)
+            self._recorder.received(self._bagged_force, raw)
+            self._force_came()
+
+    def _read(
+        self, raw: bytes, kind: Incoming, n_values: int, what: str, freshness: Freshness
+    ) -> tuple[Stamped, Transform]:
+        """A message whose values can be used, and the transform from its frame to the organ's."""
+        tool = self._tool
+        try:
+            message = kind.parse(raw, n_values)
+        except ValueError as error:
+            raise Refused("malformed", f"{error}") from None
+        if not all(map(math.isfinite, message.values)):
+            raise Refused(f"nan_{what}", "it holds a value that is not finite")
+        if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
+            return message, tool.frames.to_organ(tool.topics.frame_id)
+        try:
+            to_organ = tool.frames.to_organ(message.frame_id)
+        except UnknownFrame as error:
+            raise Refused(
+                "unknown_frame",
+                f"its frame is '{message.frame_id}', expected '{tool.topics.frame_id}'"
+                f" (parameter {tool.name}.frame_id names another); {error}",
+            ) from None
+        if message.stamp == 0:
+            raise Refused("no_stamp", "its stamp is 0, which marks invalid data")
+        if (before := freshness.last_stamp - message.stamp) > 0:
+            raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
+        return message, to_organ
+
+    def _stamp(self, message: Stamped) -> int:
+        return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)
+
+    @contextmanager
+    def _refusing(self, what: str) -> Iterator[None]:
+        """What is refused in here is counted, and told about now and then."""
+        try:
+            yield
+        except Refused as refused:
+            self.refused[refused.name] += 1
+            now = time.monotonic()
+            if now - self._warned.get(refused.name, -math.inf) > WARN_EVERY:
+                self._warned[refused.name] = now
+                self._log.warning(f"tool '{self._tool.name}': {what} refused: {refused}")

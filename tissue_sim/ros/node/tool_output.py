@@ -1,0 +1,98 @@
+"""A tool's wrench as it goes out: of its bridge's type, along its axes, until it has faded."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+
+from tissue_sim.array_types import Floats
+from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
+from tissue_sim.ros.shared.frames import rotate_back
+from tissue_sim.ros.shared.messages import NumbersTemplate
+from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.qos import RELIABLE, STREAM
+from tissue_sim.ros.shared.tool_messages import N_WRENCH
+
+
+class ToolOutput:
+    """Publishes a tool's servo_cf, and hands it to the bag as a WrenchStamped in the organ's frame.
+
+    A wrench goes out in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
+    rate when poses stop, until the wrench is zero.
+    """
+
+    def __init__(self, node: Node, tool: ServedTool, physics: Physics, recorder: Recorder) -> None:
+        self._tool, self._physics, self._recorder = tool, physics, recorder
+        self._clock = node.get_clock()
+        self._pose = tool.nowhere  # what was answered last
+        self.force = 0.0  # N, magnitude last published
+        self.not_finite = 0  # wrenches that were zeroed
+        topics = tool.topics
+        frame_id = tool.name if topics.wrench_frame == "body" else topics.frame_id
+        n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
+        self._template = NumbersTemplate(topics.outgoing(), n_numbers, frame_id)
+        self._bag_wrench = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
+        self._lock = threading.Lock()
+        self._published = -math.inf  # monotonic s
+        qos = RELIABLE if topics.reliable else STREAM
+        self._servo = node.create_publisher(type(topics.outgoing()), topics.names["servo_cf"], qos)
+        # Bytes that go out just as a bag holds them are not made a second time.
+        self._as_bagged = tool.is_unmoved and topics.wrench_type == "WrenchStamped" and not topics.turns_wrench
+        self._bagged = recorder.add_topic(tool.name, "servo_cf", self._servo.topic_name if self._as_bagged else "")
+
+    def answer(self, pose: NewestPose) -> None:
+        """Publish the newest wrench, in answer to a pose."""
+        with self._lock:
+            self._pose = pose
+            self._send_newest()
+
+    def keep_publishing(self, silence: float) -> bool:
+        """Publish the newest wrench if nothing went out for `silence` s and the last one wasn't zero.
+
+        Returns True while there is something left to fade.
+        """
+        with self._lock:
+            if self.force == 0.0:
+                return False
+            if time.monotonic() - self._published >= silence:
+                self._send_newest()
+            return self.force != 0.0
+
+    def publish_zero(self) -> None:
+        """A last wrench of zero, for the shutdown."""
+        with self._lock:
+            self._send(-1, np.zeros(6))
+
+    def _send_newest(self) -> None:
+        tick, wrenches = self._physics.wrenches()
+        self._send(tick, self._tool.wrench(wrenches, self._pose))
+
+    def _send(self, tick: int, wrench: Floats) -> None:
+        if not np.all(np.isfinite(wrench)):  # never seen, and never to be felt
+            wrench = np.zeros(6)
+            self.not_finite += 1
+        stamp = self._clock.now().nanoseconds
+        raw = self._template.message(stamp, self._along_axes(wrench))
+        self._servo.publish(raw)
+        self.force = math.sqrt(float(wrench[:3] @ wrench[:3]))
+        self._published = time.monotonic()
+        if self._recorder.active:
+            if not (self._as_bagged and self._pose.to_organ.is_identity):
+                raw = self._bag_wrench.message(stamp, wrench)
+            self._recorder.wrench(self._bagged, self._tool.index, tick, raw)
+
+    def _along_axes(self, wrench: Floats) -> Sequence[float] | Floats:
+        """A wrench in the organ's axes, along those that the bridge takes it in; about the tool's origin still."""
+        pose, topics = self._pose, self._tool.topics
+        if pose.to_organ.is_identity and not topics.turns_wrench:
+            return wrench
+        x, y, z, w = pose.pose.tolist()[3:] if topics.wrench_frame == "body" else pose.to_organ.rotation
+        turn = topics.wrench_rotation
+        return turned(wrench.tolist(), lambda v: rotate_back(turn, rotate_back((x, y, z, w), v)))
