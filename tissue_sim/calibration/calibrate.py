@@ -20,7 +20,7 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, SharedMisfit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
-from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
+from tissue_sim.calibration.judge import RELEASE_STEPS, Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.reference import reference_error
 from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
@@ -147,10 +147,10 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     with progress.stage("error of the reference", 1) as done:
         accuracy = reference_error(start)
         done(f"{accuracy.worst:.2f} % at worst")
-    with progress.stage("release", 1) as done:
+    with progress.stage("release", RELEASE_STEPS) as done:
         poke, node = _poke(judged, wanted)
-        motion = _remembered_release(made, body, poke, node, rate, checkpoint)
-        done()
+        history = checkpoint.remember("release", lambda: released(made, body, poke, node, rate, done)._asdict())
+        motion = Release(**history)
     figures: dict[str, Any] = {
         "method": settings.method,
         "settings": asdict(settings),
@@ -271,13 +271,6 @@ def _poke(cases: Cases, wanted: Answer) -> tuple[Floats, int]:
     order = np.argsort(np.abs(depth - POKE) + np.where(bump, 0.0, 1.0), kind="stable")
     case = int(order[0])
     return cases.force[case] * (POKE / depth[case]), int(centre[case])
-
-
-def _remembered_release(
-    organ: Organ, body: Body, force: Floats, node: int, rate: float, checkpoint: Checkpoint
-) -> Release:
-    found = checkpoint.remember("release", lambda: released(organ, body, force, node, rate)._asdict())
-    return Release(**found)
 
 
 # the fit ------------------------------------------------------------------------------------------

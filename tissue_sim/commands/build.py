@@ -1,4 +1,4 @@
-"""`tissue_sim build`: the command line of the pipeline from a CT, a segmentation or a mesh to an organ file."""
+"""`tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,9 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.organ.pipeline import (
-    STAGES,
-    Progress,
-    Request,
-    organ_from_image,
-    organ_from_mask,
-    organ_from_mesh,
-    select_fixed,
-)
+from tissue_sim.organ.build_record import STAGES, Progress
+from tissue_sim.organ.fixed_nodes import select_fixed
+from tissue_sim.organ.making import Request, organ_from_image, organ_from_mask, organ_from_mesh
 
 if TYPE_CHECKING:
     from tqdm import tqdm
