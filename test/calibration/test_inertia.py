@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tissue_sim.calibration import inertia as motion
 from tissue_sim.calibration.inertia import (
     STEP,
     damping_rate,
@@ -20,7 +19,7 @@ from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.modes import lowest_modes
 
 from ..scenes import changed
-from .test_fit import MODEL, ORGAN, SPRINGS, START
+from .springs import MODEL, ORGAN, SPRINGS, START
 
 tissue_mass = cache(tissue_mass)
 

@@ -122,7 +122,7 @@ def test_an_organ_without_a_clamp_is_refused(folder, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("module", ["skfem", "netgen"])
+@pytest.mark.parametrize("module", ["skfem", "netgen", "joblib"])
 def test_a_missing_library_is_named(folder, monkeypatch, capsys, module):
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["calibrate", str(folder / "ball.npz"), "--out", str(folder / "x.npz"), *SMALL]) == 2
