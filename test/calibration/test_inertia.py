@@ -43,7 +43,7 @@ def test_masses_bring_the_lowest_modes_to_the_frequencies_wanted(monkeypatch):
     tilted *= around.sum() / tilted.sum()
     wanted = frequencies_of(SPRINGS, START, tilted, 6)
     before = np.abs(frequencies_of(SPRINGS, START, around, 6) / wanted - 1.0).max()
-    monkeypatch.setattr(motion, "tissue_mass", tissue_mass)
+    monkeypatch.setattr(inertia, "tissue_mass", tissue_mass)
     mass = fit_mass(ORGAN, SPRINGS, START, wanted)
     after = np.abs(frequencies_of(SPRINGS, START, mass, 6) / wanted - 1.0).max()
     assert before > 0.02
