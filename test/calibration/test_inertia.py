@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tissue_sim.calibration import inertia
 from tissue_sim.calibration.inertia import (
     STEP,
     damping_rate,
