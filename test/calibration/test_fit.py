@@ -6,9 +6,26 @@ import pytest
 from tissue_sim.calibration.cases import fit_cases, held_out_cases
 from tissue_sim.calibration.fit import BOUNDS, LinearMisfit, NonlinearMisfit, SharedMisfit, fit
 from tissue_sim.calibration.judge import errors
-from tissue_sim.calibration.static import settle
+from tissue_sim.calibration.static import Springs, settle
+from tissue_sim.model.assembly import assemble
 
-from .springs import MODEL, ORGAN, SPRINGS, START, TRUTH, linear_answers
+from ..scenes import ball, changed, filled
+
+ORGAN = changed(filled(ball(2), 12), return_stiffness=0.02)
+MODEL = assemble(ORGAN)
+SPRINGS = Springs(MODEL)
+START = SPRINGS.stiffness_of(MODEL)
+TRUTH = START * np.exp(0.5 * np.random.default_rng(7).standard_normal(len(START)))
+
+
+def linear_answers(stiffness, force):
+    """Displacements of the surface under forces, by the dense matrix."""
+    matrix = SPRINGS.rest_tangent(stiffness).toarray()
+    load = np.zeros((len(force), MODEL.rest.size))
+    load[:, : force[0].size] = force.reshape(len(force), -1)
+    moved = np.zeros_like(load)
+    moved[:, SPRINGS.free] = np.linalg.solve(matrix, load[:, SPRINGS.free].T).T
+    return moved[:, : force[0].size].reshape(force.shape)
 
 
 def settled_answers(stiffness, force):

@@ -12,7 +12,7 @@ from tissue_sim.model.assembly import assemble
 from tissue_sim.organ.organ import SpringKind
 
 from ..scenes import ball
-from .springs import ORGAN, SPRINGS, START, linear_answers
+from .test_fit import ORGAN, SPRINGS, START, linear_answers
 
 
 def test_groups_name_the_kinds_of_springs():

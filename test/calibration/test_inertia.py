@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tissue_sim.calibration import inertia
+from tissue_sim.calibration import inertia as motion
 from tissue_sim.calibration.inertia import (
     STEP,
     damping_rate,
@@ -20,7 +20,7 @@ from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.modes import lowest_modes
 
 from ..scenes import changed
-from .springs import MODEL, ORGAN, SPRINGS, START
+from .test_fit import MODEL, ORGAN, SPRINGS, START
 
 tissue_mass = cache(tissue_mass)
 
@@ -44,7 +44,7 @@ def test_masses_bring_the_lowest_modes_to_the_frequencies_wanted(monkeypatch):
     tilted *= around.sum() / tilted.sum()
     wanted = frequencies_of(SPRINGS, START, tilted, 6)
     before = np.abs(frequencies_of(SPRINGS, START, around, 6) / wanted - 1.0).max()
-    monkeypatch.setattr(inertia, "tissue_mass", tissue_mass)
+    monkeypatch.setattr(motion, "tissue_mass", tissue_mass)
     mass = fit_mass(ORGAN, SPRINGS, START, wanted)
     after = np.abs(frequencies_of(SPRINGS, START, mass, 6) / wanted - 1.0).max()
     assert before > 0.02

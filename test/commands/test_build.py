@@ -18,6 +18,8 @@ import pytest
 import SimpleITK as sitk
 import trimesh
 
+from helpers.html_page import Page
+from helpers.phantoms import around_kidney, coarse_phantom
 from tissue_sim.cli import main
 from tissue_sim.commands.build import parse_triple, report_path
 from tissue_sim.errors import UserError
@@ -25,8 +27,6 @@ from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
-from ..organ.phantoms import around_kidney, coarse_phantom
-from ..organ.reporting.html_page import Page
 from ..organ.shapes import write_dicom
 
 FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]

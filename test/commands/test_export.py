@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.vtp_file import read_vtp
 from tissue_sim.cli import main
 from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.shipped import shipped_organ
-
-from ..organ.reporting.vtp_file import read_vtp
 
 KIDNEY = str(shipped_organ("kidney"))
 UNITS = pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3)])

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.eggs import forked_egg
 from tissue_sim.cli import main
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ
 from tissue_sim.organ.reporting.description import describe
-
-from ..organ.eggs import forked_egg
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from helpers.phantoms import around_kidney, coarse_phantom, fine_phantom
 from tissue_sim.commands import build_shipped
 from tissue_sim.organ import shipped_kidney
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.phantom import PhantomParameters
-
-from .phantoms import around_kidney, coarse_phantom, fine_phantom
 
 
 @pytest.fixture(scope="session")

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.eggs import forked_egg
 from tissue_sim.organ.reporting.description import describe, label, shown, text_lines
 from tissue_sim.organ.topology import assemble_organ
-
-from ..eggs import forked_egg
 
 
 @pytest.fixture(scope="module")

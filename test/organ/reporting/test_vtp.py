@@ -2,9 +2,8 @@
 
 import numpy as np
 
+from helpers.vtp_file import read_vtp
 from tissue_sim.organ.reporting.vtp import polydata
-
-from .vtp_file import read_vtp
 
 
 def test_big_endian_arrays_are_turned(tmp_path):
