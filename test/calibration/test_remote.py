@@ -78,6 +78,7 @@ def test_close_ends_it_in_the_middle_of_a_call():
         remote.close()
         with pytest.raises(UserError, match="has ended"):
             answer.result(60.0)
+    remote.close()  # nothing is left to end
 
 
 def test_it_ends_with_its_parent_however_that_ended(tmp_path):

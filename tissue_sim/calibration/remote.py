@@ -34,7 +34,12 @@ class Remote:
             raise UserError("a process of the calibration has ended; run it again, it goes on from there") from None
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, whatever it is doing."""
+        # Asked by shutdown alone, it would not hear while a mesh is made, which doesn't let go of Python's lock.
+        process = self._manager._process  # type: ignore[attr-defined]
+        if process is not None:
+            process.kill()
+            process.join()
         self._manager.shutdown()
 
 
