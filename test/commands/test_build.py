@@ -25,7 +25,7 @@ from tissue_sim.commands.build import parse_triple, report_path
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 from ..organ.shapes import write_dicom
 
@@ -242,6 +242,22 @@ def test_help_names_every_option(capsys):
         assert " ".join(item.metadata["help"].split()) in " ".join(text.split())
     assert "LPS" in text
     assert "None" not in text
+
+
+def test_without_the_image_libraries_help_is_whole_and_a_build_names_what_to_install():
+    blocked = "import sys\nsys.modules.update(dict.fromkeys(('SimpleITK', 'skimage')))\n"
+    code = blocked + "from tissue_sim.cli import main\nsys.exit(main(['build', *sys.argv[1:]]))"
+    helped, tried = (
+        subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+        for words in (["--help"], ["ct.nii", "--seed", "1,2,3"])
+    )
+    assert helped.returncode == 0, helped.stderr
+    assert all(
+        f"--{item.name.replace('_', '-')} " in helped.stdout for item in dataclasses.fields(SegmentationParameters)
+    )
+    assert tried.returncode == 2
+    assert "pip install 'tissue_sim[image]'" in tried.stderr
+    assert tried.stderr.count("\n") == 1
 
 
 def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, monkeypatch):

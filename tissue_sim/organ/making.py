@@ -11,12 +11,12 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume
     from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
     from tissue_sim.organ.organ import Organ
-    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
     from tissue_sim.organ.surfaces.surface import Wall
 
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
@@ -55,7 +55,7 @@ def organ_from_image(
 
     Raises UserError as the stages do.
     """
-    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters, segment
+    from tissue_sim.organ.segmenting.segmentation import segment
 
     progress = progress or Progress()
     parameters = parameters or SegmentationParameters()
