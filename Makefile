@@ -46,7 +46,7 @@ format: .venv/.installed ## ruff's formatting and safe fixes
 	@$(PY) -m ruff format
 
 organ: .venv/.installed ## rebuilds the kidney that ships from the phantom and calibrates it
-	@$(PY) -m tissue_sim.organ.build_shipped
+	@$(PY) -m tissue_sim.commands.build_shipped
 	.venv/bin/tissue_sim calibrate config/organs/kidney_as_built.npz --out config/organs/kidney.npz
 
 colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels, in .colcon

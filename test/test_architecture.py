@@ -24,9 +24,11 @@ MAY_IMPORT = {
     "calibration": {"organ", "model"},
     "ros": {"organ", "model", "contact", "calibration"},
     "bench": {"organ", "model", "contact", "calibration", "ros"},
-    "cli": {"organ", "model", "contact", "calibration", "ros", "bench"},
+    "commands": {"organ", "model", "contact", "calibration", "ros", "bench"},
+    "cli": {"commands"},
     "__main__": {"cli"},
 }
+LIBRARIES = {"organ", "model", "contact", "calibration"}  # what they find, others ask for and show
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
 TOP_LEVEL = {
     *(".ci", ".gitignore", ".python-version", "LICENSE", "Makefile", "README.md", "constraints.txt"),
@@ -66,7 +68,19 @@ def violations(path: Path) -> list[str]:
             found.append(f"{path.relative_to(ROOT)}:{line}: {own or 'a shared module'} imports {module}")
         if own != "ros" and ROS_PACKAGE.fullmatch(module.split(".")[0]):
             found.append(f"{path.relative_to(ROOT)}:{line}: imports {module} outside tissue_sim/ros")
+        if own in LIBRARIES and module.split(".")[0] in ("argparse", "tqdm"):
+            found.append(f"{path.relative_to(ROOT)}:{line}: a library imports {module}")
+    if own in LIBRARIES:
+        found += [f"{path.relative_to(ROOT)}:{line}: a library prints" for line in prints(path)]
     return found
+
+
+def prints(path: Path) -> Iterator[int]:
+    """Lines of a source file that name what writes to the terminal."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        name = node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+        if name in ("print", "stdout", "stderr"):
+            yield node.lineno
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
@@ -84,6 +98,13 @@ def test_imports_run_one_way(path):
         ("contact/a.py", "import rclpy"),
         ("model/a.py", "from geometry_msgs.msg import PoseStamped"),
         ("ros/a.py", "import tissue_sim.cli"),
+        ("commands/a.py", "import rclpy"),
+        ("ros/a.py", "from tissue_sim.commands import COMMANDS"),
+        ("organ/a.py", "from argparse import ArgumentParser"),
+        ("calibration/a.py", "def late():\n    from tqdm import tqdm"),
+        ("model/a.py", "print(1)"),
+        ("organ/a.py", "making = Progress(print)"),
+        ("contact/a.py", "import sys\nsys.stderr.write('x')"),
         ("errors.py", "from tissue_sim.organ.organ import Organ"),
     ],
 )
@@ -149,7 +170,7 @@ def test_model_needs_neither_ros_nor_images_nor_meshes():
 
 def test_node_needs_no_extra():
     pytest.importorskip("rclpy")
-    blocked = ("SimpleITK", "skimage", "viser", "skfem", "netgen", "matplotlib", "mujoco", "pypbd")
+    blocked = ("SimpleITK", "skimage", "viser", "skfem", "netgen", "joblib", "matplotlib", "mujoco", "pypbd")
     run = import_with_blocked("tissue_sim.ros.node.serve", *blocked)
     assert run.returncode == 0, run.stderr
 

@@ -1,4 +1,4 @@
-"""`tissue_sim COMMAND`: one module for each command, imported when it is used."""
+"""`tissue_sim COMMAND`: finds the command and runs it."""
 
 from __future__ import annotations
 
@@ -9,20 +9,8 @@ import sys
 from collections.abc import Sequence
 
 import tissue_sim
+from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError
-
-COMMANDS = {
-    "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
-    "build": ("tissue_sim.organ.build", "make an organ from a CT, a mask or a surface mesh"),
-    "info": ("tissue_sim.organ.reporting.info", "print what an organ file holds"),
-    "export": ("tissue_sim.organ.reporting.export", "write an organ's surface or skeleton for other programs"),
-    "solve": ("tissue_sim.model.solve", "settled displacements under given loads"),
-    "calibrate": ("tissue_sim.calibration.command", "fit an organ to finite elements of its shape, and judge it"),
-    "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
-    "replay": ("tissue_sim.ros.bags.replay", "run a recorded bag again and compare"),
-    "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
-    "bridge": ("tissue_sim.ros.bridge.play", "play a scripted haptic bridge to a running node"),
-}
 
 
 def _with_signs(words: Sequence[str]) -> list[str]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from concurrent.futures import CancelledError, ThreadPoolExecutor, wait
 from functools import partial
-from threading import Event, Thread
 from typing import NamedTuple
 
 import numpy as np
@@ -33,55 +33,41 @@ class Task(NamedTuple):
 
 
 class Reference:
-    """Settles sets of cases, one set after another; a set that is whole is kept in the checkpoint.
+    """Settles sets of cases from now on, one set after another; a set that is whole is kept in the checkpoint.
 
     Not case by case: what a case comes to depends, to rounding, on those that settle in step with it.
     """
 
     def __init__(self, organ: Organ, checkpoint: Checkpoint, tasks: dict[str, Task]) -> None:
-        self._organ, self._checkpoint, self._tasks = organ, checkpoint, tasks
-        self._answers: dict[str, Arrays] = {}
+        self._organ = organ
         self._settled = dict.fromkeys(tasks, 0)
-        self._ready = {name: Event() for name in tasks}
         self._remote: Remote | None = None
         self._stopped = False
-        self._failure: BaseException | None = None
-        self._thread = Thread(target=self._work, daemon=True, name="finite elements")
-
-    def begin(self) -> None:
-        """Start to work."""
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1, "finite elements")
+        self._answers = {
+            name: self._thread.submit(checkpoint.remember, name, partial(self._settle, name, task))
+            for name, task in tasks.items()
+        }
 
     def stop(self) -> None:
         """End what is under way, and begin nothing more."""
         self._stopped = True
         if self._remote is not None:
             self._remote.close()
+        self._thread.shutdown(cancel_futures=True)
 
     def answer(self, name: str, done: Callable[..., None]) -> Answer:
         """Answers to a set of cases, as soon as they are there; `done` is called for each. Raises what went wrong."""
-        told = 0
-        while True:
-            ready = self._ready[name].wait(0.2)  # in turns, so that an interrupt comes through
-            if ready and self._failure is not None:
-                raise self._failure
-            for _ in range(told, len(self._tasks[name].cases) if ready else self._settled[name]):
+        told, answer = 0, self._answers[name]
+        while not answer.done():
+            wait([answer], 0.2)  # in turns, so that an interrupt comes through
+            for _ in range(told, self._settled[name]):
                 told += 1
                 done()
-            if ready:
-                return Answer(**self._answers[name])
-
-    def _work(self) -> None:
-        try:
-            for name, task in self._tasks.items():
-                if self._stopped:
-                    return
-                self._answers[name] = self._checkpoint.remember(name, partial(self._settle, name, task))
-                self._ready[name].set()
-        except BaseException as failure:  # handed to whoever waits
-            self._failure = failure
-            for event in self._ready.values():
-                event.set()
+        found = Answer(**answer.result())
+        for _ in range(told, len(found.converged)):
+            done()
+        return found
 
     def _settle(self, name: str, task: Task) -> Arrays:
         force = task.cases.force
@@ -91,18 +77,17 @@ class Reference:
             return found
         remote = self._remote = Remote(Settler, self._organ, task.grading)
         try:
-            remote.ask("begin", force)
-            remote.answer()
+            if self._stopped:
+                raise CancelledError
+            remote.call("begin", force)
             for case in range(count):
-                remote.ask("following")
-                settled: Settled = remote.answer()
+                settled: Settled = remote.call("following")
                 found["displacement"][case] = settled.displacement
                 found["volume"][case] = settled.volume_change
                 found["converged"][case] = float(settled.converged)
                 self._settled[name] = case + 1
             if task.linear is not None:
-                remote.ask("linear", force)
-                found["displacement"] += task.linear - remote.answer()
+                found["displacement"] += task.linear - remote.call("linear", force)
         finally:
             remote.close()
         return found
@@ -112,11 +97,11 @@ class Settler:
     """A finite-element body that settles cases one after another."""
 
     def __init__(self, organ: Organ, grading: Grading | None) -> None:
-        self._body = Body(organ, grading=grading)
-        self._settled: Iterator[Settled] = iter(())
+        self._organ, self._grading = organ, grading
 
     def begin(self, force: Floats) -> None:
-        """Take on cases (c, n_surface, 3) N."""
+        """Make the body, and take on cases (c, n_surface, 3) N. Raises UserError as the body does."""
+        self._body = Body(self._organ, grading=self._grading)
         self._settled = self._body.settle_many(force)
 
     def following(self) -> Settled:

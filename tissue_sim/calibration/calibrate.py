@@ -20,7 +20,7 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Evaluation, LinearMisfit, Misfit, SharedMisfit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
-from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
+from tissue_sim.calibration.judge import RELEASE_STEPS, Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.reference import reference_error
 from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
@@ -110,13 +110,11 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     nonlinear, nonlinear_linear = _scaled(nonlinear, linear["nonlinear"], start, settings.seed, DEEP)
     judged, judged_linear = _scaled(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
     tasks = {"nonlinear": Task(nonlinear, COARSE, nonlinear_linear), "held-out": Task(judged)}
-    reference = Reference(start, checkpoint, tasks)
-
     model = assemble(start)
     springs = Springs(model)
     prior = first_stiffness(model, springs)
     misfit = LinearMisfit(springs, linear_cases.force, linear["fit"])
-    reference.begin()
+    reference = Reference(start, checkpoint, tasks)
     try:
         if settings.method == "groups":
             stiffness, fitted = _by_groups(start, springs, prior, misfit, settings, progress)
@@ -147,10 +145,10 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     with progress.stage("error of the reference", 1) as done:
         accuracy = reference_error(start)
         done(f"{accuracy.worst:.2f} % at worst")
-    with progress.stage("release", 1) as done:
+    with progress.stage("release", RELEASE_STEPS) as done:
         poke, node = _poke(judged, wanted)
-        motion = _remembered_release(made, body, poke, node, rate, checkpoint)
-        done()
+        history = checkpoint.remember("release", lambda: released(made, body, poke, node, rate, done)._asdict())
+        motion = Release(**history)
     figures: dict[str, Any] = {
         "method": settings.method,
         "settings": asdict(settings),
@@ -273,13 +271,6 @@ def _poke(cases: Cases, wanted: Answer) -> tuple[Floats, int]:
     return cases.force[case] * (POKE / depth[case]), int(centre[case])
 
 
-def _remembered_release(
-    organ: Organ, body: Body, force: Floats, node: int, rate: float, checkpoint: Checkpoint
-) -> Release:
-    found = checkpoint.remember("release", lambda: released(organ, body, force, node, rate)._asdict())
-    return Release(**found)
-
-
 # the fit ------------------------------------------------------------------------------------------
 
 
@@ -338,26 +329,28 @@ class _Logged:
     def __init__(self, misfit: Misfit, name: str, checkpoint: Checkpoint) -> None:
         self._misfit, self._name, self._checkpoint = misfit, name, checkpoint
         self._count = 0
-        self._replayed: Arrays | None = None
+        self._replayed: Arrays | None = None  # the last evaluation, where the misfit itself has yet to come
+        self._evaluated = False
         self.last: dict[str, Any] = {}
 
     def evaluate(self, stiffness: Floats) -> Evaluation:
         """As the misfit does, or as it did."""
-        kept = self._checkpoint.load(f"{self._name}-{self._count:04d}")
-        if kept is None:
-            if self._replayed is not None and isinstance(self._misfit, SharedMisfit):
-                self._misfit.restore(self._replayed["position"], self._replayed["stiffness"])
-            self._replayed = None
-            found = self._misfit.evaluate(stiffness)
-            kept = {"loss": np.array(found.loss), "slope": found.slope, "error": found.error}
-            if isinstance(self._misfit, SharedMisfit):
-                kept |= {"position": self._misfit.position, "stiffness": self._misfit.stiffness}
-            self._checkpoint.store(f"{self._name}-{self._count:04d}", kept)
-        else:
-            self._replayed = kept
+        self._evaluated = False
+        kept = self._checkpoint.remember(f"{self._name}-{self._count:04d}", lambda: self._evaluate(stiffness))
+        self._replayed = None if self._evaluated else kept
         self._count += 1
         self.last = _figures(kept["error"])
         return Evaluation(float(kept["loss"]), kept["slope"], kept["error"])
+
+    def _evaluate(self, stiffness: Floats) -> Arrays:
+        if self._replayed is not None and isinstance(self._misfit, SharedMisfit):
+            self._misfit.restore(self._replayed["position"], self._replayed["stiffness"])
+        found = self._misfit.evaluate(stiffness)
+        self._evaluated = True
+        kept = {"loss": np.array(found.loss), "slope": found.slope, "error": found.error}
+        if isinstance(self._misfit, SharedMisfit):
+            kept |= {"position": self._misfit.position, "stiffness": self._misfit.stiffness}
+        return kept
 
 
 def _figures(error: Floats) -> dict[str, Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigsh
-from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cholesky import Cholesky
@@ -39,11 +39,12 @@ def release(
     damping_rate: float,
     nodes: ArrayLike | None = None,
     linear: bool = False,
+    watch: Callable[[], None] | None = None,
 ) -> Motion:
     """Settle the body under surface forces (n_surface, 3) N, let go, and follow surface nodes (k,), all if None.
 
     Neo-Hookean, or linear elasticity about rest. Consistent mass; the damping is proportional to it,
-    damping_rate 1/s times the mass, so that every mode decays with damping_rate / 2.
+    damping_rate 1/s times the mass, so that every mode decays with damping_rate / 2. watch: called after every step.
 
     Raises UserError when the body doesn't settle, or when a time step doesn't converge.
     """
@@ -56,7 +57,7 @@ def release(
             raise UserError("the finite-element body does not settle under this load; make it smaller")
         start = rest.displacement
     chosen = np.arange(body.organ.n_surface) if nodes is None else np.asarray(nodes)
-    return swing(solid, start, seconds, step, damping_rate, chosen, linear, SMOOTHED)
+    return swing(solid, start, seconds, step, damping_rate, chosen, linear, SMOOTHED, watch)
 
 
 def swing(
@@ -68,6 +69,7 @@ def swing(
     nodes: NDArray[Any],
     linear: bool = False,
     smoothed: int = 0,
+    watch: Callable[[], None] | None = None,
 ) -> Motion:
     """Free motion of a solid from displacements (n, 3) m at rest, of which nodes (k,) are followed.
 
@@ -75,7 +77,7 @@ def swing(
     d the displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v, where c is the damping rate.
     Frequencies far above 1/h keep neither their period nor their damping: where the start excites them, as a load
     does that is suddenly gone, the first `smoothed` steps are two half steps of implicit Euler each, which have the
-    same matrix and quench them (Rannacher 1984); the order stays.
+    same matrix and quench them (Rannacher 1984); the order stays. watch: called after every step.
 
     Raises UserError for a step or duration that is none, or when a step doesn't converge.
     """
@@ -87,7 +89,7 @@ def swing(
     moved, velocity = np.where(solid.held, 0.0, start), np.zeros_like(start)
     half = np.zeros_like(start)
     history, energies = [moved[nodes]], [_energy(solid, moved, velocity, linear)]
-    for number in tqdm(range(count), desc="implicit dynamics", unit="step", leave=False, mininterval=1.0, disable=None):
+    for number in range(count):
         for _ in range(2 if number < smoothed else 1):
             push = (2.0 / step) * (solid.mass @ velocity)
             if linear:
@@ -101,6 +103,8 @@ def swing(
                 moved, velocity = moved + 2.0 * half, (4.0 / step) * half - velocity
         history.append(moved[nodes])
         energies.append(_energy(solid, moved, velocity, linear))
+        if watch is not None:
+            watch()
     return Motion(np.linspace(0.0, step * count, count + 1), np.array(history), np.array(energies))
 
 

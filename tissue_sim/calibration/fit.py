@@ -7,6 +7,7 @@ is that of the settled surface; its slope by every stiffness comes from one adjo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -155,6 +156,7 @@ class SharedMisfit:
     def __init__(self, springs: Springs, force: Floats, wanted: Floats, processes: int = PROCESSES) -> None:
         self._parts = [slice(k, None, processes) for k in range(min(processes, len(force)))]
         self._remotes = [Remote(NonlinearMisfit, springs, force[part], wanted[part]) for part in self._parts]
+        self._threads = ThreadPoolExecutor(len(self._parts))
         self.position = np.full((len(force), *springs.rest.shape), np.nan)
         self.stiffness = np.full((len(force), sum(springs.counts)), np.nan)
 
@@ -178,11 +180,14 @@ class SharedMisfit:
         """End the processes."""
         for remote in self._remotes:
             remote.close()
+        self._threads.shutdown()
 
     def _each(self, method: str, arguments: list[tuple[Any, ...]]) -> list[Any]:
-        for remote, given in zip(self._remotes, arguments, strict=True):
-            remote.ask(method, *given)
-        return [remote.answer() for remote in self._remotes]
+        asked = [
+            self._threads.submit(remote.call, method, *given)
+            for remote, given in zip(self._remotes, arguments, strict=True)
+        ]
+        return [answer.result() for answer in asked]
 
 
 def fit(

@@ -19,6 +19,7 @@ LONGEST = 20.0  # simulated seconds after which a load is given up
 RAMP = 0.3  # s in which a load is raised: as the finite elements, which know no inertia there, and a hand would
 RELEASE_STEP = 0.01  # s of the implicit dynamics
 RELEASE_TIME = 1.0  # s
+RELEASE_STEPS = round(RELEASE_TIME / RELEASE_STEP)
 
 
 class Answer(NamedTuple):
@@ -64,9 +65,14 @@ class Release(NamedTuple):
         return float(np.linalg.norm(self.found - self.wanted) / np.linalg.norm(self.wanted))
 
 
-def released(organ: Organ, body: Body, force: Floats, node: int, rate: float) -> Release:
-    """History of a node from the shape settled under forces (n_surface, 3) N, let go; damping rate 1/s in both."""
-    motion = release(body, force, RELEASE_TIME, RELEASE_STEP, rate, [node])
+def released(
+    organ: Organ, body: Body, force: Floats, node: int, rate: float, watch: Callable[[], None] | None = None
+) -> Release:
+    """History of a node from the shape settled under forces (n_surface, 3) N, let go; damping rate 1/s in both.
+
+    watch: called after every step of the finite elements, RELEASE_STEPS of them.
+    """
+    motion = release(body, force, RELEASE_TIME, RELEASE_STEP, rate, [node], watch=watch)
     simulation = Simulation(organ)
     simulation.settle(force, TOLERANCE, LONGEST)
     rest = simulation.model.rest[node]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing.managers import BaseManager
 from typing import Any
 
 from tissue_sim.child import end_with_parent
@@ -13,68 +14,56 @@ from tissue_sim.errors import UserError
 
 
 class Remote:
-    """An object made in a new process by make(*arguments); `ask` calls its methods there, `answer` returns what came.
+    """An object made in a new process by make(*arguments), which must not fail.
 
-    Answers come in the order of the questions, and raise what was raised there. The process ends with this one.
+    The process ends with this one. What the object keeps between calls (factored matrices) never leaves it: workers
+    that are handed the next task anew, as joblib's are, would work that out again.
     """
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
-        context = get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, make, arguments), daemon=True)
-        # Read when BLAS is loaded: one thread for each process.
-        before = os.environ.get("OPENBLAS_NUM_THREADS")
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"
-        try:
-            self._process.start()
-        finally:
-            if before is None:
-                del os.environ["OPENBLAS_NUM_THREADS"]
-            else:
-                os.environ["OPENBLAS_NUM_THREADS"] = before
-        theirs.close()
+        self._manager = _Process(ctx=get_context("spawn"))
+        with _one_thread():
+            self._manager.start(end_with_parent)
+        self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 
-    def ask(self, method: str, *arguments: Any) -> None:
-        """Call a method there, without waiting."""
-        self._pipe.send((method, arguments))
-
-    def answer(self) -> Any:
-        """What the oldest question without an answer came to. Raises UserError when the process is gone."""
+    def call(self, method: str, *arguments: Any) -> Any:
+        """What a method returns or raises there. Raises UserError when the process is gone."""
         try:
-            fine, found = self._pipe.recv()
-        except (EOFError, OSError):
+            return getattr(self._object, method)(*arguments)
+        except (EOFError, ConnectionError, FileNotFoundError):  # the last: its socket
             raise UserError("a process of the calibration has ended; run it again, it goes on from there") from None
-        if not fine:
-            raise found
-        return found
 
     def close(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.join()
-        self._pipe.close()
+        """End the process, whatever it is doing."""
+        # Asked by shutdown alone, it would not hear while a mesh is made, which doesn't let go of Python's lock.
+        process = self._manager._process  # type: ignore[attr-defined]
+        if process is not None:
+            process.kill()
+            process.join()
+        self._manager.shutdown()
 
 
-def _serve(pipe: Connection, make: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    """Make the object, answer questions until the other end is closed."""
-    end_with_parent()
-    made: Any = None
-    failure: BaseException | None = None
+class _Process(BaseManager):
+    """The process, which makes what it is told to."""
+
+
+def _make(make: Callable[..., Any], *arguments: Any) -> Any:
+    return make(*arguments)
+
+
+_Process.register("make", _make)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes begun here have one thread of BLAS each, which reads this when it is loaded."""
+    name = "OPENBLAS_NUM_THREADS"
+    before = os.environ.get(name)
+    os.environ[name] = "1"
     try:
-        made = make(*arguments)
-    except BaseException as error:  # told with the first answer
-        failure = error
-    while True:
-        try:
-            method, given = pipe.recv()
-        except (EOFError, OSError, KeyboardInterrupt):
-            return
-        try:
-            if failure is not None:
-                raise failure
-            answer = True, getattr(made, method)(*given)
-        except KeyboardInterrupt:
-            return
-        except BaseException as error:
-            answer = False, error
-        pipe.send(answer)
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before

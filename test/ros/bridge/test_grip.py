@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from helpers.paths import CONFIG
 from helpers.ros.clearance import clearance
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
+from helpers.ros.processes import STAND_IN, UNHURRIED, Process, shipped, start_node
 from helpers.ros.stand_in import ball
 from helpers.ros.told import values
 from tissue_sim.cli import main
@@ -148,7 +148,7 @@ def test_a_node_without_a_gripper_is_told(values, words, message):
 
 
 def test_a_node_without_a_gripper_is_one_line_and_exit_code_2(tmp_path, capfd):
-    node = Process([str(Path(__file__).with_name("stand_in.py"))], tmp_path / "node.log")
+    node = Process([STAND_IN], tmp_path / "node.log")
     try:
         node.wait_for("up", 20.0)
         assert main(["bridge", "--script", "grip"]) == 2

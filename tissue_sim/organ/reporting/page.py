@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.organ.build_record import BuildRecord
 from tissue_sim.organ.organ import Organ, SpringKind
-from tissue_sim.organ.pipeline import BuildRecord
 from tissue_sim.organ.reporting import pictures
-from tissue_sim.organ.reporting.export import bones
-from tissue_sim.organ.reporting.info import describe, is_nested, label, shown
+from tissue_sim.organ.reporting.description import describe, is_nested, label, shown
+from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.surfaces.surface import (
     MarchingCubesReport,
     SurfaceComparison,

@@ -16,6 +16,7 @@ from scipy import ndimage
 from tissue_sim.array_types import Mask, Singles
 from tissue_sim.jit import kernel
 from tissue_sim.organ.segmenting.depth import depth_of
+from tissue_sim.organ.segmenting.region import Region
 
 _RIM = 6.0  # mm inwards of fat and gas to which an organ may be blurred darker
 _RIVAL = 2.0  # mL, from which a part of other intensity is a neighbour and no noise
@@ -30,48 +31,30 @@ _SETTLED = 0.002  # mean change of the undecided voxels that counts as none
 _EVERY = 20  # steps between looks at the change
 
 
-def dilate(
-    sharp: Singles,
-    smooth: Singles,
-    level: Singles,
-    core: Mask,
-    others: Mask,
-    inside: Mask,
-    *,
-    mean: float,
-    width: float,
-    dark: float,
-    reach: float,
-    h: float,
-    stiffness: float,
-    spur: float,
-) -> Mask:
-    """Dilate the organ's core back to its wall; all arrays (nz, ny, nx), lengths mm, intensities HU.
+def dilate(region: Region, core: Mask, stiffness: float, spur: float) -> Mask:
+    """Dilate the organ's core (nz, ny, nx) back to its wall, by no more than the region's reach.
 
-    sharp, smooth: the image, smoothed little and much; level: the organ's intensity, from place to place; core and
-    others: what surely is organ or neighbours; inside: in the image. mean, width: the organ's intensity
-    and its window's half-width; dark: intensity of fat; reach: greatest dilation; h: the grid's spacing;
-    stiffness: weight of the image against a small wall; spur: radius under which spurs are left out.
+    stiffness: weight of the image against a small wall; spur: radius, mm, under which spurs are left out.
     """
-    wall = 0.5 * (mean + dark)
-    tissue = sharp > wall
+    sharp, smooth, level, others, h = region.sharp, region.smooth, region.level, region.others, region.h
+    tissue = sharp > region.wall
     deep = depth_of(tissue) * h
-    brighter = depth_of((smooth > level + width) & tissue) * h > _LIGHT
-    darker = (smooth < level - width) & (deep > _RIM)
+    brighter = depth_of((smooth > level + region.width) & tissue) * h > _LIGHT
+    darker = (smooth < level - region.width) & (deep > _RIM)
     away = depth_of(~core) * h
     rival = _sizeable((others | brighter | darker) & ~core & (away > h), _RIVAL * 1e3 / h**3)
-    around, weight = local_mean(sharp, rival & (sharp < mean + _BONE), _AROUND / h)
+    around, weight = local_mean(sharp, rival & (sharp < region.mean + _BONE), _AROUND / h)
     noise = max(1.4826 * float(np.median(np.abs(sharp - level)[core])), 1.0)
     fits = (sharp - level) ** 2
-    other = np.where(sharp < dark, 0.0, sharp - dark) ** 2
+    other = np.where(sharp < region.dark, 0.0, sharp - region.dark) ** 2
     beyond = ((around > level) & (sharp > around)) | ((around < level) & (sharp < around))
     other = np.where(weight > _FEW, np.minimum(other, np.where(beyond, 0.0, sharp - around) ** 2), other)
     cost = stiffness * (fits - other) / (2.0 * noise**2)
-    cost = np.where(sharp > mean + _BONE, 1.0, np.clip(cost, -_FIRM, _FIRM)).astype(np.float32)
+    cost = np.where(sharp > region.mean + _BONE, 1.0, np.clip(cost, -_FIRM, _FIRM)).astype(np.float32)
     if rival.any():
         lead = away - depth_of(~rival) * h
         cost += _RACE * np.clip(lead / _RACE_WIDTH, -1.0, 1.0).astype(np.float32) * (lead > -_RACE_WIDTH)
-    free = (away <= reach) & inside & ~core & ~others
+    free = (away <= region.reach) & region.inside & ~core & ~others
     own = least_wall(cost, free, core)
     return _open(own, spur / h) | core
 

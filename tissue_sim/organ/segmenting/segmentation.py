@@ -18,11 +18,12 @@ from tissue_sim.array_types import Mask, Singles
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.segmenting.anatomy import anatomy_of, measure_shape, misfits
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.organ.segmenting.region import Index
 from tissue_sim.organ.segmenting.stages import (
     SMOOTHINGS,
     WINDOWS,
     Segmentation,
-    SegmentationParameters,
     ball_at,
     gaussian,
     point_text,
@@ -34,7 +35,6 @@ from tissue_sim.organ.segmenting.working import default_spacing, resample, withi
 
 __all__ = ["Progress", "Segmentation", "SegmentationParameters", "check_seed", "dice", "segment", "working_grid"]
 
-Index = tuple[int, int, int]
 Progress = Callable[[str, float], None]
 
 _SURVEY_GRID = 3.0  # mm, first pass: how far does the organ reach?

@@ -1,4 +1,4 @@
-"""The stages of the segmentation on one grid, and what can be tuned in them; segmentation.py runs them.
+"""The stages of the segmentation on one grid; segmentation.py runs them.
 
 Threshold, erosion until the organ is separate, fast marching, reconstruction, dilation (Zhang, Gu et al. 2006,
 section 2). Erosion and dilation by a ball are thresholds of the exact Euclidean distance, so depths are
@@ -7,7 +7,7 @@ millimetres on any grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,9 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import Volume
 from tissue_sim.organ.segmenting.depth import depth_of
 from tissue_sim.organ.segmenting.dilation import dilate, local_mean
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.organ.segmenting.region import Box, Index, Region
 from tissue_sim.organ.segmenting.separation import Parts, necks, part
-
-Index = tuple[int, int, int]
 
 SMOOTHINGS = (2.5, 3.0)  # mm, tried until the tissue at the seed is calm
 WINDOWS = (2.5, 3.3, 4.3, 5.5)  # half-widths tried, in deviations
@@ -36,53 +36,6 @@ _HOLE = 0.15  # mL, up to which a gap in the thresholded tissue is noise
 _DRIFT, _DRIFT_WIDTH = 10.0, 20.0  # HU, mm: how far the organ's intensity may wander, and over what distance
 _REFINEMENTS = 4
 _CLEAR = 3.0  # deviations from the organ from which its surroundings are clearly something else
-
-
-def _option(default: Any, unit: str, text: str, bounds: tuple[float, float]) -> Any:
-    return field(default=default, metadata={"unit": unit, "help": text, "range": bounds})
-
-
-@dataclass(frozen=True)
-class SegmentationParameters:
-    """What can be tuned at every stage. None: worked out from the image.
-
-    Every field's metadata hold its unit, a line of help and its range; a value out of range raises UserError
-    that names the field as the command line has it.
-    """
-
-    smoothing: float | None = _option(
-        None, "mm", "standard deviation of the Gaussian before intensities are compared; by default 2.5 or 3,"
-        " until the tissue at the seed is calm", (0.1, 10.0),
-    )  # fmt: skip
-    wall_smoothing: float = _option(0.6, "mm", "the same before the wall is located", (0.1, 10.0))
-    window: float | None = _option(
-        None, "SD", "half-width of the intensity window, in deviations of the tissue at the seed; by default the one"
-        " of several whose region has the clearest wall and shape", (0.5, 50.0),
-    )  # fmt: skip
-    least_deviation: float = _option(3.0, "HU", "a calm tissue's deviation is taken as no less", (0.1, 100.0))
-    seed_radius: float = _option(7.0, "mm", "radius of the ball whose intensities start the window", (1.0, 50.0))
-    erosion: float | None = _option(None, "mm", "erosion depth; by default until the organ is separate", (0.01, 100.0))
-    neck: float = _option(0.6, "share", "a neck under this share of the smaller lobe's depth parts organs", (0.0, 1.0))
-    stop: float = _option(0.5, "share", "of the eroded region, after which the front stops", (0.01, 1.0))
-    dilation: float | None = _option(
-        None,
-        "mm",
-        "how far the eroded organ may dilate back; by default the erosion and three smoothings",
-        (0.0, 100.0),
-    )
-    stiffness: float = _option(0.5, "share", "weight of the image against a small wall while it dilates", (0.01, 100.0))
-    spur: float = _option(3.0, "mm", "vessels and spurs of less than this radius are left out", (0.0, 50.0))
-    closing: float = _option(6.0, "mm", "hollows of less than this radius are filled, except with fat", (0.0, 50.0))
-    grid: float | None = _option(
-        None, "mm", "spacing of the working grid; by default half the image's coarsest, 1 to 1.5", (0.3, 10.0)
-    )
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value, (low, high) = getattr(self, entry.name), entry.metadata["range"]
-            if value is not None and not low <= value <= high:
-                name = "--" + entry.name.replace("_", "-")
-                raise UserError(f"{name} {value:g} must lie within {low:g}..{high:g} {entry.metadata['unit']}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +83,11 @@ def voxel_at(crop: Volume, point: NDArray[np.float64]) -> Index:
     return int(k), int(j), int(i)
 
 
+def width_of(p: SegmentationParameters, deviation: float) -> float:
+    """Half of the intensity window, HU, of tissue with a deviation, HU."""
+    return float(p.window or WINDOWS[1]) * deviation
+
+
 def smooth_for(crop: Volume, p: SegmentationParameters) -> tuple[Singles, Singles]:
     """The crop (nz, ny, nx), HU, smoothed to compare intensities, and to locate the wall."""
     return gaussian(crop, float(p.smoothing or SMOOTHINGS[0])), gaussian(crop, p.wall_smoothing)
@@ -159,7 +117,7 @@ def segment_crop(
     dark = _dark_side(sharp, seed, mean, deviation, h)
     level: Singles = np.full(smooth.shape, mean, dtype=np.float32)
     for again in range(_REFINEMENTS):
-        width = float(p.window or WINDOWS[1]) * deviation
+        width = width_of(p, deviation)
         like = _majority(np.abs(smooth - level) < width, _MAJORITY / h) & inside
         like = _without_holes(like, _HOLE / crop.voxel_volume)
         next_depth = depth_of(like) * h
@@ -195,22 +153,11 @@ def segment_crop(
     mask = eroded
     if np.count_nonzero(eroded) * crop.voxel_volume <= largest:
         reach = p.dilation if p.dilation is not None else (p.erosion or light) + 3.0 * sigma
-        mask = _regrown(
-            smooth,
-            sharp,
-            level,
-            depth,
-            eroded,
-            neighbours[parts.labels],
-            inside,
-            apex,
-            p,
-            mean=mean,
-            deviation=deviation,
-            dark=dark,
-            reach=reach,
-            h=h,
+        others = neighbours[parts.labels] & (depth > _LIGHT[0])
+        region = Region(
+            sharp, smooth, inside, level, eroded, others, apex, mean, deviation, width_of(p, deviation), dark, reach, h
         )
+        mask = _regrown(region, p)
     return Segmentation(
         mask=crop.with_array(mask),
         mean=mean,
@@ -232,36 +179,14 @@ def _clarity(smooth: Singles, mask: Mask, level: Singles, contrast: float, h: fl
     return float(np.mean(np.abs(smooth[box] - level[box])[ring] > contrast)) if ring.any() else 0.0
 
 
-def _regrown(
-    smooth: Singles,
-    sharp: Singles,
-    level: Singles,
-    depth: NDArray[np.float64],
-    eroded: Mask,
-    neighbours: Mask,
-    inside: Mask,
-    apex: Index,
-    p: SegmentationParameters,
-    *,
-    mean: float,
-    deviation: float,
-    dark: float,
-    reach: float,
-    h: float,
-) -> Mask:
-    """The last three stages: front, reconstruction, dilation by up to `reach` mm; then hollows are closed."""
-    box = _box_around(eroded, (reach + 8.0) / h)
-    local: Index = tuple(i - s.start for i, s in zip(apex, box, strict=True))  # type: ignore[assignment]
-    core = _reconstruct(_front(smooth[box], eroded[box], local, mean, deviation, p.stop), eroded[box])
-    others = neighbours[box] & (depth[box] > _LIGHT[0])
-    own = dilate(
-        sharp[box], smooth[box], level[box], core, others, inside[box],
-        mean=mean, width=float(p.window or WINDOWS[1]) * deviation, dark=dark, reach=reach, h=h,
-        stiffness=p.stiffness, spur=p.spur,
-    )  # fmt: skip
+def _regrown(region: Region, p: SegmentationParameters) -> Mask:
+    """The last three stages: front, reconstruction, dilation; then hollows are closed."""
+    box = _box_around(region.eroded, (region.reach + 8.0) / region.h)
+    near = region.cropped(box)
+    own = dilate(near, _reconstruct(_front(near, p.stop), near.eroded), p.stiffness, p.spur)
     labels, _ = ndimage.label(own)
-    mask = np.zeros(depth.shape, dtype=bool)
-    mask[box] = _closed(labels == labels[local], sharp[box], others, 0.5 * (mean + dark), p.closing / h)
+    mask = np.zeros(region.eroded.shape, dtype=bool)
+    mask[box] = _closed(labels == labels[near.apex], near, p.closing / near.h)
     return mask
 
 
@@ -274,14 +199,14 @@ def _parted(depth: NDArray[np.float64], p: SegmentationParameters) -> Parts:
     return Parts(labels, np.bincount(labels.ravel(), minlength=count + 1), np.zeros(count + 1))
 
 
-def _closed(mask: Mask, sharp: Singles, others: Mask, wall: float, radius: float) -> Mask:
+def _closed(mask: Mask, region: Region, radius: float) -> Mask:
     """The mask with its holes filled, and its hollows of under `radius` voxels where they hold no fat or gas."""
     if radius > 0.0:
         around = np.pad(mask, int(np.ceil(radius)) + 1)
         grown = depth_of(~around) <= radius
         kept = depth_of(grown) > radius
         inner = tuple(slice(int(np.ceil(radius)) + 1, -int(np.ceil(radius)) - 1) for _ in range(3))
-        mask = mask | (kept[inner] & (sharp > wall) & ~others)
+        mask = mask | (kept[inner] & (region.sharp > region.wall) & ~region.others)
     return ndimage.binary_fill_holes(mask)
 
 
@@ -299,7 +224,7 @@ def _without_holes(mask: Mask, voxels: float) -> Mask:
     return mask | small[gaps]
 
 
-def _box_around(mask: Mask, margin: float) -> tuple[slice, slice, slice]:
+def _box_around(mask: Mask, margin: float) -> Box:
     """The mask's bounding box grown by `margin` voxels, clipped to the array."""
     box = ndimage.find_objects(mask.astype(np.uint8))[0]
     grow = int(np.ceil(margin))
@@ -339,12 +264,13 @@ def _ascend(depth: NDArray[np.float64], start: Index) -> Index:
         at = tuple(s.start + int(b) for s, b in zip(window, best, strict=True))  # type: ignore[assignment]
 
 
-def _front(smooth: Singles, eroded: Mask, apex: Index, mean: float, deviation: float, stop: float) -> Mask:
+def _front(region: Region, stop: float) -> Mask:
     """Fast marching from the seed through the eroded region, faster where the intensity fits.
 
     Stopped when the share `stop` of the region's voxels is reached: what is left is the reconstruction's.
     """
-    speed = np.exp(-0.5 * ((smooth - mean) / deviation) ** 2) * eroded
+    eroded, apex = region.eroded, region.apex
+    speed = np.exp(-0.5 * ((region.smooth - region.mean) / region.deviation) ** 2) * eroded
     marching = sitk.FastMarchingImageFilter()
     marching.SetTrialPoints([[int(i) for i in apex[::-1]]])
     marching.SetStoppingValue(1e6)

@@ -136,7 +136,15 @@ class ContactWorker:
         sequence = self._physics.post_contacts(found)
         self._last_empty = empty
         self.dropped += int(found.header.dropped)
-        rows = list(zip(sequences, margins, found.engaged, pushing, strict=True))
+        rows = list(
+            zip(
+                sequences,
+                margins.tolist(),
+                self._engaged.astype(bool).tolist(),
+                pushing.astype(bool).tolist(),
+                strict=True,
+            )
+        )
         self._recorder.contacts(sequence, tick, found, rows)
         self.durations.append(time.monotonic() - now)
         if len(self.durations) > 1000:

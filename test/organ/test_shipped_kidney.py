@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tissue_sim.organ.build_shipped import KIDNEY
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped_kidney import KIDNEY
 from tissue_sim.organ.surfaces.surface import measure
 
 ROOT = Path(__file__).parents[2]

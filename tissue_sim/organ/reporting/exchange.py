@@ -1,4 +1,4 @@
-"""`tissue_sim export`: an organ's surface, and its skeleton, for other programs.
+"""An organ's surface, and its skeleton, as files of other programs.
 
 Positions stand in the frame and order of the organ file, in metres or millimetres; no format here has a field for
 the unit, so every file names it in a comment. OBJ and VTP keep double precision, PLY and STL surfaces single.
@@ -6,9 +6,7 @@ the unit, so every file names it in a comment. OBJ and VTP keep double precision
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,62 +14,19 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Ints
-from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.vtp import polydata
 
+Writer = Callable[[Organ, str], bytes]
+
 UNITS = {"m": 1.0, "mm": 1e3}
 _OBJ_DIGITS = 12  # after the point: a millionth of a micrometre
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
-    parser.add_argument("out", metavar="OUT", help=f"surface to write, by its ending: {', '.join(SURFACES)}")
-    parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
-    parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="length unit (default: %(default)s)")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Write the surface, and the skeleton where asked; returns 0. Raises UserError."""
-    surface = _writer(args.out, SURFACES, "surface")
-    lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
-    if args.skeleton and Path(args.skeleton).resolve() == Path(args.out).resolve():
-        raise UserError(f"--skeleton and the surface are both {args.out}; name two files")
-    organ = Organ.load(args.organ)
-    scale = UNITS[args.unit]
-    _write(args.out, surface(organ, args.unit))
-    low, high = (getattr(organ.surface_positions, side)(axis=0) * scale for side in ("min", "max"))
-    spans = ", ".join(f"{axis} {a:.4g}..{b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    print(f"{args.out}: {organ.n_surface} points, {len(organ.surface_triangles)} triangles, {args.unit}, {spans}")
-    if lines is not None:
-        _write(args.skeleton, lines(organ, args.unit))
-        print(f"{args.skeleton}: {organ.n_atoms} atoms, {len(bones(organ))} lines, {args.unit}")
-    return 0
 
 
 def bones(organ: Organ) -> Ints:
     """Pairs (m, 2) of neighbouring atoms: each and its neighbour towards the root."""
     child = np.flatnonzero(organ.atom_parent >= 0)
     return np.stack([child, organ.atom_parent[child]], axis=1).astype(np.int32)
-
-
-def _writer(
-    path: str, formats: Mapping[str, Callable[[Organ, str], bytes]], what: str
-) -> Callable[[Organ, str], bytes]:
-    suffix = Path(path).suffix.lower()
-    if suffix not in formats:
-        raise UserError(f"{path}: no format for the {what}; let its name end in {', '.join(formats)}")
-    if not Path(path).parent.is_dir():
-        raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
-    return formats[suffix]
-
-
-def _write(path: str, content: bytes) -> None:
-    try:
-        Path(path).write_bytes(content)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _comment(organ: Organ, unit: str, what: str = "surface") -> str:
@@ -174,5 +129,6 @@ def skeleton_vtp(organ: Organ, unit: str) -> bytes:
     return polydata(positions, data, lines=bones(organ), comment=_comment(organ, unit, "skeleton"))
 
 
-SURFACES = {".ply": surface_ply, ".obj": surface_obj, ".stl": surface_stl, ".vtp": surface_vtp}
-LINES = {".ply": skeleton_ply, ".obj": skeleton_obj, ".vtp": skeleton_vtp}
+# Writers by a file's ending: of the organ, in a unit of UNITS.
+SURFACES: dict[str, Writer] = {".ply": surface_ply, ".obj": surface_obj, ".stl": surface_stl, ".vtp": surface_vtp}
+LINES: dict[str, Writer] = {".ply": skeleton_ply, ".obj": skeleton_obj, ".vtp": skeleton_vtp}

@@ -1,36 +1,24 @@
-"""From a CT, a mask or a mesh to an organ: the stages in their order, what each found and how long it took."""
+"""From a CT, a mask or a mesh to an organ: the stages in their order."""
 
 from __future__ import annotations
 
-import re
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats
-from tissue_sim.errors import UserError
+from tissue_sim.array_types import Floats, Ints
+from tissue_sim.organ.build_record import Progress
+from tissue_sim.organ.fixed_nodes import select_fixed
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume
     from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
     from tissue_sim.organ.organ import Organ
-    from tissue_sim.organ.segmenting.segmentation import Segmentation, SegmentationParameters
-    from tissue_sim.organ.skeletons.skeleton import Skeleton
-    from tissue_sim.organ.surfaces.balloon import Balloon
     from tissue_sim.organ.surfaces.surface import Wall
 
-Tell = Callable[[str], None]
-Watch = Callable[[str, float], None]  # stage, share of it that is done
-
-STAGES = ("read", "segment", "wall", "balloon", "skeleton", "springs")
-
-_FIXED = re.compile(r"([xyz])\s*([<>])\s*([0-9]*\.?[0-9]+)")
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 
 
@@ -56,89 +44,20 @@ class Request:
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass
-class BuildRecord:
-    """What the stages made on the way, for the report; references only, nothing is copied.
-
-    frame: `LPS` for an image's patient frame, `mesh` for the frame of a mesh file. seconds: of each stage, in order.
-    lines: what was told; warnings: those of them that warn.
-    """
-
-    frame: str = "LPS"
-    ct: Volume | None = None
-    seed: Floats | None = None  # (3,) mm
-    segmentation: Segmentation | None = None
-    mask: Volume | None = None
-    wall: Wall | None = None
-    balloon: Balloon | None = None
-    skeleton: Skeleton | None = None
-    organ: Organ | None = None
-    request: Request | None = None
-    repairs: tuple[str, ...] = ()
-    seconds: dict[str, float] = field(default_factory=dict)
-    lines: list[str] = field(default_factory=list)
-
-    @property
-    def warnings(self) -> list[str]:
-        """The lines that warn, without the word."""
-        return [line.removeprefix("warning: ") for line in self.lines if line.startswith("warning: ")]
-
-
-def _quiet(_line: str) -> None:
-    return None
-
-
-def _unwatched(_stage: str, _done: float) -> None:
-    return None
-
-
-@dataclass
-class Progress:
-    """Where the stages tell what they found, how far they are and what they made."""
-
-    tell: Tell = _quiet
-    watch: Watch = _unwatched
-    record: BuildRecord = field(default_factory=BuildRecord)
-
-    def say(self, line: str) -> None:
-        """Tell a line and keep it."""
-        self.record.lines.append(line)
-        self.tell(line)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time a stage and watch its beginning and end."""
-        self.watch(name, 0.0)
-        started = time.perf_counter()
-        yield
-        seconds = self.record.seconds
-        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - started
-        self.watch(name, 1.0)
-
-    def at(self, stage: str, done: float) -> None:
-        """Tell the share of a stage that is done, 0..1."""
-        self.watch(stage, min(max(done, 0.0), 1.0))
-
-    def took(self, name: str) -> str:
-        """The stage's time as text."""
-        return f"({self.record.seconds[name]:.1f} s)"
-
-
 def organ_from_image(
     ct: Volume,
     seed: Floats,
     request: Request,
     parameters: SegmentationParameters | None = None,
-    tell: Tell = _quiet,
     progress: Progress | None = None,
 ) -> Organ:
-    """Segment the organ around `seed`, (3,) mm LPS, and build it; `progress` replaces `tell`.
+    """Segment the organ around `seed`, (3,) mm LPS, and build it.
 
     Raises UserError as the stages do.
     """
-    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters, segment
+    from tissue_sim.organ.segmenting.segmentation import segment
 
-    progress = progress or Progress(tell)
+    progress = progress or Progress()
     parameters = parameters or SegmentationParameters()
     ct = ct.upright()
     for note in ct.notes:
@@ -170,12 +89,12 @@ def organ_from_image(
     return organ_from_mask(found.mask, _with(request, provenance), progress=progress)
 
 
-def organ_from_mask(mask: Volume, request: Request, tell: Tell = _quiet, progress: Progress | None = None) -> Organ:
+def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = None) -> Organ:
     """Build an organ from a bool mask: wall, balloon, skeleton, springs. Raises UserError as the stages do."""
     from tissue_sim.organ.surfaces.balloon import inflate
     from tissue_sim.organ.surfaces.surface import wall_of_surface
 
-    progress = progress or Progress(tell)
+    progress = progress or Progress()
     wall = _wall(mask.upright(), progress)
     with progress.stage("balloon"):
         balloon = inflate(wall, request.points, progress=lambda done: progress.at("balloon", done))
@@ -210,7 +129,6 @@ def organ_from_mesh(
     surface: SurfaceMesh,
     request: Request,
     keep_points: bool = False,
-    tell: Tell = _quiet,
     progress: Progress | None = None,
 ) -> Organ:
     """Build an organ from a closed surface; `keep_points` keeps its points and their order.
@@ -219,7 +137,7 @@ def organ_from_mesh(
     """
     from tissue_sim.organ.meshes.mesh_input import voxelize
 
-    progress = progress or Progress(tell)
+    progress = progress or Progress()
     for line in surface.repairs:
         progress.say(f"repaired: {line}")
     for line in surface.notes:
@@ -248,9 +166,7 @@ def _wall(mask: Volume, progress: Progress) -> Wall:
     return wall
 
 
-def _assemble(
-    wall: Wall, positions: Floats, triangles: NDArray[np.int32], request: Request, progress: Progress
-) -> Organ:
+def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, progress: Progress) -> Organ:
     from tissue_sim.organ.skeletons.skeleton import extract
     from tissue_sim.organ.topology import assemble_organ
 
@@ -290,7 +206,7 @@ def _assemble(
     return organ
 
 
-def wall_distance(wall: Wall, positions: Floats, triangles: NDArray[np.int32]) -> float:
+def wall_distance(wall: Wall, positions: Floats, triangles: Ints) -> float:
     """Mean distance, mm, of the triangles from the wall: at corners, middles of edges and centres, by area."""
     corner = positions[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
@@ -299,42 +215,6 @@ def wall_distance(wall: Wall, positions: Floats, triangles: NDArray[np.int32]) -
     probes = np.einsum("wk,tkd->twd", weights, corner)
     distance = np.abs(wall.sample(probes.reshape(-1, 3))).reshape(len(triangles), -1).mean(axis=1)
     return float(np.average(distance, weights=area))
-
-
-def select_fixed(choice: str, positions: Floats) -> NDArray[np.int32]:
-    """Indices of the surface nodes that `choice` names: `none`, `z<0.1` or a .npy file of indices.
-
-    `z<0.1` is the lowest tenth of the extent along z; axes x, y, z, < or >. Raises UserError otherwise.
-    """
-    text = choice.strip()
-    if text.lower() == "none":
-        return np.empty(0, dtype=np.int32)
-    if text.endswith(".npy"):
-        return _fixed_from_file(Path(text), len(positions))
-    match = _FIXED.fullmatch(text)
-    if match is None:
-        raise UserError(f"--fixed '{choice}' is not understood; use 'z<0.1' (axis, < or >, share), a .npy file or none")
-    axis, side, share = "xyz".index(match[1]), match[2], float(match[3])
-    if not 0.0 <= share <= 1.0:
-        raise UserError(f"--fixed '{choice}': the share of the extent must lie within 0..1")
-    along = positions[:, axis]
-    level = along.min() + share * np.ptp(along)
-    chosen = np.flatnonzero(along <= level if side == "<" else along >= level)
-    return chosen.astype(np.int32)
-
-
-def _fixed_from_file(path: Path, count: int) -> NDArray[np.int32]:
-    try:
-        index = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise UserError(f"--fixed file {path} does not exist") from None
-    except (OSError, ValueError, EOFError):
-        raise UserError(f"--fixed file {path} is no .npy file of indices") from None
-    if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer):
-        raise UserError(f"--fixed file {path} must hold a 1-D array of integers, has {index.dtype} {index.shape}")
-    if len(index) and (index.min() < 0 or index.max() >= count):
-        raise UserError(f"--fixed file {path} names nodes outside 0..{count - 1}")
-    return np.unique(index).astype(np.int32)
 
 
 def _with(request: Request, provenance: dict[str, Any]) -> Request:

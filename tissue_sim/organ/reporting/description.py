@@ -1,8 +1,7 @@
-"""`tissue_sim info`: what an organ file holds, for people or as JSON."""
+"""What an organ holds: its figures, and those as lines of text."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,24 +16,6 @@ from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, SpringKind
 from tissue_sim.organ.surfaces.surface_quality import measure
 
 UNITS = "SI: m, kg, s, N, Pa"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Print the organ; returns 0. Raises UserError for a file that is missing, damaged or no organ."""
-    organ = Organ.load(args.organ)
-    found = describe(organ) | _header(args.organ)
-    if args.json:
-        print(json.dumps(found, indent=2, ensure_ascii=False))
-    else:
-        for line in text_lines(found):
-            print(line)
-    return 0
 
 
 def describe(organ: Organ) -> dict[str, Any]:
@@ -135,7 +116,7 @@ def _range(values: Floats) -> dict[str, float]:
     return {"least": float(values.min()), "median": float(np.median(values)), "largest": float(values.max())}
 
 
-def _header(path: str | Path) -> dict[str, Any]:
+def file_header(path: str | Path) -> dict[str, Any]:
     """Schema version and units as the file states them; the file has been checked by Organ.load."""
     try:
         with np.load(Path(path), allow_pickle=False) as stored:

@@ -1,4 +1,4 @@
-"""`tissue_sim build`: the command line of the pipeline from a CT, a segmentation or a mesh to an organ file."""
+"""`tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
 
 from __future__ import annotations
 
@@ -14,21 +14,15 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.organ.pipeline import (
-    STAGES,
-    Progress,
-    Request,
-    organ_from_image,
-    organ_from_mask,
-    organ_from_mesh,
-    select_fixed,
-)
+from tissue_sim.organ.build_record import STAGES, Progress
+from tissue_sim.organ.fixed_nodes import select_fixed
+from tissue_sim.organ.making import Request, organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
     from tissue_sim.organ.organ import Organ
-    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
 
 # Parts of a hundred that a stage takes of a usual build: only the bar's pace depends on them.
@@ -163,12 +157,7 @@ def _add_stages(parser: argparse.ArgumentParser) -> None:
         " bladder, prostate, or any (default: %(default)s)",
     )
     group.add_argument("--accept", action="store_true", help="pass on with a warning what can't be that organ")
-    try:
-        parameters = _parameter_fields()
-    except ModuleNotFoundError as error:
-        group.description = f"the parameters of its stages need {error.name}; {_EXTRA}"
-        return
-    for item in parameters:
+    for item in dataclasses.fields(SegmentationParameters):
         default = f" (default: {item.default:g})" if item.default is not None else ""
         text = item.metadata["help"].replace("%", "%%")
         group.add_argument(
@@ -176,21 +165,12 @@ def _add_stages(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def _parameter_fields() -> tuple[dataclasses.Field[Any], ...]:
-    """The fields of SegmentationParameters: numbers, with `help` and `unit` in their metadata."""
-    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
-
-    return dataclasses.fields(SegmentationParameters)
-
-
 def _option(field: str) -> str:
     return "--" + field.replace("_", "-")
 
 
 def _parameters(args: argparse.Namespace) -> SegmentationParameters:
-    from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
-
-    given = {item.name: getattr(args, item.name) for item in _parameter_fields()}
+    given = {item.name: getattr(args, item.name) for item in dataclasses.fields(SegmentationParameters)}
     return SegmentationParameters(**{name: value for name, value in given.items() if value is not None})
 
 
@@ -233,7 +213,7 @@ def _source(args: argparse.Namespace) -> str:
         raise UserError("an image needs a point inside the organ: --seed X,Y,Z or --seed-voxel I,J,K")
     if args.seed and args.seed_voxel:
         raise UserError("--seed and --seed-voxel were given; choose one")
-    stages = [] if what == "IMAGE" else [item.name for item in _parameter_fields()]
+    stages = [] if what == "IMAGE" else [item.name for item in dataclasses.fields(SegmentationParameters)]
     for option, value, owner in (
         ("--seed", seeded, "IMAGE"),
         ("--series", args.series, "IMAGE"),

@@ -18,23 +18,25 @@ import pytest
 import SimpleITK as sitk
 import trimesh
 
+from helpers.html_page import Page
+from helpers.phantoms import around_kidney, coarse_phantom
 from helpers.shapes import write_dicom
 from tissue_sim.cli import main
+from tissue_sim.commands.build import parse_triple, report_path
 from tissue_sim.errors import UserError
-from tissue_sim.organ.build import parse_triple, report_path
 from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.pipeline import Progress, Request, organ_from_mask, select_fixed
-from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 FEW = ["--points", "200", "--atoms", "12", "--branches", "none"]
 ONE_WINDOW = ["--window", "3.3"]  # how a window is chosen is no matter of the command line
 
 
 @pytest.fixture(scope="module")
-def ct(coarse, around):
+def ct():
     """The left side of a coarser phantom in whole HU, cropped around the kidney, and its seed."""
-    return around(coarse, coarse.ct), coarse.seed_point
+    phantom = coarse_phantom()
+    return around_kidney(phantom, phantom.ct), phantom.seed_point
 
 
 def seed_text(seed):
@@ -147,6 +149,25 @@ def test_a_report_lies_where_it_is_wanted(tmp_path):
     assert report_path(argparse.Namespace(report=None), tmp_path / "o.npz") is None
 
 
+def test_a_mesh_has_a_report_too_beside_the_organ(tmp_path, capsys):
+    egg = trimesh.creation.icosphere(subdivisions=2, radius=0.02)
+    egg.apply_scale([1.0, 0.8, 1.6])
+    egg.invert()
+    egg.export(tmp_path / "egg.ply")
+    words = ["--surface", str(tmp_path / "egg.ply"), "--length", "0.08", "--keep-points", "--atoms", "6"]
+    assert main(["build", *words, "--interior", "9", "--out", str(tmp_path / "o.npz"), "--report"]) == 0
+    assert f"{tmp_path / 'o.html'}: report" in capsys.readouterr().out
+    text = (tmp_path / "o.html").read_text(encoding="utf-8")
+    assert "<h1>egg</h1>" in text
+    parsed = Page(text)
+    assert "surface as given" in parsed.text
+    assert "repaired: turned inward triangles outward" in parsed.text
+    assert "scaled: the longest side is 8 cm" in parsed.text
+    assert "HU" not in parsed.text
+    assert "interior points 9" in parsed.text
+    assert len(parsed.images) == 7
+
+
 def test_a_surface_gets_new_points_interior_atoms_and_provenance_and_repairs_are_told(tmp_path, capsys):
     path, mesh = egg(tmp_path, inward=True)
     options = ["--interior", "20", "--name", "my egg", "--length", "0.08"]
@@ -202,43 +223,10 @@ def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
         assert reason in refused(capsys, *arguments), arguments
 
 
-def test_fixed_choices(tmp_path):
-    positions = np.random.default_rng(8).uniform(-1.0, 3.0, (300, 3))
-    low = select_fixed("z<0.1", positions)
-    level = positions[:, 2].min() + 0.1 * np.ptp(positions[:, 2])
-    np.testing.assert_array_equal(low, np.flatnonzero(positions[:, 2] <= level))
-    assert len(select_fixed("none", positions)) == 0
-    assert len(select_fixed("y > 0", positions)) == 300
-    np.save(tmp_path / "nodes.npy", np.array([7, 3, 7]))
-    np.testing.assert_array_equal(select_fixed(str(tmp_path / "nodes.npy"), positions), [3, 7])
-    np.save(tmp_path / "far.npy", np.array([300]))
-    np.save(tmp_path / "float.npy", np.array([0.5]))
-    (tmp_path / "text.npy").write_text("1 2 3")
-    for choice, reason in {
-        "z<1.5": "within 0..1",
-        "z=0.1": "is not understood",
-        str(tmp_path / "far.npy"): r"outside 0\.\.299",
-        str(tmp_path / "float.npy"): "1-D array of integers",
-        str(tmp_path / "text.npy"): "no .npy file",
-        str(tmp_path / "none.npy"): "does not exist",
-    }.items():
-        with pytest.raises(UserError, match=reason):
-            select_fixed(choice, positions)
-
-
 def test_triples():
     np.testing.assert_array_equal(parse_triple("--seed", "-1, 2.5,3e1"), [-1.0, 2.5, 30.0])
     with pytest.raises(UserError, match="--seed 'nan,1,2'"):
         parse_triple("--seed", "nan,1,2")
-
-
-def test_a_mirrored_mask_still_points_outward():
-    grid = np.indices((30, 30, 40)) - np.array([14.5, 14.5, 19.5])[:, None, None, None]
-    inside = (grid[0] / 11) ** 2 + (grid[1] / 9) ** 2 + (grid[2] / 16) ** 2 < 1
-    mask = Volume(inside, np.ones(3), np.zeros(3), np.diag([1.0, -1.0, 1.0]), "mirrored")
-    organ = organ_from_mask(mask, Request(name="egg", points=200, atoms=8))
-    assert organ.volume == pytest.approx(4 / 3 * np.pi * 11 * 9 * 16 * 1e-9, rel=0.04)
-    assert organ.surface_positions[:, 1].max() < 0.0
 
 
 def test_help_names_every_option(capsys):
@@ -253,6 +241,22 @@ def test_help_names_every_option(capsys):
         assert " ".join(item.metadata["help"].split()) in " ".join(text.split())
     assert "LPS" in text
     assert "None" not in text
+
+
+def test_without_the_image_libraries_help_is_whole_and_a_build_names_what_to_install():
+    blocked = "import sys\nsys.modules.update(dict.fromkeys(('SimpleITK', 'skimage')))\n"
+    code = blocked + "from tissue_sim.cli import main\nsys.exit(main(['build', *sys.argv[1:]]))"
+    helped, tried = (
+        subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+        for words in (["--help"], ["ct.nii", "--seed", "1,2,3"])
+    )
+    assert helped.returncode == 0, helped.stderr
+    assert all(
+        f"--{item.name.replace('_', '-')} " in helped.stdout for item in dataclasses.fields(SegmentationParameters)
+    )
+    assert tried.returncode == 2
+    assert "pip install 'tissue_sim[image]'" in tried.stderr
+    assert tried.stderr.count("\n") == 1
 
 
 def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, monkeypatch):
@@ -319,23 +323,6 @@ def test_parts_of_a_mesh(tmp_path, capsys):
     trimesh.util.concatenate(touching).export(tmp_path / "two.ply")
     organ, _ = build(capsys, *here, "--merge-parts", out=tmp_path / "o.npz")
     assert np.ptp(organ.surface_positions, axis=0)[0] == pytest.approx(0.065, rel=0.02)
-
-
-def test_stages_are_watched_in_order_and_timed(tmp_path):
-    grid = np.indices((24, 24, 24)) - 11.5
-    mask = Volume((grid**2).sum(axis=0) < 81, np.ones(3), np.zeros(3), np.eye(3), "ball")
-    seen = []
-    progress = Progress(watch=lambda stage, done: seen.append((stage, done)))
-    organ_from_mask(mask, Request(name="ball", points=100, atoms=3), progress=progress)
-    stages = list(dict.fromkeys(stage for stage, _ in seen))
-    assert stages == ["wall", "balloon", "skeleton", "springs"] == list(progress.record.seconds)
-    shares = [done for stage, done in seen if stage == "balloon"]
-    assert len(shares) > 4
-    assert shares == sorted(shares)
-    assert (shares[0], shares[-1]) == (0.0, 1.0)
-    assert all(seconds > 0.0 for seconds in progress.record.seconds.values())
-    assert progress.record.wall is not None
-    assert progress.record.organ.n_surface == 100
 
 
 def call(arguments, **streams):

@@ -1,17 +1,13 @@
 """`tissue_sim export`: what is written reads back as the organ, in other programs' readers."""
 
-import base64
-import struct
-import xml.etree.ElementTree as ElementTree
-
 import numpy as np
 import pytest
 import trimesh
 
+from helpers.vtp_file import read_vtp
 from tissue_sim.cli import main
 from tissue_sim.organ.organ import Organ, signed_volume
-from tissue_sim.organ.reporting.export import bones
-from tissue_sim.organ.reporting.vtp import polydata
+from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.shipped import shipped_organ
 
 KIDNEY = str(shipped_organ("kidney"))
@@ -28,25 +24,6 @@ def export(capsys, *arguments):
     captured = capsys.readouterr()
     assert code == 0, captured.err
     return captured.out
-
-
-def read_vtp(path):
-    """Arrays of a .vtp file by their place in it, decoded as the VTK file format says."""
-    root = ElementTree.parse(path).getroot()
-    assert root.attrib["type"] == "PolyData"
-    assert root.attrib["header_type"] == "UInt64"
-    assert root.attrib["byte_order"] == "LittleEndian"
-    piece = root.find("PolyData/Piece")
-    kinds = {"Float64": "<f8", "Int32": "<i4", "Int64": "<i8", "UInt8": "<u1"}
-    found = {}
-    for group in piece:
-        for array in group:
-            raw = base64.b64decode(array.text)
-            assert struct.unpack("<Q", raw[:8]) == (len(raw) - 8,)
-            values = np.frombuffer(raw[8:], kinds[array.attrib["type"]])
-            width = int(array.attrib.get("NumberOfComponents", "1"))
-            found[f"{group.tag}/{array.attrib['Name']}"] = values.reshape(-1, width) if width > 1 else values
-    return found, piece.attrib
 
 
 @UNITS
@@ -166,11 +143,3 @@ def test_wrong_use_takes_one_line(arguments, reason, tmp_path, monkeypatch, caps
     assert reason in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_big_endian_arrays_are_turned(tmp_path):
-    values = np.arange(3, dtype=">f8")
-    path = tmp_path / "points.vtp"
-    path.write_bytes(polydata(np.eye(3), {"x": values}, comment="a--b"))
-    found, _ = read_vtp(path)
-    np.testing.assert_array_equal(found["PointData/x"], [0.0, 1.0, 2.0])

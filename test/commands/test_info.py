@@ -1,0 +1,91 @@
+"""`tissue_sim info`: what an organ file holds, as text and as JSON, without the image libraries."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.eggs import forked_egg
+from tissue_sim.cli import main
+from tissue_sim.organ.organ import SCHEMA_VERSION, Organ
+from tissue_sim.organ.reporting.description import describe
+
+
+@pytest.fixture(scope="module")
+def egg():
+    return forked_egg()
+
+
+@pytest.fixture
+def path(egg, tmp_path):
+    egg.save(tmp_path / "egg.npz")
+    return str(tmp_path / "egg.npz")
+
+
+def test_text_says_it_all(path, egg, capsys):
+    assert main(["info", path]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for line in (
+        "name: egg <1>",
+        f"schema version: {SCHEMA_VERSION}",
+        "units: SI: m, kg, s, N, Pa",
+        f"digest: {egg.digest()}",
+        f"volume (mL): {egg.volume * 1e6:.4g}",
+        "extent (mm): 40, 32, 64",
+        "  held points: 3",
+        "    count: 1920",
+        "  Young's modulus (Pa): 5000",
+        "  source: egg.ply",
+        "  seed (mm): 1, -2.5, 3",
+        "    noise: 12",
+        "        mm: 0.5",
+    ):
+        assert line in lines
+
+
+def test_json_reads_back_with_the_same_figures(path, egg, capsys):
+    assert main(["info", path, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found == json.loads(json.dumps(describe(Organ.load(path))))
+    assert found["provenance"] == egg.provenance
+
+
+def test_a_future_schema_is_refused_by_its_number(path, tmp_path, capsys):
+    with np.load(path) as stored:
+        content = dict(stored)
+    header = json.loads(str(content["header"])) | {"schema_version": SCHEMA_VERSION + 1}
+    content["header"] = np.array(json.dumps(header))
+    np.savez(tmp_path / "future.npz", **content)
+    assert main(["info", str(tmp_path / "future.npz")]) == 2
+    assert f"has schema version {SCHEMA_VERSION + 1}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", ["truncated", "altered", "no organ", "missing"])
+def test_a_damaged_file_is_refused_in_one_line(path, tmp_path, capsys, damage):
+    bad = tmp_path / "bad.npz"
+    content = bytearray(Path(path).read_bytes())
+    if damage == "truncated":
+        bad.write_bytes(content[: len(content) // 2])
+    elif damage == "altered":
+        content[len(content) // 3] ^= 0x10
+        bad.write_bytes(content)
+    elif damage == "no organ":
+        np.savez(bad, a=np.zeros(3))
+    assert main(["info", str(bad)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert "bad.npz" in captured.err
+
+
+def test_needs_no_image_libraries(path):
+    code = (
+        "import sys\nsys.modules.update(dict.fromkeys(('SimpleITK', 'skimage', 'matplotlib')))\n"
+        f"from tissue_sim.cli import main\nsys.exit(main(['info', {path!r}]))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert "egg <1>" in run.stdout

@@ -1,0 +1,14 @@
+"""VTK files: what is stored, whatever the processor's byte order."""
+
+import numpy as np
+
+from helpers.vtp_file import read_vtp
+from tissue_sim.organ.reporting.vtp import polydata
+
+
+def test_big_endian_arrays_are_turned(tmp_path):
+    values = np.arange(3, dtype=">f8")
+    path = tmp_path / "points.vtp"
+    path.write_bytes(polydata(np.eye(3), {"x": values}, comment="a--b"))
+    found, _ = read_vtp(path)
+    np.testing.assert_array_equal(found["PointData/x"], [0.0, 1.0, 2.0])

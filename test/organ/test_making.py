@@ -1,0 +1,34 @@
+"""From a mask to an organ: which way it faces, and what the stages tell on the way."""
+
+import numpy as np
+import pytest
+
+from tissue_sim.organ.build_record import Progress
+from tissue_sim.organ.imaging.image import Volume
+from tissue_sim.organ.making import Request, organ_from_mask
+
+
+def test_a_mirrored_mask_still_points_outward():
+    grid = np.indices((30, 30, 40)) - np.array([14.5, 14.5, 19.5])[:, None, None, None]
+    inside = (grid[0] / 11) ** 2 + (grid[1] / 9) ** 2 + (grid[2] / 16) ** 2 < 1
+    mask = Volume(inside, np.ones(3), np.zeros(3), np.diag([1.0, -1.0, 1.0]), "mirrored")
+    organ = organ_from_mask(mask, Request(name="egg", points=200, atoms=8))
+    assert organ.volume == pytest.approx(4 / 3 * np.pi * 11 * 9 * 16 * 1e-9, rel=0.04)
+    assert organ.surface_positions[:, 1].max() < 0.0
+
+
+def test_stages_are_watched_in_order_and_timed(tmp_path):
+    grid = np.indices((24, 24, 24)) - 11.5
+    mask = Volume((grid**2).sum(axis=0) < 81, np.ones(3), np.zeros(3), np.eye(3), "ball")
+    seen = []
+    progress = Progress(watch=lambda stage, done: seen.append((stage, done)))
+    organ_from_mask(mask, Request(name="ball", points=100, atoms=3), progress=progress)
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["wall", "balloon", "skeleton", "springs"] == list(progress.record.seconds)
+    shares = [done for stage, done in seen if stage == "balloon"]
+    assert len(shares) > 4
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert all(seconds > 0.0 for seconds in progress.record.seconds.values())
+    assert progress.record.wall is not None
+    assert progress.record.organ.n_surface == 100

@@ -1,0 +1,15 @@
+"""The commands of `tissue_sim`: a module for each, with `add_arguments` and `run`, imported when it is used."""
+
+# Module and summary of each. Those of the bench and of ROS stand with what they run.
+COMMANDS = {
+    "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
+    "build": ("tissue_sim.commands.build", "make an organ from a CT, a mask or a surface mesh"),
+    "info": ("tissue_sim.commands.info", "print what an organ file holds"),
+    "export": ("tissue_sim.commands.export", "write an organ's surface or skeleton for other programs"),
+    "solve": ("tissue_sim.commands.solve", "settled displacements under given loads"),
+    "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and judge it"),
+    "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
+    "replay": ("tissue_sim.ros.bags.replay", "run a recorded bag again and compare"),
+    "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
+    "bridge": ("tissue_sim.ros.bridge.play", "play a scripted haptic bridge to a running node"),
+}

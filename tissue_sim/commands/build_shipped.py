@@ -1,0 +1,40 @@
+"""Makes the kidney that ships, as built.
+
+`python -m tissue_sim.commands.build_shipped`; `make organ` then calibrates it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.build_record import Progress
+from tissue_sim.organ.shipped_kidney import KIDNEY, make_kidney
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write the kidney; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tissue_sim.commands.build_shipped", description=__doc__)
+    parser.add_argument("--out", type=Path, default=KIDNEY, help="organ file to write (default: %(default)s)")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a page on how it was built")
+    args = parser.parse_args(argv)
+    out, progress = args.out, Progress(print)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        organ = make_kidney(progress)
+        organ.save(out)
+        if args.report:
+            from tissue_sim.organ.reporting.page import write_report
+
+            write_report(progress.record, args.report, organ_file=out.name)
+    except (UserError, OSError) as error:
+        print(f"build_shipped: error: {error}", file=sys.stderr)
+        return 2
+    print(f"{out}: {organ.volume * 1e6:.1f} mL, {organ.n_surface} points, {organ.n_atoms} atoms")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+"""`tissue_sim export`: an organ's surface, and its skeleton, for other programs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.reporting.exchange import LINES, SURFACES, UNITS, Writer, bones
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
+    parser.add_argument("out", metavar="OUT", help=f"surface to write, by its ending: {', '.join(SURFACES)}")
+    parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
+    parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="length unit (default: %(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the surface, and the skeleton where asked; returns 0. Raises UserError."""
+    surface = _writer(args.out, SURFACES, "surface")
+    lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
+    if args.skeleton and Path(args.skeleton).resolve() == Path(args.out).resolve():
+        raise UserError(f"--skeleton and the surface are both {args.out}; name two files")
+    organ = Organ.load(args.organ)
+    scale = UNITS[args.unit]
+    _write(args.out, surface(organ, args.unit))
+    low, high = (getattr(organ.surface_positions, side)(axis=0) * scale for side in ("min", "max"))
+    spans = ", ".join(f"{axis} {a:.4g}..{b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+    print(f"{args.out}: {organ.n_surface} points, {len(organ.surface_triangles)} triangles, {args.unit}, {spans}")
+    if lines is not None:
+        _write(args.skeleton, lines(organ, args.unit))
+        print(f"{args.skeleton}: {organ.n_atoms} atoms, {len(bones(organ))} lines, {args.unit}")
+    return 0
+
+
+def _writer(path: str, formats: Mapping[str, Writer], what: str) -> Writer:
+    suffix = Path(path).suffix.lower()
+    if suffix not in formats:
+        raise UserError(f"{path}: no format for the {what}; let its name end in {', '.join(formats)}")
+    if not Path(path).parent.is_dir():
+        raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
+    return formats[suffix]
+
+
+def _write(path: str, content: bytes) -> None:
+    try:
+        Path(path).write_bytes(content)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None

@@ -1,0 +1,55 @@
+"""What can be tuned in the stages of the segmentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from tissue_sim.errors import UserError
+
+
+def _option(default: Any, unit: str, text: str, bounds: tuple[float, float]) -> Any:
+    return field(default=default, metadata={"unit": unit, "help": text, "range": bounds})
+
+
+@dataclass(frozen=True)
+class SegmentationParameters:
+    """What can be tuned at every stage. None: worked out from the image.
+
+    Every field's metadata hold its unit, a line of help and its range; a value out of range raises UserError
+    that names the field as the command line has it.
+    """
+
+    smoothing: float | None = _option(
+        None, "mm", "standard deviation of the Gaussian before intensities are compared; by default 2.5 or 3,"
+        " until the tissue at the seed is calm", (0.1, 10.0),
+    )  # fmt: skip
+    wall_smoothing: float = _option(0.6, "mm", "the same before the wall is located", (0.1, 10.0))
+    window: float | None = _option(
+        None, "SD", "half-width of the intensity window, in deviations of the tissue at the seed; by default the one"
+        " of several whose region has the clearest wall and shape", (0.5, 50.0),
+    )  # fmt: skip
+    least_deviation: float = _option(3.0, "HU", "a calm tissue's deviation is taken as no less", (0.1, 100.0))
+    seed_radius: float = _option(7.0, "mm", "radius of the ball whose intensities start the window", (1.0, 50.0))
+    erosion: float | None = _option(None, "mm", "erosion depth; by default until the organ is separate", (0.01, 100.0))
+    neck: float = _option(0.6, "share", "a neck under this share of the smaller lobe's depth parts organs", (0.0, 1.0))
+    stop: float = _option(0.5, "share", "of the eroded region, after which the front stops", (0.01, 1.0))
+    dilation: float | None = _option(
+        None,
+        "mm",
+        "how far the eroded organ may dilate back; by default the erosion and three smoothings",
+        (0.0, 100.0),
+    )
+    stiffness: float = _option(0.5, "share", "weight of the image against a small wall while it dilates", (0.01, 100.0))
+    spur: float = _option(3.0, "mm", "vessels and spurs of less than this radius are left out", (0.0, 50.0))
+    closing: float = _option(6.0, "mm", "hollows of less than this radius are filled, except with fat", (0.0, 50.0))
+    grid: float | None = _option(
+        None, "mm", "spacing of the working grid; by default half the image's coarsest, 1 to 1.5", (0.3, 10.0)
+    )
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value, (low, high) = getattr(self, entry.name), entry.metadata["range"]
+            if value is not None and not low <= value <= high:
+                name = "--" + entry.name.replace("_", "-")
+                raise UserError(f"{name} {value:g} must lie within {low:g}..{high:g} {entry.metadata['unit']}")
