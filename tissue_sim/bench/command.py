@@ -19,6 +19,7 @@ BENCHMARKS = {
         "tissue_sim.bench.tradeoff",
         "run time against error, beside finite elements, MuJoCo, XPBD, ChainMail",
     ),
+    "start": ("tissue_sim.bench.start", "from nothing to the first tick and the node's first answer, in parts"),
     "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),

@@ -14,7 +14,6 @@ from tissue_sim.bench import growth
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, noise_lines, told, with_remarks
-from tissue_sim.bench.start import Start, first_start
 from tissue_sim.bench.tick_rows import (
     ASLEEP,
     C_PLAIN,
@@ -59,7 +58,7 @@ class Measured(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG")
-    parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points, no compiling")
+    parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
@@ -69,11 +68,7 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.organ) if args.organ else shipped_organ(AS_BUILT)
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
-    # The kernels are on disk now.
-    starts = {"compiled": min((first_start(path, compiled=True) for _ in range(2)), key=lambda start: start.processor)}
-    if not args.quick:
-        starts["empty"] = first_start(path, compiled=False)
-    found = as_json(organ, measured, starts)
+    found = as_json(organ, measured)
     emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.plots import write_plots
@@ -105,7 +100,7 @@ def measure(organ: Organ, quick: bool) -> Measured:
 # results -------------------------------------------------------------------------------------------
 
 
-def bounds(measured: Measured, starts: dict[str, Start]) -> list[Bound]:
+def bounds(measured: Measured) -> list[Bound]:
     """Every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows if row.timing}
     grown = growth.as_json(measured.grown)
@@ -127,20 +122,14 @@ def bounds(measured: Measured, starts: dict[str, Start]) -> list[Bound]:
         Bound("MuJoCo flex beside the whole hybrid tick", ratio(FLEX, WHOLE), 20.0, "x", least=True),
         Bound(f"growth of a substep, {first} to {last} points", grown["substep_exponent"], 1.1, "power"),
         Bound(f"modal tick at {last} beside {first} points", grown["modal_ratio"], 2.0, "x"),
-        Bound("first tick of a new process, kernels on disk", _processor(starts, "compiled"), 2.0, "s"),
-        Bound("first tick of a new process, kernels to compile", _processor(starts, "empty"), 30.0, "s"),
     ]
-
-
-def _processor(starts: dict[str, Start], name: str) -> float | None:
-    return starts[name].processor if name in starts else None
 
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
 
 
-def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[str, Any]:
+def as_json(organ: Organ, measured: Measured) -> dict[str, Any]:
     """All figures for machines; units stand in the names."""
     whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
     return {
@@ -168,8 +157,7 @@ def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[
             for row in measured.rows
         ],
         "growth": growth.as_json(measured.grown),
-        "first_start_s": {name: start._asdict() for name, start in starts.items()},
-        "bounds": [bound.as_json() for bound in bounds(measured, starts)],
+        "bounds": [bound.as_json() for bound in bounds(measured)],
     }
 
 
@@ -196,12 +184,6 @@ def text(found: dict[str, Any]) -> str:
         f"compile time, in no figure above: kernels {kept} in {compiled['first_tick_s']:.1f} s,"
         f" the benchmark's own loop compiled in {compiled['benchmark_loop_s']:.1f} s"
     )
-    for name, what in (("compiled", "on disk"), ("empty", "to compile")):
-        if name in found["first_start_s"]:
-            wall = found["first_start_s"][name]["wall"]
-            lines.append(
-                f"a new process with its kernels {what} took {wall:.1f} s to its first tick by the clock on the wall"
-            )
     lines.append("")
     lines += bound_lines(found["bounds"])
     return "\n".join(lines + noise_lines(found["noise"]))
