@@ -36,3 +36,9 @@ def check_shared(args: argparse.Namespace) -> None:
             Path(args.out).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f"cannot make folder {args.out}: {error.strerror}; name another with --out") from None
+
+
+def check_seconds(args: argparse.Namespace) -> None:
+    """Raises UserError when --seconds, for which something is measured, is out of range."""
+    if not 1.0 <= args.seconds <= 3600.0:
+        raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import aligned, emit, figure, noise_lines
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     found = in_one_thread(measure, Organ.load(args.organ or shipped_organ()))
     emit(found, text(found), args.json)
-    return 1 if args.check and not found["met"] else 0
+    return 1 if args.check and not all(bound["met"] for bound in found["bounds"]) else 0
 
 
 def measure(organ: Organ) -> dict[str, Any]:
@@ -58,12 +59,18 @@ def measure(organ: Organ) -> dict[str, Any]:
             pressed(organ, name, tools)
             for name, tools in tqdm(pairs(Path(folder)), disable=None, desc="tools", unit="pair")
         ]
-    bursts = noise_burst(2000)
+    return as_json(measured, noise_burst(2000))
+
+
+def as_json(measured: Sequence[Measured], bursts: Floats) -> dict[str, Any]:
+    """All figures, and the bound that the first pair is held against; bursts: s of a fixed loop, in the same run."""
+    loop = float(np.median(bursts))
     rows: list[dict[str, Any]] = [
         {
             "tools": one.name,
             "p50_us": 1e6 * float(np.percentile(one.seconds, 50)),
             "p99_us": 1e6 * float(np.percentile(one.seconds, 99)),
+            "of_fixed_loop": float(np.percentile(one.seconds, 50)) / loop,
             "points": one.points,
             "sets": one.sets,
             "fcl_asked": one.asked,
@@ -71,8 +78,9 @@ def measure(organ: Organ) -> dict[str, Any]:
         }
         for one in measured
     ]
-    noise = float(np.percentile(bursts, 99) / np.median(bursts))
-    return {"rows": rows, "limit_us": 1e6 * MOST, "met": bool(rows[0]["p99_us"] <= 1e6 * MOST), "noise": noise}
+    bound = Bound(f"{measured[0].name}, p99", rows[0]["p99_us"], 1e6 * MOST, "us")
+    noise = float(np.percentile(bursts, 99)) / loop
+    return {"rows": rows, "bounds": [bound.as_json()], "fixed_loop_us": 1e6 * loop, "noise": noise}
 
 
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
@@ -127,17 +135,17 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Measured:
 
 def text(found: dict[str, Any]) -> str:
     """The figures as a table."""
-    table = [["", "p50 us", "p99 us", "points", "sets", "FCL asked", "force N"]]
+    table = [["", "p50 us", "p99 us", "p50 to loop", "points", "sets", "FCL asked", "force N"]]
     for row in found["rows"]:
-        cells = [figure(row[key]) for key in ("p50_us", "p99_us", "points", "sets", "fcl_asked")]
+        cells = [figure(row[key]) for key in ("p50_us", "p99_us", "of_fixed_loop", "points", "sets", "fcl_asked")]
         table.append([row["tools"], *cells, f"{row['largest_force_n']:.2f}"])
-    verdict = "ok" if found["met"] else "missed"
     lines = [
-        "a contact set for every fourth tick of 1 ms; processor time of one thread",
+        "a contact set for every fourth tick of 1 ms; processor time of one thread;"
+        f" a fixed loop beside it takes {figure(found['fixed_loop_us'])} us",
         "",
         *aligned(table),
         "",
-        f"two spheres of 5 mm, p99: {found['rows'][0]['p99_us']:.0f} us (<= {found['limit_us']:.0f} us) {verdict}",
+        *bound_lines(found["bounds"]),
         *noise_lines(found["noise"]),
     ]
     return "\n".join(lines)

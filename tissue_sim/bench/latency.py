@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_shared, check_seconds, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
@@ -50,8 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
-    if not 1.0 <= args.seconds <= 3600.0:
-        raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")
+    check_seconds(args)
     if not 0 <= args.realtime_priority <= HIGHEST:
         raise UserError(f"--realtime-priority {args.realtime_priority} is outside 0..{HIGHEST}")
     found = measure(args.organ, args.seconds, args.realtime_priority)
