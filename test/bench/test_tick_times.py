@@ -133,7 +133,7 @@ def test_text_shows_rows_bounds_and_verdicts():
     assert "994 surface points" in shown
     lines = {line.split("  ")[0]: line for line in shown.splitlines()}
     assert lines["whole hybrid tick"].endswith("missed")
-    assert lines["asleep tick"].endswith("ok")
+    assert lines["asleep tick"].endswith("held")
     assert lines["MuJoCo flex beside the whole hybrid tick"].endswith("not measured")
     assert "450" in lines[rows.WHOLE]
     assert "compile time" in shown

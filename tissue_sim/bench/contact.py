@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, noise_lines
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -40,8 +40,7 @@ class Measured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser)
-    parser.add_argument("--check", action="store_true", help="exit with 1 when the bound is missed")
+    add_shared(parser, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     found = in_one_thread(measure, Organ.load(args.organ or shipped_organ()))
     emit(found, text(found), args.json)
-    return 1 if args.check and not all(bound["met"] for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 def measure(organ: Organ) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from tissue_sim.bench.arguments import add_shared, check_seconds, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.shares import processor_seconds, shares_during
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
@@ -30,18 +30,15 @@ SERVED, SENDING, BARE = "node with a viewer", "a node that only sends", "a bare 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser)
-    parser.add_argument("--seconds", type=float, default=20.0, help="to measure for (default: 20)")
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+    add_shared(parser, seconds=20.0, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
-    check_seconds(args)
     found = measure(args.organ or str(shipped_organ()), args.seconds)
     emit(found, text(found), args.json)
-    return 1 if args.check and not all(bound["met"] for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 def measure(organ_file: str, seconds: float) -> dict[str, Any]:

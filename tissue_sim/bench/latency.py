@@ -14,8 +14,8 @@ import numpy as np
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.arguments import add_shared, check_seconds, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
 from tissue_sim.jit import kernel
 from tissue_sim.model.realtime import now, sleep_until
@@ -36,26 +36,23 @@ MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser)
-    parser.add_argument("--seconds", type=float, default=60.0, help="to measure each of them for (default: 60)")
+    add_shared(parser, seconds=60.0, check=True)
     parser.add_argument(
         "--realtime-priority",
         type=int,
         default=0,
         help="of the node and of what it is held against, 1 to 99, where the system allows it (default: 0, none)",
     )
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
-    check_seconds(args)
     if not 0 <= args.realtime_priority <= HIGHEST:
         raise UserError(f"--realtime-priority {args.realtime_priority} is outside 0..{HIGHEST}")
     found = measure(args.organ, args.seconds, args.realtime_priority)
     emit(found, text(found), args.json)
-    return 1 if args.check and not all(bound["met"] for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 # measuring -----------------------------------------------------------------------------------------

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from tissue_sim.bench.arguments import add_shared, check_seconds, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.shares import processor_seconds, shares_during
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -38,19 +38,16 @@ MOST, LEAST_RATE = 3.0, 50.0  # % of a core, Hz
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser)
-    parser.add_argument("--seconds", type=float, default=48.0, help="to measure each colouring for (default: 48)")
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+    add_shared(parser, seconds=48.0, check=True)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
-    check_seconds(args)
     path = args.organ or str(shipped_organ())
     found = as_json({name: measure(path, colour, args.seconds) for name, colour in COLOURS.items()})
     emit(found, text(found), args.json)
-    return 1 if args.check and not all(bound["met"] for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict[str, float]]]:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, made_or_skipped
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, made_or_skipped
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -65,9 +65,8 @@ class Start(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser)
+    add_shared(parser, check=True)
     parser.add_argument("--quick", action="store_true", help="kernels on disk alone")
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     found = measure(Path(args.organ or shipped_organ()), [ON_DISK] if args.quick else [TO_COMPILE, ON_DISK])
     emit(found, text(found), args.json)
-    return 1 if args.check and any(bound["met"] is False for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 # measuring -----------------------------------------------------------------------------------------

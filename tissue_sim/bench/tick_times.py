@@ -13,7 +13,17 @@ from typing import Any, NamedTuple
 from tissue_sim.bench import growth
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, noise_lines, told, with_remarks
+from tissue_sim.bench.printing import (
+    Bound,
+    aligned,
+    bound_lines,
+    emit,
+    exit_code,
+    figure,
+    noise_lines,
+    told,
+    with_remarks,
+)
 from tissue_sim.bench.tick_rows import (
     ASLEEP,
     C_PLAIN,
@@ -57,9 +67,8 @@ class Measured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG")
+    add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG", check=True)
     parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points")
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         from tissue_sim.bench.plots import write_plots
 
         told(write_plots(found, Path(args.out)))
-    return 1 if args.check and any(bound["met"] is False for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 # measuring -----------------------------------------------------------------------------------------
