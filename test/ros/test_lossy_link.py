@@ -5,8 +5,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from lossy_link import Unavailable, lossy_link
 from processes import PUBLISHER, READY, Process, shipped
+
+from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
 
 WATCHER = Path(__file__).with_name("watch_surface.py")
 LOSS, DELAY, WANTED = 0.05, 0.05, 20.0  # share, s, Hz

@@ -87,3 +87,12 @@ def ticks(node: Child) -> None:
         return any("surface nodes" in line for line in (*node.output, *node.errors))
 
     first_within(tells, START_TIME, "the node did not tick")
+
+
+def told(child: Child) -> str:
+    """The last line that a process has printed, when it has ended. Raises UserError when it failed."""
+    first_within(lambda: child.exit_code is not None, START_TIME, f"the {child.name} did not end")
+    words = child.last_words()
+    if child.exit_code:
+        raise UserError(f"the {child.name} failed, {words}")
+    return child.output[-1] if child.output else ""

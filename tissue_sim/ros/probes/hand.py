@@ -1,7 +1,11 @@
-"""Leads a tool of a node."""
+"""Leads a tool of a node.
+
+`python -m tissue_sim.ros.probes.hand ORGAN` presses it into the organ and lets go.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Any
 
@@ -11,7 +15,7 @@ from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.probes.graph import START_TIME, first_within
+from tissue_sim.ros.probes.graph import NODE, START_TIME, first_within
 from tissue_sim.ros.shared import client
 
 RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: the tool, how deep it is, by how much it moves
@@ -58,3 +62,15 @@ class Hand:
         position.x, position.y, position.z = map(float, self._touch + depth * self._way)
         message.header.stamp = self._node.get_clock().now().to_msg()
         (publisher or self._to_node).publish(message)
+
+
+def main(organ_file: str) -> None:
+    """Press once."""
+    with client.client_node("hand", NODE) as node:
+        hand = Hand(node, Organ.load(organ_file))
+        hand.meet()
+        hand.approach()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

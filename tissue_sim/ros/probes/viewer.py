@@ -1,7 +1,12 @@
-"""Somebody who looks at a node as the viewer does: no callback, the newest message when asked for."""
+"""Somebody who looks at a node as the viewer does: no callback, the newest message when asked for.
+
+`python -m tissue_sim.ros.probes.viewer SECONDS TOPIC ...` prints, as JSON, how many Hz of each come, once all do.
+"""
 
 from __future__ import annotations
 
+import json
+import sys
 import time
 from types import TracebackType
 from typing import Self
@@ -14,7 +19,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.probes.graph import first_within
-from tissue_sim.ros.shared.client import Inbox, latched_qos, stream_qos
+from tissue_sim.ros.shared.client import Inbox, client_node, latched_qos, stream_qos
 
 TURN = 0.004  # s between two looks
 KINDS = {
@@ -70,3 +75,15 @@ class Viewer:
             if (found := inbox.take()) is not None:
                 self.newest[topic] = found
                 self.count[topic] = self.count.get(topic, 0) + 1
+
+
+def main(seconds: str, *topics: str) -> None:
+    """Look for so many s."""
+    with client_node("watcher", "") as node, Viewer(node, *topics) as viewer:
+        viewer.wait()
+        viewer.look(float(seconds))
+        print(json.dumps({topic: count / float(seconds) for topic, count in viewer.count.items()}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
