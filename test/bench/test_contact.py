@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue_sim.bench.contact import Measured, as_json, pairs, pressed, text
+from tissue_sim.bench.contact import Pressed, as_json, pairs, pressed, text
 from tissue_sim.cli import main
 
 from ..scenes import kidney
@@ -21,7 +21,7 @@ def test_every_pair_presses_and_its_sets_are_counted(tmp_path):
 
 
 def test_bound_is_held_or_missed_by_the_first_pair():
-    slow, quick = Measured("slow", np.full(9, 5e-4), 50, 8, 9, 0.5), Measured("quick", np.full(9, 3e-4), 50, 8, 9, 0.5)
+    slow, quick = Pressed("slow", np.full(9, 5e-4), 50, 8, 9, 0.5), Pressed("quick", np.full(9, 3e-4), 50, 8, 9, 0.5)
     loop = np.full(100, 1e-4)
     assert [bound["met"] for bound in as_json([quick, slow], loop)["bounds"]] == [True]
     found = as_json([slow, quick], loop)

@@ -38,9 +38,9 @@ GOOD = {
 
 def measured(**changed):
     times = GOOD | changed
-    lines = [tick.Row(name, timing(us) if us else None, "remark") for name, us in times.items()]
+    lines = [tick.Line(name, timing(us) if us else None, "remark") for name, us in times.items()]
     grown = [Grown(n, timing(0.2 * n), 4, timing(20.0 + n / 1000.0), 4, 60, 144, 1.0, n > 1000) for n in (1000, 4000)]
-    return tick.Measured(lines, 1.1, 0.5, True, 3.0, grown)
+    return tick.Figures(lines, 1.1, 0.5, True, 3.0, grown)
 
 
 def verdicts(found):
@@ -146,7 +146,7 @@ def faked(monkeypatch):
 
     @dataclass
     class Faked:
-        figures: tick.Measured
+        figures: tick.Figures
 
     given = Faked(measured())
     monkeypatch.setattr(tick, "in_one_thread", lambda *_: given.figures)

@@ -27,7 +27,7 @@ DEPTH, SPEED, DRAWN = 0.004, 0.04, 0.01  # m, m/s, m: how deep, how fast, how fa
 MOST = 4e-4  # s, bound of the p99 with two spheres of 5 mm
 
 
-class Measured(NamedTuple):
+class Pressed(NamedTuple):
     """Two tools: seconds of processor time of every set, most points in one, and how often FCL was asked and built."""
 
     name: str
@@ -61,7 +61,7 @@ def measure(organ: Organ) -> dict[str, Any]:
     return as_json(measured, noise_burst(2000))
 
 
-def as_json(measured: Sequence[Measured], bursts: Floats) -> dict[str, Any]:
+def as_json(measured: Sequence[Pressed], bursts: Floats) -> dict[str, Any]:
     """All figures, and the bound that the first pair is held against; bursts: s of a fixed loop, in the same run."""
     loop = float(np.median(bursts))
     rows: list[dict[str, Any]] = [
@@ -102,7 +102,7 @@ def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
     ]
 
 
-def pressed(organ: Organ, name: str, tools: list[Tool]) -> Measured:
+def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
     """Press both tools into the front and the side of an organ, and draw them along it."""
     scene = Scene(organ, tools, ticks_a_set=4)
     find, seconds, points = scene.finder.find, [], [0]
@@ -129,7 +129,7 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Measured:
         scene.step()
         force = max(force, float(np.linalg.norm(scene.wrenches[:, :3], axis=1).max()))
     touching = np.array(seconds[press // 8 :])
-    return Measured(name, touching, points[0], scene.finder.counters.narrow_phases, scene.finder.counters.sets, force)
+    return Pressed(name, touching, points[0], scene.finder.counters.narrow_phases, scene.finder.counters.sets, force)
 
 
 def text(found: dict[str, Any]) -> str:

@@ -28,7 +28,7 @@ WHOLE_LINEAR, CORE_LINEAR, WHOLE_NONLINEAR = 2.5, 4.0, 5.0  # %, bounds on the m
 SEED = 5
 
 
-class Case(NamedTuple):
+class PatchErrors(NamedTuple):
     """One patch under one force; errors in percent, relative L2 of the settled surface or of the core."""
 
     patch: int
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if args.check and not found["ok"] else 0
 
 
-def measure(organ: Organ, patches: int) -> list[Case]:
+def measure(organ: Organ, patches: int) -> list[PatchErrors]:
     """For each patch a small force, the one that dents by 3 mm, and the one at which `auto` hands over."""
     whole = Simulation(organ)
     modal, frozen = (Simulation(organ, local_region=region) for region in ("modal", "frozen"))
@@ -99,7 +99,7 @@ def measure(organ: Organ, patches: int) -> list[Case]:
             by_modes, modes_settled = modal.settle(forces, 1e-4, 10.0)
             by_freezing, _ = frozen.settle(forces, 1e-4, 10.0)
             cases.append(
-                Case(
+                PatchErrors(
                     number,
                     float(force),
                     dent,
@@ -121,7 +121,7 @@ def off(found: Floats, wanted: Floats) -> float:
     return float(100.0 * np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-def summary(cases: list[Case]) -> dict[str, Any]:
+def summary(cases: list[PatchErrors]) -> dict[str, Any]:
     """Worst errors of the modal region, whether the bounds hold, and every case."""
     small = [case for case in cases if case.force == SMALL]
     worst = {
@@ -136,7 +136,7 @@ def summary(cases: list[Case]) -> dict[str, Any]:
     }
 
 
-def lines(organ: Organ, cases: list[Case], found: dict[str, Any]) -> list[str]:
+def lines(organ: Organ, cases: list[PatchErrors], found: dict[str, Any]) -> list[str]:
     """The table and the bounds as text."""
     head = ["patch", "N", "dent mm", "modal/linear %", "core %", "modal %", "core %", "frozen %", "core %", "linear %"]
     rows = [head]

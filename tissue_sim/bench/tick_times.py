@@ -46,7 +46,7 @@ from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 NOISE = "noise"
 
 
-class Row(NamedTuple):
+class Line(NamedTuple):
     """A line of the table: what was timed (None: skipped, and why), and a remark."""
 
     name: str
@@ -54,10 +54,10 @@ class Row(NamedTuple):
     remark: str
 
 
-class Measured(NamedTuple):
+class Figures(NamedTuple):
     """What the measuring process hands back."""
 
-    rows: list[Row]
+    rows: list[Line]
     noise: float  # p99 over median of a fixed loop
     load_seconds: float  # s to the first tick with the kernels as they were found
     compiled_before: bool
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
 # measuring -----------------------------------------------------------------------------------------
 
 
-def measure(organ: Organ, quick: bool) -> Measured:
+def measure(organ: Organ, quick: bool) -> Figures:
     """Time every row and the growth; meant for a process of one thread."""
     compiled_before = is_compiled()
     start = time.perf_counter()
@@ -101,15 +101,15 @@ def measure(organ: Organ, quick: bool) -> Measured:
     bursts, remarks = make_bursts(makers_of(organ))
     timings = interleave(Phase(bursts | {NOISE: noise_burst}, 0.3 if quick else 2.0, "ticks"))
     noise = timings[NOISE]
-    rows = [Row(name, timings.get(name), remark) for name, remark in remarks.items()]
+    rows = [Line(name, timings.get(name), remark) for name, remark in remarks.items()]
     grown = growth.measure(growth.QUICK_SIZES if quick else growth.SIZES, 0.3 if quick else 2.0)
-    return Measured(rows, noise.p99 / noise.median, load_seconds, compiled_before, loop_seconds, grown)
+    return Figures(rows, noise.p99 / noise.median, load_seconds, compiled_before, loop_seconds, grown)
 
 
 # results -------------------------------------------------------------------------------------------
 
 
-def bounds(measured: Measured) -> list[Bound]:
+def bounds(measured: Figures) -> list[Bound]:
     """Every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows if row.timing}
     grown = growth.as_json(measured.grown)
@@ -138,7 +138,7 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
 
 
-def as_json(organ: Organ, measured: Measured) -> dict[str, Any]:
+def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
     """All figures for machines; units stand in the names."""
     whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
     return {
