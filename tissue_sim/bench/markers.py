@@ -1,8 +1,8 @@
 """`tissue_sim bench markers`: what it costs a node to show an organ in motion, plain and coloured.
 
 Processor time of the node beside its loop with one subscriber of the markers, less what it takes without one, in turns;
-and of a node without an organ that sends the same bytes as often, in the same turns. With --loss surfaces that come
-through a link that loses packets are counted instead.
+and of a node without an organ that sends the same bytes as often, in the same turns. With --loss or --points
+it is counted instead what arrives behind a link that loses packets, or of a large organ.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from tissue_sim.bench import link
+from tissue_sim.bench import arriving
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.shares import processor_seconds, shares_during
@@ -42,25 +42,33 @@ MOST, LEAST_RATE = 3.0, 50.0  # % of a core, Hz
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, seconds=48.0, check=True)
-    parser.add_argument(
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
         "--loss",
         type=float,
         help="count surfaces behind a link that loses this share of the packets instead (Linux, root)",
     )
+    instead.add_argument("--points", type=int, help="count markers and surfaces of an organ of so many points instead")
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     path = args.organ or str(shipped_organ())
+    if not 0.0 <= (args.loss or 0.0) <= 0.5:
+        raise UserError(f"--loss {args.loss:g} is outside 0..0.5")
+    if args.points is not None and not 100 <= args.points <= 100_000:
+        raise UserError(f"--points {args.points} is outside 100..100000")
     if args.loss is not None:
-        if not 0.0 <= args.loss <= 0.5:
-            raise UserError(f"--loss {args.loss:g} is outside 0..0.5")
-        found = link.measure(path, args.loss, args.seconds)
-        emit(found, link.text(found), args.json)
-        return exit_code(found, check=args.check)
-    found = as_json({name: measure(path, colour, args.seconds) for name, colour in COLOURS.items()})
-    emit(found, text(found), args.json)
+        found = arriving.behind_link(path, args.loss, args.seconds)
+        told = arriving.text(found)
+    elif args.points is not None:
+        found = arriving.of_large_organ(args.points, args.seconds)
+        told = arriving.text(found)
+    else:
+        found = as_json({name: measure(path, colour, args.seconds) for name, colour in COLOURS.items()})
+        told = text(found)
+    emit(found, told, args.json)
     return exit_code(found, check=args.check)
 
 
