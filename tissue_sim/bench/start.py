@@ -196,10 +196,11 @@ def text(found: Mapping[str, Any]) -> str:
     lines = aligned(table)
     compiled = next(iter(starts.values()))["compiled"]
     if compiled:
-        slowest = sorted(compiled, key=compiled.__getitem__, reverse=True)
-        rows = [["compiling by module, without what is called", "s"]]
-        rows += [[name, f"{compiled[name]:.2f}"] for name in slowest[:SHOWN]]
-        rows.append(["all others", f"{sum(compiled[name] for name in slowest[SHOWN:]):.2f}"])
+        slowest, everything = sorted(compiled, key=compiled.__getitem__, reverse=True), sum(compiled.values())
+        shown = [(name, compiled[name]) for name in slowest[:SHOWN]]
+        shown.append(("all others", everything - sum(seconds for _, seconds in shown)))
+        rows = [["compiling by module, without what is called", "s", "%"]]
+        rows += [[name, f"{seconds:.2f}", f"{100.0 * seconds / everything:.0f}"] for name, seconds in shown]
         lines += ["", *aligned(rows)]
     lines.append("")
     for name, peer in peers.items():
