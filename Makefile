@@ -8,7 +8,10 @@ COLCON := .venv/bin/colcon --log-base .colcon/log
 ALONE := test/ros test/bench/test_latency.py
 FIRST_TICK := from tissue_sim.model import Simulation; from tissue_sim.organ.organ import Organ; \
 	from tissue_sim.organ.shipped import shipped_organ; Simulation(Organ.load(shipped_organ())).step()
-EXTRAS := ros,image,viewer,calibration,bench,test
+DEMO_EXTRAS := ros,viewer
+# Loaded once after installing: its bytecode would be compiled by three programs at once when the demo first starts.
+LOADED := import tissue_sim.ros.node.serve, tissue_sim.ros.viewer.loop
+EXTRAS := $(DEMO_EXTRAS),image,calibration,bench,test
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
 unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
@@ -21,7 +24,7 @@ help: ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 18
 
 # With a terminal, set -m makes Ctrl-C reach the demo alone, which then ends with 0, and not make, which would report it.
-demo: .venv/.installed ## node, scripted haptic bridge and viewer (http://127.0.0.1:8080); SECONDS=20 ends by itself
+demo: .venv/.installed-demo ## node, scripted haptic bridge and viewer (http://127.0.0.1:8080); SECONDS=20 ends by itself
 	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
 
@@ -61,16 +64,21 @@ clean: ## removes .venv, caches and builds
 
 # A stamp holds the folder it was made in: scripts know their path, so a checkout that was moved installs anew.
 # The same where the Python below .venv is gone.
-STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.installed)),gone)
+STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.installed-demo)),gone)
 
-.venv/.installed: setup.py setup.cfg constraints.txt tissue_sim/__init__.py .ci/venv $(if $(STALE),FORCE)
+.venv/.installed-demo: setup.py setup.cfg constraints.txt tissue_sim/__init__.py .ci/venv $(if $(STALE),FORCE)
 	$(if $(shell .ci/venv --python),,$(error $(NO_PYTHON)))
-	.ci/venv $(EXTRAS)
+	.ci/venv $(DEMO_EXTRAS)
+	@env -u PYTHONDONTWRITEBYTECODE $(PY) -c '$(LOADED)'
 	@printf %s '$(CURDIR)' > $@
+
+.venv/.installed: .venv/.installed-demo
+	.ci/venv $(EXTRAS)
+	@touch $@
 
 .venv/.installed-colcon: .venv/.installed
 	.ci/venv colcon
-	@printf %s '$(CURDIR)' > $@
+	@touch $@
 
 NO_PYTHON = tissue_sim needs CPython 3.12 and found none: install it \
 (apt install python3.12, pyenv install 3.12 or uv python install 3.12) and run make again

@@ -1,9 +1,10 @@
 """The benchmark of contact sets: every pair of tools really touches, and the figures are those of the sets."""
 
 import numpy as np
+import pytest
 
 from helpers.scenes import kidney
-from tissue_sim.bench.contact import pairs, pressed, text
+from tissue_sim.bench.contact import Pressed, as_json, pairs, pressed, text
 from tissue_sim.cli import main
 
 
@@ -18,10 +19,16 @@ def test_every_pair_presses_and_its_sets_are_counted(tmp_path):
         assert np.all(found.seconds > 0.0)
 
 
-def test_text_tells_whether_the_bound_is_met():
-    row = {"tools": "two spheres of 5 mm", "p50_us": 100.0, "p99_us": 500.0, "points": 50, "sets": 9, "fcl_asked": 8}
-    found = {"rows": [row | {"largest_force_n": 0.5}], "limit_us": 400.0, "met": False, "noise": 1.0}
-    assert "500 us (<= 400 us) missed" in text(found)
+def test_bound_is_held_or_missed_by_the_first_pair():
+    slow, quick = Pressed("slow", np.full(9, 5e-4), 50, 8, 9, 0.5), Pressed("quick", np.full(9, 3e-4), 50, 8, 9, 0.5)
+    loop = np.full(100, 1e-4)
+    assert [bound["met"] for bound in as_json([quick, slow], loop)["bounds"]] == [True]
+    found = as_json([slow, quick], loop)
+    assert [bound["met"] for bound in found["bounds"]] == [False]
+    assert found["rows"][0]["of_fixed_loop"] == pytest.approx(5.0)
+    shown = text(found)
+    assert "slow, p99" in shown
+    assert "missed" in shown
 
 
 def test_file_that_is_no_organ_is_refused(tmp_path, capsys):

@@ -1,21 +1,83 @@
-"""A fresh process to its first tick."""
+"""The benchmark of starting: its parts, its bounds, and real starts with the kernels on disk."""
+
+import json
+import os
+from types import SimpleNamespace
 
 import pytest
 
-from helpers.scenes import ball
-from tissue_sim.bench.start import first_start
+from tissue_sim.bench import start
+from tissue_sim.bench.first_tick import by_kernel
+from tissue_sim.bench.start import ON_DISK, TO_COMPILE, Start, as_json, first_start, text
+from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-
-def test_first_start_takes_time():
-    Simulation(ball(1)).step()  # the kernels are on disk now
-    start = first_start(shipped_organ(), compiled=True)
-    assert 0.1 < start.processor < 60.0
-    assert 0.1 < start.wall < 120.0
+PARTS = ("interpreter", "imports", "organ", "assembling", "compiling", "first tick")
 
 
-def test_organ_that_can_not_be_read_is_told(tmp_path):
+def told(wall, compiled):
+    return {"parts": dict.fromkeys(PARTS, wall / 6.0), "compiled": compiled, "wall": wall, "processor": 0.8 * wall}
+
+
+def found(wall, to_end=0.2):
+    starts = {TO_COMPILE: told(10.0 * wall, {"model.tick": 5.0, "model.guard": 2.0}), ON_DISK: told(wall, {})}
+    node = {"to_first_tick": 2.0, "to_first_answer": 2.5, "to_end": to_end}
+    peers = {name: Start(1.0, 0.4) for name in start.PEERS}
+    return as_json(starts, {TO_COMPILE: None, ON_DISK: node}, peers, "skipped: no node")
+
+
+def test_compiling_is_told_by_module_and_without_what_is_called():
+    def event(module, is_start):
+        dispatcher = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
+        return SimpleNamespace(is_start=is_start, data={"dispatcher": dispatcher})
+
+    outer, inner = "tissue_sim.model.tick", "tissue_sim.contact.grid"
+    events = [(1.0, event(outer, True)), (3.0, event(inner, True)), (7.0, event(inner, False))]
+    assert by_kernel([*events, (10.0, event(outer, False))]) == [("contact.grid", 4.0), ("model.tick", 5.0)]
+
+
+def test_bounds_are_held_or_missed():
+    assert [bound["met"] for bound in found(1.0)["bounds"]] == [True, True, True]
+    assert [bound["met"] for bound in found(2.5, to_end=1.5)["bounds"]] == [False, False, False]
+    alone = as_json({ON_DISK: told(1.0, {})}, {ON_DISK: None}, {}, "skipped")
+    assert [bound["met"] for bound in alone["bounds"]] == [True, None]
+
+
+def test_text_has_every_part_and_what_stands_beside_it():
+    lines = text(found(2.0))
+    for words in (*PARTS, "model.tick", "skipped: no node", "missed"):
+        assert words in lines
+    assert "4 x" in lines, "0.8 of 2 s are four times a peer's 0.4"
+
+
+def test_peers_run():
+    for code in start.PEERS.values():
+        assert start.peer_start(code, os.environ).processor > 0.0
+
+
+def test_parts_of_a_first_start_make_up_all_of_it():
+    Simulation(Organ.load(shipped_organ())).step()  # the kernels are on disk now
+    one = first_start(shipped_organ(), os.environ)
+    assert tuple(one["parts"]) == PARTS
+    assert sum(one["parts"].values()) == pytest.approx(one["wall"])
+    assert all(seconds >= 0.0 for seconds in one["parts"].values())
+    assert one["processor"] > 0.0
+
+
+def test_organ_that_can_not_be_read_is_told(tmp_path, capsys):
     with pytest.raises(UserError, match="first tick"):
-        first_start(tmp_path / "none.npz", compiled=True)
+        first_start(tmp_path / "none.npz", {})
+    assert main(["bench", "start", str(tmp_path / "none.npz")]) == 2
+    assert "none.npz" in capsys.readouterr().err
+
+
+@pytest.mark.timeout(400)
+def test_command_runs_with_real_processes(capsys, monkeypatch):
+    monkeypatch.setattr(start, "TIMES", 1)
+    assert main(["bench", "start", "--quick", "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told["starts"]) == {ON_DISK}
+    assert told["nodes"][ON_DISK]["to_first_answer"] >= told["nodes"][ON_DISK]["to_first_tick"] > 0.0

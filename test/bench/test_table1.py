@@ -22,7 +22,7 @@ UNIT = 0.002
 
 def cells(organ):
     """Made-up cells for every row and column."""
-    cell = table1.Cell(Timing(3e-4, 4e-4, 100), 4, 990, True, 0.005, 0.25, np.zeros((organ.n_surface, 3)))
+    cell = table1.Entry(Timing(3e-4, 4e-4, 100), 4, 990, True, 0.005, 0.25, np.zeros((organ.n_surface, 3)))
     return {force.name: {variant.name: cell for variant in table1.VARIANTS} for force in table1.FORCES}
 
 

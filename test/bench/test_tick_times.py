@@ -14,7 +14,6 @@ from tissue_sim.bench import tick_times as tick
 from tissue_sim.bench.growth import Grown
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.printing import aligned, noise_lines
-from tissue_sim.bench.start import Start
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 from tissue_sim.model.settings import INTEGRATORS
@@ -34,18 +33,17 @@ GOOD = {
     rows.FLEX: 13_000.0,
     rows.PRODUCT: 30.0,
 }
-STARTS = {"compiled": Start(2.5, 1.5), "empty": Start(40.0, 20.0)}
 
 
 def measured(**changed):
     times = GOOD | changed
-    lines = [tick.Row(name, timing(us) if us else None, "remark") for name, us in times.items()]
+    lines = [tick.Line(name, timing(us) if us else None, "remark") for name, us in times.items()]
     grown = [Grown(n, timing(0.2 * n), 4, timing(20.0 + n / 1000.0), 4, 60, 144, 1.0, n > 1000) for n in (1000, 4000)]
-    return tick.Measured(lines, 1.1, 0.5, True, 3.0, grown)
+    return tick.Figures(lines, 1.1, 0.5, True, 3.0, grown)
 
 
-def verdicts(found, starts=STARTS):
-    return {bound.name: bound.met for bound in tick.bounds(found, starts)}
+def verdicts(found):
+    return {bound.name: bound.met for bound in tick.bounds(found)}
 
 
 # bounds ----------------------------------------------------------------------------------------
@@ -71,11 +69,9 @@ def test_each_bound_is_missed_by_a_bad_figure(name, us, bound):
 
 
 def test_bounds_without_their_figure_are_not_judged():
-    found = verdicts(measured(**{rows.FLEX: None, rows.C_PLAIN: None}), {"compiled": Start(2.5, 2.5)})
+    found = verdicts(measured(**{rows.FLEX: None, rows.C_PLAIN: None}))
     assert found["MuJoCo flex beside the whole hybrid tick"] is None
     assert found["substep beside the same in C, -O3"] is None
-    assert found["first tick of a new process, kernels to compile"] is None
-    assert found["first tick of a new process, kernels on disk"] is False
 
 
 # rows ------------------------------------------------------------------------------------------
@@ -132,11 +128,11 @@ def test_noise_is_remarked_only_when_it_is_high():
 
 def test_text_shows_rows_bounds_and_verdicts():
     found = measured(**{rows.WHOLE: 450.0, rows.FLEX: None})
-    shown = tick.text(tick.as_json(kidney(), found, {"compiled": Start(2.5, 1.5)}))
+    shown = tick.text(tick.as_json(kidney(), found))
     assert "994 surface points" in shown
     lines = {line.split("  ")[0]: line for line in shown.splitlines()}
     assert lines["whole hybrid tick"].endswith("missed")
-    assert lines["asleep tick"].endswith("ok")
+    assert lines["asleep tick"].endswith("held")
     assert lines["MuJoCo flex beside the whole hybrid tick"].endswith("not measured")
     assert "450" in lines[rows.WHOLE]
     assert "compile time" in shown
@@ -149,11 +145,10 @@ def faked(monkeypatch):
 
     @dataclass
     class Faked:
-        figures: tick.Measured
+        figures: tick.Figures
 
     given = Faked(measured())
     monkeypatch.setattr(tick, "in_one_thread", lambda *_: given.figures)
-    monkeypatch.setattr(tick, "first_start", lambda path, compiled: STARTS["compiled" if compiled else "empty"])
     return given
 
 
@@ -222,7 +217,6 @@ def test_whole_benchmark_runs(capsys):
     medians = {row["name"]: row["median_us"] for row in found["rows"]}
     assert set(medians) == set(rows.makers_of(ball(1)))
     assert medians[rows.ASLEEP] < medians[rows.MODAL] < medians["hybrid, explicit"]
-    assert 0.0 < found["first_start_s"]["compiled"]["processor"] < 60.0
 
 
 def test_patch_load_is_the_same_for_all_rows():

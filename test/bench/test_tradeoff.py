@@ -18,7 +18,7 @@ pytest.importorskip("netgen", reason="the reference needs the extra calibration"
 
 from tissue_sim.bench import tradeoff
 from tissue_sim.bench.peers.rows import CALIBRATED, rows_of
-from tissue_sim.bench.tradeoff import Case, Error, Found, Measured, as_json, error_of, load_of, pareto, text
+from tissue_sim.bench.tradeoff import Case, Error, Found, Judged, as_json, error_of, load_of, pareto, text
 from tissue_sim.bench.variants import Variants
 
 ORGAN = ball(2)
@@ -52,14 +52,14 @@ def error(relative, kind="bump"):
 def found():
     def row(name, ours, points, percent, us, simulated=0.001):
         errors = [error(percent / 100.0), error(2.0 * percent / 100.0, "sharp")]
-        return Measured(name, ours, points, "a remark", errors, Timing(1e-6 * us, 2e-6 * us, 9), simulated)
+        return Judged(name, ours, points, "a remark", errors, Timing(1e-6 * us, 2e-6 * us, 9), simulated)
 
     rows = [
         row("fast", True, 250, 20.0, 100.0),
         row("fast", True, 994, 5.0, 400.0),
         row("worse", True, 994, 6.0, 500.0),
         row("in large steps", False, 994, 1.0, 20_000.0, 0.02),
-        Measured("absent", False, 994, "skipped: gone is not installed", [], None, 1.0),
+        Judged("absent", False, 994, "skipped: gone is not installed", [], None, 1.0),
     ]
     return Found(rows, [case(), case(kind="sharp")], 12_345, "linear 0.52 % mean", 1.1)
 

@@ -11,24 +11,41 @@ DEFAULT_ORGAN = "the kidney that ships"
 AS_BUILT_ORGAN = "the kidney that ships, as built, with the paper's 48 atoms"
 
 
-def add_shared(parser: argparse.ArgumentParser, *, organ: str = DEFAULT_ORGAN, out: str | None = None) -> None:
-    """ORGAN, whose default is told as `organ`, and --json; --out, told as `out`, where there is something to draw."""
+def add_shared(
+    parser: argparse.ArgumentParser,
+    *,
+    organ: str = DEFAULT_ORGAN,
+    out: str | None = None,
+    seconds: float | None = None,
+    check: bool = False,
+) -> None:
+    """ORGAN, whose default is told as `organ`, and --json.
+
+    --out, told as `out`, where there is something to draw; --seconds with its default where something is measured for
+    a time that may be chosen; --check where there are bounds.
+    """
     parser.add_argument("organ", nargs="?", metavar="ORGAN", help=f"organ file (.npz); default: {organ}")
     parser.add_argument(
         "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
     )
     if out:
         parser.add_argument("--out", metavar="FOLDER", help=out)
+    if seconds:
+        parser.add_argument("--seconds", type=float, default=seconds, help="to measure each for")
+    if check:
+        parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
 def check_shared(args: argparse.Namespace) -> None:
     """Say before the work what would fail after it, and make the folder of --out.
 
-    Raises UserError when the file for JSON is an organ (`--json ORGAN` takes it for one) or the folder can't be made,
-    ModuleNotFoundError when there is to be drawn without matplotlib.
+    Raises UserError when the file for JSON is an organ (`--json ORGAN` takes it for one), the folder can't be made or
+    --seconds is out of range, ModuleNotFoundError when there is to be drawn without matplotlib.
     """
     if args.json and args.json.endswith(".npz"):
         raise UserError(f"--json {args.json} would write over an organ; put ORGAN before --json, or - after it")
+    if not 1.0 <= getattr(args, "seconds", 1.0) <= 3600.0:
+        raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")
     if getattr(args, "out", None):
         import matplotlib  # noqa: F401
 

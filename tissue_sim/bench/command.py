@@ -19,6 +19,12 @@ BENCHMARKS = {
         "tissue_sim.bench.tradeoff",
         "run time against error, beside finite elements, MuJoCo, XPBD, ChainMail",
     ),
+    "start": ("tissue_sim.bench.start", "from nothing to the first tick and the node's first answer, in parts"),
+    "idle": ("tissue_sim.bench.idle", "what an idle node with a viewer costs, beside a node that only sends"),
+    "markers": (
+        "tissue_sim.bench.markers",
+        "what markers cost, plain and coloured, beside a node that only sends them",
+    ),
     "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),

@@ -58,9 +58,14 @@ def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
     for bound in bounds:
         sign = ">=" if bound["least"] else "<="
         value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
-        verdict = {True: "ok", False: "missed", None: "not measured"}[bound["met"]]
+        verdict = {True: "held", False: "missed", None: "not measured"}[bound["met"]]
         table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
     return with_remarks(table)
+
+
+def exit_code(found: Mapping[str, Any], *, check: bool) -> int:
+    """0, or 1 when it is to be checked and one of the bounds, as Bound.as_json has them, is missed."""
+    return int(check and any(bound["met"] is False for bound in found["bounds"]))
 
 
 def figure(value: float) -> str:

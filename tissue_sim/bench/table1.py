@@ -54,7 +54,7 @@ FORCES = (
 )
 
 
-class Cell(NamedTuple):
+class Entry(NamedTuple):
     """One variant under one force: time of an update; what it settles to, against the whole hybrid model."""
 
     timing: Timing
@@ -100,7 +100,7 @@ def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Fl
     return nodes, np.tile(unit * force.magnitude / force.points * inward, (force.points, 1))
 
 
-def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str, Cell]], Timing]:
+def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str, Entry]], Timing]:
     """Every variant under every force, by names of force and variant; and the timing of the fixed loop."""
     simulations = [Simulation(organ, model=variant.model, local_region=variant.local_region) for variant in VARIANTS]
     bursts: dict[str, Any] = {"noise": noise_burst}
@@ -119,10 +119,10 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
         settled[force.name, variant.name] = displacement, done, int(status.substeps), int(status.active)
         bursts[f"{force.name} {variant.name}"] = Ticks(simulation, nodes, forces, steady=True)
     timings = interleave(Phase(bursts, 0.2 if quick else 1.0, "table 1"))
-    cells: dict[str, dict[str, Cell]] = {}
+    cells: dict[str, dict[str, Entry]] = {}
     for (row, column), (displacement, done, substeps, active) in settled.items():
         whole = settled[row, WHOLE][0]
-        cells.setdefault(row, {})[column] = Cell(
+        cells.setdefault(row, {})[column] = Entry(
             timings[f"{row} {column}"],
             substeps,
             active,
@@ -134,7 +134,7 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
     return cells, timings["noise"]
 
 
-def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Cell]], noise: Timing) -> dict[str, Any]:
+def as_json(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], noise: Timing) -> dict[str, Any]:
     """The table for machines; units stand in the names."""
     rows = []
     for index, force in enumerate(FORCES):
@@ -207,7 +207,7 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join(lines + noise_lines(found["noise"]))
 
 
-def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Cell]], *, with_nip: bool = True) -> list[Any]:
+def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], *, with_nip: bool = True) -> list[Any]:
     """The panels of Figure 6: nip and release, global deformation of the hybrid and of the surface model."""
     from tissue_sim.bench.figure6 import NO_JAWS, Panel, nip_and_release
 

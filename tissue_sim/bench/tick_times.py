@@ -13,8 +13,17 @@ from typing import Any, NamedTuple
 from tissue_sim.bench import growth
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, figure, noise_lines, told, with_remarks
-from tissue_sim.bench.start import Start, first_start
+from tissue_sim.bench.printing import (
+    Bound,
+    aligned,
+    bound_lines,
+    emit,
+    exit_code,
+    figure,
+    noise_lines,
+    told,
+    with_remarks,
+)
 from tissue_sim.bench.tick_rows import (
     ASLEEP,
     C_PLAIN,
@@ -37,7 +46,7 @@ from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 NOISE = "noise"
 
 
-class Row(NamedTuple):
+class Line(NamedTuple):
     """A line of the table: what was timed (None: skipped, and why), and a remark."""
 
     name: str
@@ -45,10 +54,10 @@ class Row(NamedTuple):
     remark: str
 
 
-class Measured(NamedTuple):
+class Figures(NamedTuple):
     """What the measuring process hands back."""
 
-    rows: list[Row]
+    rows: list[Line]
     noise: float  # p99 over median of a fixed loop
     load_seconds: float  # s to the first tick with the kernels as they were found
     compiled_before: bool
@@ -58,9 +67,8 @@ class Measured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG")
-    parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points, no compiling")
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+    add_shared(parser, organ=AS_BUILT_ORGAN, out="write plots there, as PNG", check=True)
+    parser.add_argument("--quick", action="store_true", help="fewer samples, no organ over 4000 points")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,23 +77,19 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.organ) if args.organ else shipped_organ(AS_BUILT)
     organ = Organ.load(path)
     measured = in_one_thread(measure, organ, args.quick)
-    # The kernels are on disk now.
-    starts = {"compiled": min((first_start(path, compiled=True) for _ in range(2)), key=lambda start: start.processor)}
-    if not args.quick:
-        starts["empty"] = first_start(path, compiled=False)
-    found = as_json(organ, measured, starts)
+    found = as_json(organ, measured)
     emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.plots import write_plots
 
         told(write_plots(found, Path(args.out)))
-    return 1 if args.check and any(bound["met"] is False for bound in found["bounds"]) else 0
+    return exit_code(found, check=args.check)
 
 
 # measuring -----------------------------------------------------------------------------------------
 
 
-def measure(organ: Organ, quick: bool) -> Measured:
+def measure(organ: Organ, quick: bool) -> Figures:
     """Time every row and the growth; meant for a process of one thread."""
     compiled_before = is_compiled()
     start = time.perf_counter()
@@ -97,15 +101,15 @@ def measure(organ: Organ, quick: bool) -> Measured:
     bursts, remarks = make_bursts(makers_of(organ))
     timings = interleave(Phase(bursts | {NOISE: noise_burst}, 0.3 if quick else 2.0, "ticks"))
     noise = timings[NOISE]
-    rows = [Row(name, timings.get(name), remark) for name, remark in remarks.items()]
+    rows = [Line(name, timings.get(name), remark) for name, remark in remarks.items()]
     grown = growth.measure(growth.QUICK_SIZES if quick else growth.SIZES, 0.3 if quick else 2.0)
-    return Measured(rows, noise.p99 / noise.median, load_seconds, compiled_before, loop_seconds, grown)
+    return Figures(rows, noise.p99 / noise.median, load_seconds, compiled_before, loop_seconds, grown)
 
 
 # results -------------------------------------------------------------------------------------------
 
 
-def bounds(measured: Measured, starts: dict[str, Start]) -> list[Bound]:
+def bounds(measured: Figures) -> list[Bound]:
     """Every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows if row.timing}
     grown = growth.as_json(measured.grown)
@@ -127,20 +131,14 @@ def bounds(measured: Measured, starts: dict[str, Start]) -> list[Bound]:
         Bound("MuJoCo flex beside the whole hybrid tick", ratio(FLEX, WHOLE), 20.0, "x", least=True),
         Bound(f"growth of a substep, {first} to {last} points", grown["substep_exponent"], 1.1, "power"),
         Bound(f"modal tick at {last} beside {first} points", grown["modal_ratio"], 2.0, "x"),
-        Bound("first tick of a new process, kernels on disk", _processor(starts, "compiled"), 2.0, "s"),
-        Bound("first tick of a new process, kernels to compile", _processor(starts, "empty"), 30.0, "s"),
     ]
-
-
-def _processor(starts: dict[str, Start], name: str) -> float | None:
-    return starts[name].processor if name in starts else None
 
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
 
 
-def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[str, Any]:
+def as_json(organ: Organ, measured: Figures) -> dict[str, Any]:
     """All figures for machines; units stand in the names."""
     whole = next((row.timing.median for row in measured.rows if row.name == WHOLE and row.timing), None)
     return {
@@ -168,8 +166,7 @@ def as_json(organ: Organ, measured: Measured, starts: dict[str, Start]) -> dict[
             for row in measured.rows
         ],
         "growth": growth.as_json(measured.grown),
-        "first_start_s": {name: start._asdict() for name, start in starts.items()},
-        "bounds": [bound.as_json() for bound in bounds(measured, starts)],
+        "bounds": [bound.as_json() for bound in bounds(measured)],
     }
 
 
@@ -196,12 +193,6 @@ def text(found: dict[str, Any]) -> str:
         f"compile time, in no figure above: kernels {kept} in {compiled['first_tick_s']:.1f} s,"
         f" the benchmark's own loop compiled in {compiled['benchmark_loop_s']:.1f} s"
     )
-    for name, what in (("compiled", "on disk"), ("empty", "to compile")):
-        if name in found["first_start_s"]:
-            wall = found["first_start_s"][name]["wall"]
-            lines.append(
-                f"a new process with its kernels {what} took {wall:.1f} s to its first tick by the clock on the wall"
-            )
     lines.append("")
     lines += bound_lines(found["bounds"])
     return "\n".join(lines + noise_lines(found["noise"]))

@@ -60,7 +60,7 @@ class Error(NamedTuple):
     seconds: float  # to settle
 
 
-class Measured(NamedTuple):
+class Judged(NamedTuple):
     """A row of the table; errors and update are empty and None where it was skipped, and the remark says why."""
 
     name: str
@@ -75,7 +75,7 @@ class Measured(NamedTuple):
 class Found(NamedTuple):
     """What the measuring process hands back."""
 
-    rows: list[Measured]
+    rows: list[Judged]
     cases: list[Case]
     nodes: int  # of the reference
     accuracy: str  # of the reference itself, one line
@@ -140,20 +140,20 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
 
 def measure_rows(
     rows: Sequence[tuple[Row, Sized]], cases: Sequence[Case], seconds: float
-) -> tuple[list[Measured], Timing]:
+) -> tuple[list[Judged], Timing]:
     """Settle every row under every load, then time the updates of all in turns, `seconds` each; a fixed loop's time.
 
     What can't be made is skipped, and the remark says why.
     """
     bursts: dict[str, Burst] = {NOISE: noise_burst}
-    measured: list[Measured] = []
+    measured: list[Judged] = []
     for number, (row, size) in enumerate(tqdm(rows, disable=None, desc="rows", unit="row")):
         engine, remark = made_or_skipped(row.make)
         if engine is None:
-            measured.append(Measured(row.name, row.ours, row.points, remark, [], None, 1.0))
+            measured.append(Judged(row.name, row.ours, row.points, remark, [], None, 1.0))
             continue
         errors = [error_of(engine, case, size) for case in cases]
-        measured.append(Measured(row.name, row.ours, row.points, remark, errors, None, engine.update))
+        measured.append(Judged(row.name, row.ours, row.points, remark, errors, None, engine.update))
         bursts[str(number)] = engine.burst(load_of(cases[0], size))
     timings = interleave(Phase(bursts, seconds, "updates"))
     return [row._replace(update=timings.get(str(number))) for number, row in enumerate(measured)], timings[NOISE]
@@ -250,7 +250,7 @@ def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
     }
 
 
-def _row_as_json(row: Measured) -> dict[str, Any]:
+def _row_as_json(row: Judged) -> dict[str, Any]:
     errors = row.errors
     sharp = [100.0 * error.relative for error in errors if error.kind == "sharp"]
     smooth = [100.0 * error.relative for error in errors if error.kind != "sharp"]

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from helpers.ros.lossy_link import Unavailable, lossy_link
 from helpers.ros.processes import PUBLISHER, READY, WATCHER, Process, shipped
+from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
 
 LOSS, DELAY, WANTED = 0.05, 0.05, 20.0  # share, s, Hz
 SWINGS = ("damping_scale:=0.0", "integrator:=implicit", "rate:=100.0")

@@ -25,7 +25,7 @@ AWAY = 0.03  # m from the surface where it goes afterwards
 FOUND_EVERY = 0.004  # s between two contact sets, as in the node
 
 
-class Load(Protocol):
+class Loading(Protocol):
     """What acts on the organ for a number of ticks."""
 
     ticks: int
@@ -153,7 +153,7 @@ class Pace(NamedTuple):
 FULL, QUICK, BRIEF = Pace(0.05, 0.15, 0.15), Pace(0.03, 0.05, 0.4), Pace(0.01, 0.01, 1.0)
 
 
-def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, pace: Pace) -> Load:
+def load_on(organ: Organ, where: str, newtons: float, depth: float, tick_time: float, pace: Pace) -> Loading:
     """The load of a cell: `newtons` in all, or a poke to `depth` thicknesses; `where` is one of LOADS."""
     ramp_ticks, hold_ticks = max(1, round(pace.ramp / tick_time)), max(1, round(pace.hold / tick_time))
     far = where in ("point", "far", "tool_far")

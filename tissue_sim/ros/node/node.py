@@ -25,6 +25,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.contact_kernels import compile_beside
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
 from tissue_sim.ros.node.live_settings import LiveSettings
@@ -61,6 +62,7 @@ class TissueNode(Node):
         tools = ToolSet([tool_of(values, name) for name in values.tools])
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once for this machine: a minute or so")
+            self._beside = compile_beside(self.organ_path)
         self.simulation = Simulation(
             self.organ,
             model=values["model"],
@@ -102,9 +104,9 @@ class TissueNode(Node):
     # life --------------------------------------------------------------------------------------
     def start(self) -> None:
         """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
-        self.finder.warm_up(self.organ.rest_positions)
         self.live.update()
         self.physics.start()
+        self.finder.warm_up(self.organ.rest_positions)  # after the tick, beside which its kernels were compiled
         self._prefer(self.parameters["realtime_priority"])
         outlet = self._outlet = Outlet(
             self.parameters,

@@ -54,6 +54,11 @@ class Child:
         """None while it runs."""
         return self._process.poll()
 
+    @property
+    def pid(self) -> int:
+        """Number of its process."""
+        return self._process.pid
+
     def last_words(self) -> str:
         """How it ended, and the last line that it wrote about that."""
         for reader in self._readers:

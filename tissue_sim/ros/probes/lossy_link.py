@@ -1,9 +1,12 @@
 """Two network namespaces joined by a link that loses and delays: netem where the kernel has it, else a relay.
 
-As a program it is that relay: `lossy_link.py LOSS DELAY ONE OTHER` carries frames between two interfaces until SIGTERM,
-and then prints how many it carried and lost.
+As a program, with LOSS DELAY ONE OTHER, it is that relay: it carries frames between two interfaces until SIGTERM, and
+then prints how many it carried and lost.
 """
 
+from __future__ import annotations
+
+import ctypes
 import fcntl
 import heapq
 import os
@@ -18,16 +21,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from tissue_sim.errors import UserError
+
 OWN_FRAME = 4  # PACKET_OUTGOING: what we sent ourselves
 ALL_PROTOCOLS = 3  # ETH_P_ALL
 SIOCETHTOOL, SET_TX_CHECKSUM = 0x8946, 0x17
 
 
-class Unavailable(Exception):
+class Unavailable(UserError):
     """Why there is no such link on this machine."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"a lossy link needs network namespaces, and root: {reason}")
 
 
 def run(*words: str) -> None:
+    """Run a command. Raises Unavailable when it fails, FileNotFoundError when there is none of that name."""
     done = subprocess.run(words, capture_output=True, text=True)
     if done.returncode != 0:
         raise Unavailable(f"'{' '.join(words)}': {done.stderr.strip() or done.returncode}")
@@ -35,7 +44,10 @@ def run(*words: str) -> None:
 
 @contextmanager
 def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
-    """Names of two namespaces whose link loses a share of the frames and delays them by s, each way."""
+    """Names of two namespaces whose link loses a share of the frames and delays them by s, each way.
+
+    Raises Unavailable.
+    """
     tag = f"tissue{os.getpid()}"
     sides, middle = (f"{tag}a", f"{tag}b"), f"{tag}m"
     relay = None
@@ -56,7 +68,7 @@ def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
             run("ip", "-n", side, "route", "add", "224.0.0.0/4", "dev", "eth0")
             run("ip", "-n", middle, "link", "set", f"to{number}", "up")
             # The relay sees frames before a checksum would be filled in on a real wire.
-            run("ip", "netns", "exec", side, sys.executable, __file__, "--fill-checksums", "eth0")
+            run("ip", "netns", "exec", side, sys.executable, "-m", __name__, "--fill-checksums", "eth0")
         try:
             for number in range(2):
                 words = [
@@ -73,7 +85,9 @@ def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
             words = ["0", "0"]
         except (Unavailable, FileNotFoundError):
             words = [str(loss), str(delay)]  # this kernel has no netem
-        relay = subprocess.Popen(["ip", "netns", "exec", middle, sys.executable, __file__, *words, "to0", "to1"])
+        relay = subprocess.Popen(
+            ["ip", "netns", "exec", middle, sys.executable, "-m", __name__, *words, "to0", "to1"], stdout=2
+        )
         yield sides
     finally:
         if relay is not None:
@@ -118,8 +132,6 @@ def carry(loss: float, delay: float, names: tuple[str, str]) -> None:
 def fill_checksums(name: str) -> None:
     """Let the kernel fill in checksums of what leaves an interface."""
     command = bytearray(struct.pack("II", SET_TX_CHECKSUM, 0))
-    import ctypes
-
     buffer = (ctypes.c_char * len(command)).from_buffer(command)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         fcntl.ioctl(any_socket, SIOCETHTOOL, struct.pack("16sP", name.encode(), ctypes.addressof(buffer)))

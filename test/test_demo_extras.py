@@ -1,0 +1,32 @@
+"""`make demo` installs less than the other targets, and runs with that."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+MAKEFILE = (ROOT / "Makefile").read_text()
+# What only finite elements, peers, images, plots and checks need.
+OTHERS = ("skfem", "netgen", "mujoco", "pypbd", "SimpleITK", "skimage", "matplotlib", "joblib", "pytest", "mypy")
+
+
+def extras(name):
+    (value,) = re.findall(rf"^{name} := (\S+)$", MAKEFILE, re.MULTILINE)
+    return value.replace("$(DEMO_EXTRAS)", "").strip(",").split(",")
+
+
+def test_demo_installs_what_it_needs_and_no_more():
+    assert extras("DEMO_EXTRAS") == ["ros", "viewer"]
+    assert set(extras("EXTRAS")) == {"image", "calibration", "bench", "test"}
+
+
+def test_programs_of_the_demo_load_without_the_other_extras():
+    code = (
+        f"import sys; sys.modules.update(dict.fromkeys({OTHERS!r}))\n"
+        "import tissue_sim.ros.demo, tissue_sim.ros.bags.replay, tissue_sim.ros.node.serve\n"
+        "import tissue_sim.ros.viewer.loop, tissue_sim.ros.viewer.view\n"
+        "import tissue_sim.ros.bridge.play, tissue_sim.ros.bridge.scripted_tool, tissue_sim.ros.bridge.trajectory"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

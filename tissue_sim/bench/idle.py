@@ -1,0 +1,101 @@
+"""`tissue_sim bench idle`: what a node costs that serves an organ at rest to a viewer, and how soon a viewer has it.
+
+Beside it, at the same time: a node without an organ that sends as many bytes as often as the idle node looks whether
+anything moved, and a bare loop that only wakes that often.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
+from tissue_sim.bench.shares import processor_seconds, shares_during
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+
+TURN = 2.0  # s that is measured at once
+RATE = 20.0  # Hz, at which an idle node looks whether anything moved
+MOST, MOST_TO_SEE = 3.0, 4.0  # % of a core; s until a viewer that comes late has the organ
+SERVED, SENDING, BARE = "node with a viewer", "a node that only sends", "a bare loop"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, seconds=20.0, check=True)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    found = measure(args.organ or str(shipped_organ()), args.seconds)
+    emit(found, text(found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(organ_file: str, seconds: float) -> dict[str, Any]:
+    """Shares of the node and its peers in turns of TURN. Raises UserError when rclpy is missing or the node fails."""
+    with Graph() as graph, tempfile.TemporaryDirectory() as folder:
+        from tissue_sim.ros.probes.viewer import Viewer
+        from tissue_sim.ros.shared.client import client_node
+
+        served = graph.start_node(organ_file)
+        ticks(served)
+        own = graph.enter_context(client_node("bench", NODE))
+        organ = [f"/{NODE}/{name}" for name in ("mesh", "markers", "surface")]
+        with Viewer(own, *organ) as viewer:
+            viewer.wait()  # the first one; DDS brings the processes together meanwhile
+        with Viewer(own, *organ) as viewer:
+            seen_after = viewer.wait()
+            surface = Path(folder, "surface")
+            surface.write_bytes(viewer.newest[f"/{NODE}/surface"])
+            children = {
+                SERVED: served,
+                SENDING: graph.start("probes.sender", "/sender/surface", "surface", str(surface), str(RATE)),
+                BARE: graph.start("probes.sleeper", str(RATE)),
+            }
+            graph.enter_context(Viewer(own, "/sender/surface")).wait()
+            graph.enter_context(Viewer(own, "/diagnostics", "/left/servo_cf"))
+            spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
+            turns = [
+                shares_during(spent, partial(viewer.look, TURN))
+                for _ in tqdm(range(max(1, round(seconds / TURN))), disable=None, desc="turns", unit="turn")
+            ]
+    return as_json(turns, seen_after)
+
+
+def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str, Any]:
+    """Percent of a core in every turn and s until a viewer had the organ, as figures and bounds.
+
+    A machine under load makes every waking dearer, so that the least of the turns is held against the bound.
+    """
+    shares = {name: [turn[name] for turn in turns] for name in turns[0]}
+    bounds = [
+        Bound("idle node with a viewer, least of the turns", min(shares[SERVED]), MOST, "% of a core"),
+        Bound("organ seen by a viewer that comes late", seen_after, MOST_TO_SEE, "s"),
+    ]
+    return {
+        "shares_percent": {
+            name: {"least": min(of), "median": float(np.median(of)), "most": max(of)} for name, of in shares.items()
+        },
+        "seen_after_s": seen_after,
+        "bounds": [bound.as_json() for bound in bounds],
+    }
+
+
+def text(found: Mapping[str, Any]) -> str:
+    """The figures as tables."""
+    shares = found["shares_percent"]
+    rows = [["% of a core", "least", "median", "most", "node's median to this"]]
+    for name, of in shares.items():
+        ratio = figure(shares[SERVED]["median"] / of["median"]) if of["median"] else "-"
+        rows.append([name, *(f"{of[key]:.2f}" for key in ("least", "median", "most")), f"{ratio} x"])
+    return "\n".join([*aligned(rows), "", *bound_lines(found["bounds"])])

@@ -1,0 +1,160 @@
+"""`tissue_sim bench markers`: what it costs a node to show an organ in motion, plain and coloured.
+
+Processor time of the node beside its loop with one subscriber of the markers, less what it takes without one, in turns;
+and of a node without an organ that sends the same bytes as often, in the same turns. With --loss or --points
+it is counted instead what arrives behind a link that loses packets, or of a large organ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.bench import arriving
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
+from tissue_sim.bench.shares import processor_seconds, shares_during
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+
+if TYPE_CHECKING:
+    from tissue_sim.ros.probes.viewer import Viewer
+
+RATE = 60.0  # Hz, of the markers
+TURN = 4.0  # s that is measured at once, with a subscriber or without
+COLOURS = {"plain": "none", "coloured": "displacement"}
+SERVED, SENDING = "node", "a node that only sends"
+SETTLING = 1.0  # s for a subscriber to be there
+MARKERS = {SERVED: f"/{NODE}/markers", SENDING: "/sender/markers"}
+MOST, LEAST_RATE = 3.0, 50.0  # % of a core, Hz
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, seconds=48.0, check=True)
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--loss",
+        type=float,
+        help="count surfaces behind a link that loses this share of the packets instead (Linux, root)",
+    )
+    instead.add_argument("--points", type=int, help="count markers and surfaces of an organ of so many points instead")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    path = args.organ or str(shipped_organ())
+    if not 0.0 <= (args.loss or 0.0) <= 0.5:
+        raise UserError(f"--loss {args.loss:g} is outside 0..0.5")
+    if args.points is not None and not 100 <= args.points <= 100_000:
+        raise UserError(f"--points {args.points} is outside 100..100000")
+    if args.loss is not None:
+        found = arriving.behind_link(path, args.loss, args.seconds)
+        told = arriving.text(found)
+    elif args.points is not None:
+        found = arriving.of_large_organ(args.points, args.seconds)
+        told = arriving.text(found)
+    else:
+        found = as_json({name: measure(path, colour, args.seconds) for name, colour in COLOURS.items()})
+        told = text(found)
+    emit(found, told, args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict[str, float]]]:
+    """Of every turn the percent of a core that node and peer take for a subscriber, and how many Hz each sends it.
+
+    Raises UserError when rclpy is missing or the node fails.
+    """
+    organ = Organ.load(organ_file)
+    with Graph() as graph, tempfile.TemporaryDirectory() as folder:
+        from tissue_sim.ros.probes.hand import RADIUS, Hand
+        from tissue_sim.ros.probes.viewer import Viewer
+        from tissue_sim.ros.shared.client import client_node
+
+        # Without damping it swings on when it was let go: no pose and no contact adds noise of its own.
+        # Ticks that are seldom late: a node that falls behind would slow its markers.
+        settings = (
+            "damping_scale:=0.0",
+            "rate:=100.0",
+            f"marker_colour:={colour}",
+            f"marker_rate:={RATE}",
+            f"left.radius:={RADIUS}",
+        )
+        served = graph.start_node(organ_file, *settings)
+        ticks(served)
+        own = graph.enter_context(client_node("bench", NODE))
+        hand = Hand(own, organ)
+        hand.meet()
+        hand.approach()
+        with Viewer(own, MARKERS[SERVED]) as viewer:
+            viewer.wait()
+            message = Path(folder, "markers")
+            message.write_bytes(viewer.newest[MARKERS[SERVED]])
+        sender = graph.start("probes.sender", MARKERS[SENDING], "markers", str(message), str(RATE))
+        both = Viewer(own, *MARKERS.values())
+        with both:
+            both.wait()
+        time.sleep(1.0)  # until the poses are stale, the tool is forgotten and nobody has yet subscribed
+        spent = {
+            SERVED: partial(processor_seconds, served.pid, busiest=False),
+            SENDING: partial(processor_seconds, sender.pid),
+        }
+        turns = range(max(1, round(0.5 * seconds / TURN)))
+        return [turn(spent, both) for _ in tqdm(turns, disable=None, desc=f"turns, {colour}", unit="turn")]
+
+
+def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, dict[str, float]]:
+    """Without a subscriber and with one of each: what that adds, percent of a core, and the Hz that it gets."""
+    without = shares_during(spent, partial(time.sleep, TURN))
+    with both:
+        both.look(SETTLING)
+        watched = shares_during(spent, partial(both.look, TURN))
+    rate = {name: both.count[topic] / TURN for name, topic in MARKERS.items()}
+    return {name: {"percent": watched[name] - without[name], "hz": rate[name]} for name in spent}
+
+
+# telling -------------------------------------------------------------------------------------------
+
+
+def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) -> dict[str, Any]:
+    """Medians of the turns of each colouring, and the bounds that they are held against.
+
+    A node that falls behind rightly slows its markers: what one costs is told, and as many as are asked for.
+    """
+    rows, bounds = [], []
+    for colouring, measured in turns.items():
+        row: dict[str, Any] = {"colouring": colouring, "turns": len(measured)}
+        for name in MARKERS:
+            percent, hz = (float(np.median([one[name][key] for one in measured])) for key in ("percent", "hz"))
+            each = 0.01 * percent / max(hz, 1.0)
+            row[name] = {"percent": percent, "hz": hz, "us_each": 1e6 * each, "percent_at_rate": 100.0 * each * RATE}
+        rows.append(row)
+        bounds += [
+            Bound(f"{colouring} markers at {RATE:g} Hz", row[SERVED]["percent_at_rate"], MOST, "% of a core"),
+            Bound(f"{colouring} markers that come", row[SERVED]["hz"], LEAST_RATE, "Hz", least=True),
+        ]
+    return {"rows": rows, "bounds": [bound.as_json() for bound in bounds]}
+
+
+def text(found: Mapping[str, Any]) -> str:
+    """The figures as tables."""
+    table = [["what one subscriber adds", "", "% of a core", "Hz", "us each", "node's to this"]]
+    for row in found["rows"]:
+        for name in MARKERS:
+            one = row[name]
+            ratio = f"{figure(row[SERVED]['us_each'] / one['us_each'])} x" if one["us_each"] > 0.0 else "-"
+            cells = f"{one['percent']:.2f}", f"{one['hz']:.0f}", f"{one['us_each']:.0f}", ratio
+            table.append([f"{row['colouring']} markers", name, *cells])
+    return "\n".join([*aligned(table, left=2), "", *bound_lines(found["bounds"])])

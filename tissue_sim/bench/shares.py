@@ -1,0 +1,42 @@
+"""Shares of a core that running processes take."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Mapping
+
+from tissue_sim.errors import UserError
+
+_OF_PROCESS, _OF_THREAD = 2, 6
+
+
+def processor_seconds(process: int, *, busiest: bool = True) -> float:
+    """Processor time of a running process, s, with its threads that have ended; busiest: with that of its busiest one.
+
+    Raises UserError when it has ended.
+    """
+    try:
+        spent = _clock(process, _OF_PROCESS)
+        threads = [] if busiest else os.listdir(f"/proc/{process}/task")
+    except OSError as error:
+        raise UserError(f"processor time of process {process} can't be read: {error.strerror}") from None
+    most = 0.0
+    for thread in threads:
+        with contextlib.suppress(OSError):  # one that has ended meanwhile
+            most = max(most, _clock(int(thread), _OF_THREAD))
+    return spent - most
+
+
+def _clock(number: int, kind: int) -> float:
+    """Processor time of a process or thread, s; clock_getcpuclockid(3), by how Linux makes the names of its clocks."""
+    return time.clock_gettime(~number << 3 | kind)
+
+
+def shares_during(spent: Mapping[str, Callable[[], float]], wait: Callable[[], object]) -> dict[str, float]:
+    """Percent of a core that each takes while `wait` runs; spent: processor time of each so far, s."""
+    began, before = time.monotonic(), {name: read() for name, read in spent.items()}
+    wait()
+    after = {name: read() for name, read in spent.items()}
+    return {name: 100.0 * (after[name] - before[name]) / (time.monotonic() - began) for name in spent}

@@ -1,1 +1,0 @@
-"""What `tissue_sim bench latency` runs beside the node."""

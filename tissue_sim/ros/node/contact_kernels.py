@@ -1,0 +1,32 @@
+"""`python -m tissue_sim.ros.node.contact_kernels ORGAN`: compiles what contact sets need, and keeps it on disk.
+
+A node that starts for the first time has this done beside it while it compiles its tick: one process compiles one
+kernel at a time.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.shared.children import Child
+
+
+def compile_beside(organ_file: Path) -> Child:
+    """Start it as a process that ends with this one. Where it fails, the node compiles for itself."""
+    return Child("contact kernels", [sys.executable, "-m", __name__, str(organ_file)], os.environ)
+
+
+def main(organ_file: str) -> None:
+    """Search contacts of one tool once: kernels are the same for any organ and any tools."""
+    organ = Organ.load(organ_file)
+    finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, ToolSet([Tool("left")]))
+    finder.warm_up(organ.rest_positions)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,33 @@
+"""`python -m tissue_sim.ros.probes.echo [PRIORITY]`: sends poses back.
+
+What a round trip over this middleware and executor takes at least, to hold the node's against.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.experimental import EventsExecutor
+
+from tissue_sim.ros.shared.client import Stop, client_node, stream_qos
+from tissue_sim.ros.shared.priority import prefer
+
+IN, OUT = "echo/measured_cp", "echo/servo_cf"
+
+
+def main(priority: str = "0") -> None:
+    """Run until SIGINT or SIGTERM, with a real-time priority."""
+    sys.setswitchinterval(0.0005)  # as in the node
+    with Stop() as stop, client_node("echo", "") as node:
+        publisher = node.create_publisher(PoseStamped, OUT, stream_qos())
+        node.create_subscription(PoseStamped, IN, publisher.publish, stream_qos(), raw=True)
+        executor = EventsExecutor()
+        executor.add_node(node)
+        prefer(int(priority))
+        while not stop:
+            executor.spin_once(timeout_sec=0.1)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,98 @@
+"""A ROS graph of its own for a benchmark: the node and what it is held against, as processes that end with it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from typing import Self
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.demo import free_domain
+from tissue_sim.ros.shared.children import Child
+
+NODE = "tissue_sim"
+START_TIME = 240.0  # s for the node to be there, with kernels to compile
+_PLACE = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+
+
+def check_rclpy() -> None:
+    """Raises UserError when rclpy is not installed."""
+    if importlib.util.find_spec("rclpy") is None:
+        raise UserError("this benchmark needs rclpy: pip install 'tissue_sim[ros]', or source a ROS 2")
+
+
+def first_within[Found](find: Callable[[], Found], seconds: float, problem: str) -> Found:
+    """The first answer that is true. Raises UserError when there is none within so many s."""
+    end = time.monotonic() + seconds
+    while not (found := find()):
+        if time.monotonic() > end:
+            raise UserError(f"{problem} within {seconds:g} s")
+        time.sleep(0.002)
+    return found
+
+
+class Graph(ExitStack):
+    """While entered, this process and what it starts here are in a ROS domain that nobody else uses; then that ends.
+
+    reach: of discovery, LOCALHOST or SUBNET. Raises UserError when rclpy is not installed or no domain is free.
+    """
+
+    def __init__(self, reach: str = "LOCALHOST") -> None:
+        super().__init__()
+        check_rclpy()
+        self._place = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": reach}
+
+    def __enter__(self) -> Self:
+        for name, value in self._place.items():
+            before = os.environ.get(name)
+            self.callback(os.environ.pop, name) if before is None else self.callback(os.environ.update, {name: before})
+            os.environ[name] = value
+        return super().__enter__()
+
+    def start(
+        self,
+        module: str,
+        *words: str,
+        within: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> Child:
+        """Start a module of tissue_sim.ros as a program; within: the command, if any, that runs it."""
+        command = [*within, sys.executable, "-m", f"tissue_sim.ros.{module}", *words]
+        child = Child(module.rpartition(".")[2], command, {**(environment or os.environ), **self._place})
+        self.callback(child.stop)
+        return child
+
+    def start_node(
+        self,
+        organ_file: str,
+        *parameters: str,
+        within: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> Child:
+        """Start the node with an organ and parameters like `rate:=500.0`."""
+        words = [word for parameter in (f"organ_file:={organ_file}", *parameters) for word in ("-p", parameter)]
+        return self.start("node.program", "--ros-args", *words, within=within, environment=environment)
+
+
+def ticks(node: Child) -> None:
+    """Return when the node has done its first tick. Raises UserError when it ends, or has not for START_TIME."""
+
+    def tells() -> bool:
+        if node.exit_code is not None:
+            raise UserError(f"the node did not start: {node.last_words()}")
+        return any("surface nodes" in line for line in (*node.output, *node.errors))
+
+    first_within(tells, START_TIME, "the node did not tick")
+
+
+def told(child: Child) -> str:
+    """The last line that a process has printed, when it has ended. Raises UserError when it failed."""
+    first_within(lambda: child.exit_code is not None, START_TIME, f"the {child.name} did not end")
+    words = child.last_words()
+    if child.exit_code:
+        raise UserError(f"the {child.name} failed, {words}")
+    return child.output[-1] if child.output else ""

@@ -1,0 +1,24 @@
+"""`python -m tissue_sim.ros.probes.listener NODE`: somebody who looks at a node's markers."""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.experimental import EventsExecutor
+from visualization_msgs.msg import MarkerArray
+
+from tissue_sim.ros.shared.client import Stop, client_node
+
+
+def main(target: str) -> None:
+    """Run until SIGINT or SIGTERM."""
+    with Stop() as stop, client_node("listener", "") as node:
+        node.create_subscription(MarkerArray, f"/{target}/markers", lambda _: None, 1, raw=True)
+        executor = EventsExecutor()
+        executor.add_node(node)
+        while not stop:
+            executor.spin_once(timeout_sec=0.1)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,19 @@
+"""`python -m tissue_sim.ros.probes.sleeper RATE`: a bare loop that wakes RATE times a second and does nothing."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+
+def main(rate: str) -> None:
+    """Run until it is ended by a signal."""
+    while True:
+        time.sleep(1.0 / float(rate))
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1])
+    except KeyboardInterrupt:
+        sys.exit(0)

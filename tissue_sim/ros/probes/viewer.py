@@ -1,0 +1,89 @@
+"""Somebody who looks at a node as the viewer does: no callback, the newest message when asked for.
+
+`python -m tissue_sim.ros.probes.viewer SECONDS TOPIC ...` prints, as JSON, how many Hz of each come, once all do.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import MarkerArray
+
+from tissue_sim.ros.probes.graph import first_within
+from tissue_sim.ros.shared.client import Inbox, client_node, latched_qos, stream_qos
+
+TURN = 0.004  # s between two looks
+KINDS = {
+    "mesh": (Mesh, latched_qos),
+    "markers": (MarkerArray, latched_qos),
+    "surface": (PointCloud2, stream_qos),
+    "servo_cf": (WrenchStamped, stream_qos),
+    "diagnostics": (DiagnosticArray, stream_qos),
+}
+
+
+class Viewer:
+    """While entered, subscribed to some topics, whose last word tells their kind. Counts what comes, as bytes."""
+
+    def __init__(self, node: Node, *topics: str) -> None:
+        self._node, self._topics = node, topics
+        self._inboxes: dict[str, Inbox] = {}
+        self.newest: dict[str, bytes] = {}
+        self.count: dict[str, int] = {}
+
+    def __enter__(self) -> Self:
+        for topic in self._topics:
+            kind, qos = KINDS[topic.rpartition("/")[2]]
+            self._inboxes[topic] = Inbox(self._node, kind, topic, qos(), raw=True)
+        self.newest = {}
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for inbox in self._inboxes.values():
+            inbox.close()
+
+    def look(self, seconds: float) -> None:
+        """Take what comes for so many s; counted anew."""
+        self.count = dict.fromkeys(self._inboxes, 0)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._take()
+            time.sleep(TURN)
+
+    def wait(self) -> float:
+        """Seconds until a message of every topic has come. Raises UserError when one doesn't within 40 s."""
+        began = time.monotonic()
+
+        def came() -> bool:
+            self._take()
+            return len(self.newest) == len(self._topics)
+
+        first_within(came, 40.0, f"not every one of {', '.join(self._topics)} came")
+        return time.monotonic() - began
+
+    def _take(self) -> None:
+        for topic, inbox in self._inboxes.items():
+            if (found := inbox.take()) is not None:
+                self.newest[topic] = found
+                self.count[topic] = self.count.get(topic, 0) + 1
+
+
+def main(seconds: str, *topics: str) -> None:
+    """Look for so many s."""
+    with client_node("watcher", "") as node, Viewer(node, *topics) as viewer:
+        viewer.wait()
+        viewer.look(float(seconds))
+        print(json.dumps({topic: count / float(seconds) for topic, count in viewer.count.items()}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
