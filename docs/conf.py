@@ -1,0 +1,76 @@
+"""How Sphinx builds the pages: for `make docs`, and for rosdoc2, which runs this file from a copy of the folder."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.ext.autodoc.mock import mock
+from sphinx.util.docutils import SphinxDirective
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+import reference  # noqa: E402
+
+ROOT = Path(importlib.util.find_spec("tissue_sim").origin).parents[1]
+PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
+
+project = PACKAGE.findtext("name")
+author = PACKAGE.findtext("author")
+version = release = PACKAGE.findtext("version")
+copyright = f"{author}. Licence: {PACKAGE.findtext('license')}"
+
+extensions = ["myst_parser", "autoapi.extension"]
+myst_heading_anchors = 3  # links to headings: page.md#heading
+html_theme = "furo"
+html_title = project
+rosdoc2_settings = {"allow_other_extensions": True, "override_theme": False}
+
+# The reference is read from the sources, not imported: of the libraries, not of the programs.
+autoapi_dirs = [str(ROOT / "tissue_sim")]
+autoapi_ignore = [f"*/tissue_sim/{part}*" for part in ("ros/", "bench/", "commands/", "cli.py", "__main__.py")]
+autoapi_root = "api"
+autoapi_add_toctree_entry = False
+autoapi_options = ["members", "show-module-summary"]
+default_role = "code"  # `x` in a docstring
+suppress_warnings = ["autoapi.python_import_resolution"]  # constants without a docstring are not on the pages
+
+
+class _FromCode(SphinxDirective):
+    """Puts a table from the code on the page; ROS, where it isn't installed, is stood in for."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        ros = [depend.text for depend in PACKAGE.findall("exec_depend") if depend.text.isidentifier()]
+        with mock([name for name in ros if not importlib.util.find_spec(name)]):
+            lines = self.lines(*self.arguments[0].split())
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+class Options(_FromCode):
+    """Options of a command: {options} bench."""
+
+    lines = staticmethod(reference.options_table)
+
+
+class Parameters(_FromCode):
+    """Parameters of the node, or of each tool: {parameters} tool."""
+
+    lines = staticmethod(reference.parameters_table)
+
+
+def _plain(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """A docstring's |x| is a length, not a substitution."""
+    lines[:] = [line.replace("|", r"\|") for line in lines]
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.add_directive("options", Options)
+    app.add_directive("parameters", Parameters)
+    app.connect("autodoc-process-docstring", _plain)
