@@ -27,6 +27,9 @@ extensions = ["myst_parser", "autoapi.extension"]
 myst_heading_anchors = 3  # links to headings: page.md#heading
 html_theme = "furo"
 html_title = project
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
+highlight_language = "none"
 rosdoc2_settings = {"allow_other_extensions": True, "override_theme": False}
 
 # The reference is read from the sources, not imported: of the libraries, not of the programs.
@@ -69,8 +72,16 @@ def _plain(app: Sphinx, what: str, name: str, obj: object, options: object, line
     lines[:] = [line.replace("|", r"\|") for line in lines]
 
 
+def _short_title(app: Sphinx, page: str, source: list[str]) -> None:
+    """A module's page is headed by its own name: those of its packages stand above it in the list."""
+    title, _, rest = source[0].partition("\n")
+    if page.startswith("api/"):
+        source[0] = f"{title.rpartition('.')[2]}\n{rest}"
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.add_directive("options", Options)
     app.add_directive("parameters", Parameters)
     app.connect("autodoc-process-docstring", _plain)
+    app.connect("source-read", _short_title)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import re
 from collections.abc import Iterable
 from typing import Any
 from unittest import mock
@@ -13,11 +15,9 @@ def parser_of(*words: str) -> argparse.ArgumentParser:
     from tissue_sim.cli import main
 
     asked: list[argparse.ArgumentParser] = []
-    with mock.patch.object(argparse.ArgumentParser, "print_help", lambda parser, file=None: asked.append(parser)):
-        try:
-            main([*words, "--help"])
-        except SystemExit:
-            pass
+    asking = mock.patch.object(argparse.ArgumentParser, "print_help", lambda parser, file=None: asked.append(parser))
+    with asking, contextlib.suppress(SystemExit):
+        main([*words, "--help"])
     return asked[0]
 
 
@@ -39,7 +39,7 @@ def options_table(*words: str) -> list[str]:
     """Lines of a table of what `tissue_sim WORDS` takes, and of one for each command below it."""
     lines = []
     if taken := options(*words):
-        lines = _table(("option", ""), ((f"`{written}`", text) for written, text in taken.items()))
+        lines = _table(("option", ""), ((f"`{written}`", _prose(text)) for written, text in taken.items()))
     for name, summary in subcommands(*words).items():
         lines += [f"**`tissue_sim {' '.join(words)} {name}`**: {summary}.", "", *options_table(*words, name), ""]
     return lines
@@ -51,7 +51,13 @@ def parameters_table(of: str) -> list[str]:
 
     specs, prefix = {"node": (NODE_SPECS, ""), "tool": (TOOL_SPECS, "<tool>.")}[of]
     rows = [
-        (f"`{prefix}{spec.name}`", f"`{_value(spec.default)}`", _range(spec), "yes" if spec.live else "", spec.text)
+        (
+            f"`{prefix}{spec.name}`",
+            f"`{_value(spec.default)}`",
+            _range(spec),
+            "yes" if spec.live else "",
+            _prose(spec.text),
+        )
         for spec in specs
     ]
     if of == "node":
@@ -75,3 +81,8 @@ def _range(spec: Any) -> str:
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
     cells = [head, ("---",) * len(head), *rows]
     return ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in cells] + [""]
+
+
+def _prose(text: str) -> str:
+    """Help as Markdown: <name> is no tag, * no emphasis."""
+    return re.sub(r"([<>*])", r"\\\1", text)
