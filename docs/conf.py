@@ -1,6 +1,7 @@
 """How Sphinx builds the pages: for `make docs`, and for rosdoc2, which runs this file from a copy of the folder."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -32,14 +33,16 @@ html_css_files = ["pages.css"]
 highlight_language = "none"
 rosdoc2_settings = {"allow_other_extensions": True, "override_theme": False}
 
-# The reference is read from the sources, not imported: of the libraries, not of the programs.
+# The reference is read from the sources, not imported: of the library, not of the programs and their machinery.
 autoapi_dirs = [str(ROOT / "tissue_sim")]
-autoapi_ignore = [f"*/tissue_sim/{part}*" for part in ("ros/", "bench/", "commands/", "cli.py", "__main__.py")]
+PROGRAMS = ("ros/", "bench/", "commands/", "cli.py", "child.py", "jit.py", "store.py", "__main__.py")
+autoapi_ignore = [f"*/tissue_sim/{part}*" for part in PROGRAMS]
 autoapi_root = "api"
 autoapi_add_toctree_entry = False
 autoapi_options = ["members", "show-module-summary"]
 default_role = "code"  # `x` in a docstring
-suppress_warnings = ["autoapi.python_import_resolution"]  # constants without a docstring are not on the pages
+# Constants without a docstring are not on the pages; two modules may have a class of one name.
+suppress_warnings = ["autoapi.python_import_resolution", "ref.python"]
 
 
 class _FromCode(SphinxDirective):
@@ -68,8 +71,11 @@ class Parameters(_FromCode):
 
 
 def _plain(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """A docstring's |x| is a length, not a substitution."""
-    lines[:] = [line.replace("|", r"\|") for line in lines]
+    """Docstrings are plain text but for `code`: |x| is a length there, x* and x_ are names."""
+    for i, line in enumerate(lines):
+        parts = line.split("`")
+        parts[::2] = [re.sub(r"([|*]|(?<=\w)_\b)", r"\\\1", part) for part in parts[::2]]
+        lines[i] = "`".join(parts)
 
 
 def _short_title(app: Sphinx, page: str, source: list[str]) -> None:

@@ -75,7 +75,7 @@ def _value(value: Any) -> str:
 def _range(spec: Any) -> str:
     if spec.choices:
         return ", ".join(f"`{choice}`" for choice in spec.choices)
-    return f"{spec.low:g} to {spec.high:g}" if spec.low is not None else ""
+    return f"{spec.low:.7g} to {spec.high:.7g}" if spec.low is not None else ""
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
