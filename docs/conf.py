@@ -31,7 +31,7 @@ html_title = project
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
 highlight_language = "none"
-rosdoc2_settings = {"allow_other_extensions": True, "override_theme": False}
+rosdoc2_settings = {"allow_other_extensions": True}  # autoapi
 
 # The reference is read from the sources, not imported: of the library, not of the programs and their machinery.
 autoapi_dirs = [str(ROOT / "tissue_sim")]

@@ -16,7 +16,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")
 # Benchmarks that the pages name and that are being written; whoever adds one takes it out here.
 COMING = {"idle", "markers", "start"}
 # What isn't ours: options of other programs, and names that come from elsewhere.
-FOREIGN_OPTIONS = {"--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help"}
+FOREIGN_OPTIONS = {"--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"}
 FOREIGN_WORDS = {"foxglove_bridge", "use_sim_time", "rclpy", "SCHED_FIFO", "ROS_DOMAIN_ID", "namespace"}
 
 COMMAND_LINE = re.compile(r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)")
@@ -300,6 +300,12 @@ def test_every_launch_argument_extra_and_target_is_named():
     assert {row[0].strip("`") for row in extras} == set(setup.call_args.kwargs["extras_require"])
     for target in make_targets():
         assert re.search(rf"\bmake {target}\b", named), target
+
+
+def test_every_folder_of_the_package_is_described():
+    (rows,) = (rows for head, *rows in tables(DOCS / "how_it_is_built.md") if head[0] == "folder")
+    folders = {path.parent for path in (ROOT / "tissue_sim").glob("*/__init__.py")}
+    assert {row[0].strip("`") for row in rows} == {path.relative_to(ROOT).as_posix() for path in folders}
 
 
 # the first page
