@@ -82,3 +82,13 @@ STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.in
 
 NO_PYTHON = tissue_sim needs CPython 3.12 and found none: install it \
 (apt install python3.12, pyenv install 3.12 or uv python install 3.12) and run make again
+
+# The pages: with what only they need, which nobody else waits for.
+.PHONY: docs
+docs: .venv/.installed-docs ## the pages, in build/docs; a warning is an error
+	@$(PY) -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/docs
+	@echo 'build/docs/index.html'
+
+.venv/.installed-docs: .venv/.installed
+	.ci/venv docs
+	@printf %s '$(CURDIR)' > $@

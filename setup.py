@@ -45,7 +45,11 @@ setup(
     # False: Numba writes its cache beside the kernels, and the organs are opened as files.
     zip_safe=False,
     # No ROS package here: with an apt installation they come from rosdep, with PyPI alone from the extra "ros".
-    install_requires=["numpy", "numba", "scipy", "trimesh", "python-fcl", "rosbags", "tqdm"],
+    # Least versions: package.xml has the same.
+    install_requires=[
+        *("numpy>=1.26.4", "scipy>=1.12.0", "numba>=0.59.1"),
+        *("trimesh", "python-fcl", "rosbags", "tqdm"),
+    ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "image": ["SimpleITK", "scikit-image", "matplotlib"],
@@ -54,6 +58,7 @@ setup(
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         # `colcon test` runs pytest because this extra names it.
         "test": ["pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
+        "docs": ["sphinx", "myst-parser", "furo", "sphinx-autoapi"],
         "colcon": ["colcon-common-extensions"],
     },
     entry_points={

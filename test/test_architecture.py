@@ -31,8 +31,8 @@ MAY_IMPORT = {
 LIBRARIES = {"organ", "model", "contact", "calibration"}  # what they find, others ask for and show
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
 TOP_LEVEL = {
-    *(".ci", ".gitignore", ".python-version", "LICENSE", "Makefile", "README.md", "constraints.txt"),
-    *("package.xml", "ruff.toml", "setup.cfg", "setup.py"),
+    *(".ci", ".gitignore", ".python-version", "CHANGELOG.rst", "CONTRIBUTING.md", "LICENSE", "Makefile"),
+    *("README.md", "constraints.txt", "package.xml", "rosdoc2.yaml", "ruff.toml", "setup.cfg", "setup.py"),
     *("bags", "config", "docs", "launch", "resource", "test", "tissue_sim"),
 }
 SOURCES = sorted(PACKAGE.rglob("*.py"))

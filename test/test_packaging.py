@@ -3,6 +3,7 @@
 import ast
 import importlib.metadata
 import importlib.util
+import itertools
 import os
 import re
 import runpy
@@ -50,7 +51,8 @@ CLEARED = {
     "pygame": "LGPL, unchanged and linked dynamically; comes with pypbd, for benchmarks alone",
     "netgen-mesher": "LGPL-2.1, unchanged and linked dynamically; for calibration alone",
     "netgen-occt": "LGPL-2.1, as netgen-mesher, which brings it",
-    "docutils": "public domain and BSD; the GPL covers an Emacs mode that is not in the wheel; comes with colcon",
+    "docutils": "public domain and BSD; the GPL covers an Emacs mode that is not in the wheel; of colcon and Sphinx",
+    "astroid": "LGPL-2.1, unchanged; reads the sources for the pages' reference alone",
 }
 
 
@@ -72,6 +74,54 @@ def test_package_xml_agrees_with_setup():
     assert package.findtext("license") == SETUP["license"] == "Apache-2.0"
     assert package.findtext("export/build_type") == "ament_python"
     assert "Apache License" in (ROOT / "LICENSE").read_text()[:200]
+
+
+def test_package_xml_says_where_the_package_lives_and_who_writes_it():
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert {url.get("type") for url in package.findall("url")} == {"website", "repository", "bugtracker"}
+    assert all(url.text.startswith("https://") for url in package.findall("url"))
+    assert package.findtext("author")
+    assert package.find("maintainer").get("email") == SETUP["maintainer_email"]
+    assert (ROOT / package.findtext("export/rosdoc2")).is_file()
+
+
+def test_least_versions_agree_and_the_pins_reach_them():
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    least = {
+        element.text.removeprefix("python3-"): element.get("version_gte")
+        for element in package.findall("exec_depend")
+        if element.get("version_gte")
+    }
+    asked = {need.name: str(need.specifier) for need in requirements(None) if need.specifier}
+    assert asked == {name: f">={version}" for name, version in least.items()}
+    assert {"numpy", "scipy", "numba"} <= set(asked)
+    assert all(need.specifier.contains(PINS[canonicalize_name(need.name)]) for need in requirements(None))
+
+
+def test_changelog_is_as_bloom_reads_it():
+    """A title for the package, then Forthcoming or this version, then older ones with their dates."""
+    lines = (ROOT / "CHANGELOG.rst").read_text().splitlines()
+    assert lines[1] == "Changelog for package tissue_sim"
+    assert {lines[0], lines[2]} == {"^" * len(lines[1])}
+    marked = [(above, line) for above, line in itertools.pairwise(lines) if re.fullmatch("-+", line)]
+    assert marked
+    assert all(len(above) == len(line) for above, line in marked)
+    first, *older = [above for above, _ in marked]
+    release = r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)"
+    assert first == "Forthcoming" or re.fullmatch(release, first)
+    assert all(re.fullmatch(release, heading) for heading in older)
+    released = [heading.split()[0] for heading in (first, *older) if heading != "Forthcoming"]
+    assert released[:1] in ([], [SETUP["version"]])
+
+
+def test_contributions_are_under_the_licence_and_signed_off():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    clause = re.search(
+        r"5\. Submission of Contributions\..*?such Contributions\.", (ROOT / "LICENSE").read_text(), re.DOTALL
+    )
+    assert " ".join(clause[0].split()) in " ".join(text.split())
+    assert "Signed-off-by" in text
+    assert "https://developercertificate.org/" in text
 
 
 def test_package_xml_names_every_ros_package_that_is_imported():

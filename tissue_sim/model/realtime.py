@@ -31,30 +31,30 @@ _sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp,
 
 
 @kernel
-def now(box: Any) -> int:
-    """Monotonic time, ns."""
-    _clock_gettime(CLOCK_MONOTONIC, box.now.ctypes.data)
-    return box.now[0] * 1_000_000_000 + box.now[1]
+def now(timespec: Any) -> int:
+    """Monotonic time, ns; timespec (2,) is room."""
+    _clock_gettime(CLOCK_MONOTONIC, timespec.ctypes.data)
+    return timespec[0] * 1_000_000_000 + timespec[1]
 
 
 @kernel
-def set_wake(deadline: int, box: Any) -> None:
-    """Write an absolute monotonic time, ns, where the system's calls take it from."""
-    box.wake[0], box.wake[1] = deadline // 1_000_000_000, deadline % 1_000_000_000
+def set_time(time: int, timespec: Any) -> None:
+    """Write an absolute time, ns, as the system's calls take it."""
+    timespec[0], timespec[1] = time // 1_000_000_000, time % 1_000_000_000
 
 
 @kernel
-def sleep_until(deadline: int, box: Any) -> None:
-    """Sleep to an absolute monotonic time, ns; a signal doesn't end it early."""
-    set_wake(deadline, box)
-    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, box.wake.ctypes.data, 0) == 4:
+def sleep_until(deadline: int, timespec: Any) -> None:
+    """Sleep to an absolute monotonic time, ns; a signal doesn't end it early. timespec (2,) is room."""
+    set_time(deadline, timespec)
+    while _clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, timespec.ctypes.data, 0) == 4:
         pass
 
 
 @kernel
 def sleep_until_bell(deadline: int, box: Any) -> None:
     """Sleep until the bell is rung, or to an absolute monotonic time, ns."""
-    set_wake(deadline, box)
+    set_time(deadline, box.wake)
     _sem_clockwait(box.bell.ctypes.data, CLOCK_MONOTONIC, box.wake.ctypes.data)
 
 
@@ -66,16 +66,16 @@ def wait_until(deadline: int, box: Any) -> int:
     """
     control, pace = box.control, box.pace
     if not control.sim_time:
-        sleep_until(deadline, box)
-        return now(box)
+        sleep_until(deadline, box.wake)
+        return now(box.now)
     if control.posted_time < deadline:
-        sleep_until_bell(now(box) + LOOK_UP, box)
+        sleep_until_bell(now(box.now) + LOOK_UP, box)
     fence()
     time = control.posted_time
     if time != pace.seen:
         pace.behind = max(0, pace.seen - deadline)
-        pace.seen, pace.seen_at = time, now(box)
-    elif time < deadline and now(box) - pace.seen_at > STANDS_AFTER:
+        pace.seen, pace.seen_at = time, now(box.now)
+    elif time < deadline and now(box.now) - pace.seen_at > STANDS_AFTER:
         control.standing = True
     return time
 
@@ -101,7 +101,7 @@ def nap(deadline: int, world: Any, box: Any) -> int:
     if is_idle(world, box):
         sleep_until_bell(deadline, box)
     control.napping = False
-    return min(now(box), deadline)
+    return min(now(box.now), deadline)
 
 
 @part
@@ -116,16 +116,16 @@ def _loop(world: Any, tick: Any, box: Any) -> None:
         post_snapshot(state, box)
         if posted != control.sim_time:
             posted = control.sim_time
-            due = 0 if posted else now(box)
+            due = 0 if posted else now(box.now)
             control.standing = posted  # until its first tick
         period = int(settings.tick_time * 1e9 + 0.5)
         if not posted and 2 * period <= NAP and is_idle(world, box):
             rested = nap(due + NAP // period * period, world, box)
             while due + 2 * period <= rested:
                 due += period
-                begin = now(box)
+                begin = now(box.now)
                 tick(world)
-                note_tick(box, due, period, 0, now(box) - begin)
+                note_tick(box, due, period, 0, now(box.now) - begin)
         start = wait_until(due + period, box)
         if due == 0 or start < due:  # the first time that was posted, or it jumped back
             due = start
@@ -138,7 +138,7 @@ def _loop(world: Any, tick: Any, box: Any) -> None:
             control.dropped += late // period
             due = start
         if posted:  # a posted time makes many ticks due at once; late is what was left of the one before
-            begin, late, pace.behind = now(box), pace.behind, 0
+            begin, late, pace.behind = now(box.now), pace.behind, 0
         if late > period:
             control.overruns += 1
         resets = box.row.resets
@@ -152,7 +152,7 @@ def _loop(world: Any, tick: Any, box: Any) -> None:
         if moved:
             control.awake_tick = state.status.tick
         moved = False
-        note_tick(box, due, period, late, now(box) - begin)
+        note_tick(box, due, period, late, now(box.now) - begin)
 
 
 @kernel

@@ -19,11 +19,11 @@ def parameters(name: str) -> dict:
     return YAML(typ="safe").load(PROFILES[name].read_text())["/**"]["ros__parameters"]
 
 
-def test_every_profile_has_a_stand_in_and_a_line_in_the_readme():
+def test_every_profile_has_a_stand_in_and_a_line_on_its_page():
     assert PROFILES.keys() == BRIDGES.keys()
-    readme = (ROOT / "README.md").read_text()
+    page = (ROOT / "docs" / "bridges.md").read_text()
     for name in PROFILES:
-        assert f"config/bridges/{name}.yaml" in readme
+        assert f"config/bridges/{name}.yaml" in page
         assert "github.com/" in PROFILES[name].read_text(), "where the bridge comes from"
 
 

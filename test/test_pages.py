@@ -1,0 +1,327 @@
+"""README and docs against the code: whatever they name is there, and what is there is named."""
+
+import ast
+import importlib.util
+import re
+import runpy
+import sys
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
+# Benchmarks that the pages name and that are being written; whoever adds one takes it out here.
+COMING = {"idle", "markers", "start"}
+# What isn't ours: options of other programs, and names that come from elsewhere.
+FOREIGN_OPTIONS = {"--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"}
+FOREIGN_WORDS = {"foxglove_bridge", "use_sim_time", "rclpy", "SCHED_FIFO", "ROS_DOMAIN_ID", "namespace"}
+
+COMMAND_LINE = re.compile(r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)")
+
+_spec = importlib.util.spec_from_file_location("pages_reference", DOCS / "reference.py")
+reference = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(reference)
+
+by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def snippets(page: Path) -> list[str]:
+    """All code on a page: inline, and the lines of its blocks without their comments."""
+    text = page.read_text()
+    blocks = re.compile(r"^(```|~~~)([^\n]*)\n(.*?)^\1$", re.MULTILINE | re.DOTALL)
+    code = [block for _, kind, block in blocks.findall(text) if not kind.startswith("{")]
+    lines = [line.split(" # ")[0].rstrip() for block in code for line in block.splitlines()]
+    prose = blocks.sub("", text)
+    return [part for line in lines for part in line.split("&&")] + re.findall(r"`([^`\n]+)`", prose.replace("\n", " "))
+
+
+def tables(page: Path) -> list[list[list[str]]]:
+    """The tables of a page: rows of cells, the head first."""
+    found = re.findall(r"(?:^\|.*\n)+", page.read_text() + "\n", re.MULTILINE)
+    return [
+        [[cell.strip() for cell in row.strip("| ").split(" | ")] for row in table.splitlines() if "|---" not in row]
+        for table in found
+    ]
+
+
+def slug(heading: str) -> str:
+    """The anchor of a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+def option_names(*words: str) -> set[str]:
+    return set(re.findall(r"--[\w-]+", " ".join(reference.options(*words))))
+
+
+@pytest.fixture(scope="module")
+def commands() -> dict[tuple[str, ...], set[str]]:
+    """The options of every command and benchmark."""
+    all_words = [(name,) for name in reference.subcommands()]
+    all_words += [(*words, name) for words in all_words for name in reference.subcommands(*words)]
+    return {words: option_names(*words) for words in all_words}
+
+
+@pytest.fixture(scope="module")
+def parameters() -> tuple[set[str], set[str]]:
+    """Names of the node's parameters, and of those of each tool."""
+    pytest.importorskip("rclpy")
+    from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+
+    return {spec.name for spec in NODE_SPECS} | {"tools", "use_sim_time"}, {spec.name for spec in TOOL_SPECS}
+
+
+def launch_arguments() -> dict[str, set[str]]:
+    return {
+        path.name: set(re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', path.read_text()))
+        for path in (ROOT / "launch").glob("*.py")
+    }
+
+
+@pytest.fixture(scope="module")
+def topics() -> dict[str, str]:
+    """Type of every topic and service of the node, by its name; a tool's as its bridge has them by default."""
+    pytest.importorskip("rclpy")
+    from tissue_sim.ros.shared.parameters import TOOL_SPECS, usual_topics
+
+    default = {spec.name: spec.default for spec in TOOL_SPECS}
+    types = {
+        "measured_cp": default["pose_type"],
+        "measured_cf": default["force_type"],
+        "servo_cf": default["wrench_type"],
+        "measured_js": "JointState",
+    }
+    found = {name: types[topic] for topic, name in usual_topics("<tool>").items()} | {"/clock": "Clock"}
+    for path in (ROOT / "tissue_sim" / "ros" / "node").rglob("*.py"):
+        made = re.findall(r'create_(?:publisher|subscription|service)\(\s*(\w+), "([~/]\S+)"', path.read_text())
+        found |= {name: kind for kind, name in made}
+    return found
+
+
+def make_targets() -> set[str]:
+    """Those that `make help` lists."""
+    return set(re.findall(r"^([a-z-]+):[^#\n]*##", (ROOT / "Makefile").read_text(), re.MULTILINE))
+
+
+# what the pages name is there
+
+
+@by_page
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        path, _, anchor = target.partition("#")
+        if path.startswith("https://"):
+            continue
+        if path.startswith("api/"):  # made from the sources
+            assert (ROOT / path.removeprefix("api/").removesuffix("/index")).is_dir(), target
+            continue
+        goal = (page.parent / path) if path else page
+        assert goal.is_file(), target
+        if anchor:
+            assert anchor in {slug(line) for line in re.findall(r"^#+ (.+)$", goal.read_text(), re.MULTILINE)}, target
+
+
+def test_every_picture_is_shown():
+    shown = {Path(name).name for page in PAGES for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text())}
+    assert {path.name for path in (DOCS / "images").iterdir()} == shown
+
+
+@by_page
+def test_files_exist(page):
+    folders = "bags|config|docs|launch|resource|test|tissue_sim"
+    modules = {path.name for folder in ("tissue_sim", "launch") for path in (ROOT / folder).rglob("*.py")}
+    for snippet in snippets(page):
+        for path in re.findall(rf"(?<![\w./~:])(?:{folders})/[\w./-]*", snippet):
+            assert (ROOT / path).exists(), snippet
+        for name in re.findall(r"(?<![\w./])[\w.]+\.py\b", snippet):
+            assert name in modules | {"setup.py"}, snippet
+        for name in re.findall(r"^(?:[A-Z]+\.\w+|package\.xml|constraints\.txt)$", snippet):
+            assert (ROOT / name).is_file(), snippet
+
+
+@by_page
+def test_commands_and_their_options_exist(page, commands):
+    everywhere = set().union(*commands.values()) | FOREIGN_OPTIONS
+    for snippet in snippets(page):
+        given = set(re.findall(r"(?<!\S)--[a-z][\w-]*", snippet))
+        if module := re.search(r"python -m (tissue_sim[\w.]*)", snippet):
+            source = (ROOT / module[1].replace(".", "/")).with_suffix(".py").read_text()
+            assert all(f'"{option}"' in source for option in given), snippet
+        elif words := re.search(
+            r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)", snippet
+        ):
+            first, *rest = words[1].split()
+            assert (first,) in commands, snippet
+            own = (first,)
+            if first == "bench" and rest:
+                if rest[0] in COMING:
+                    continue
+                own = ("bench", rest[0])
+                assert own in commands, snippet
+            assert given <= commands[own] | {"--help"}, snippet
+        else:
+            assert given <= everywhere, snippet
+        if target := re.match(r"make ([a-z-]+)", snippet):
+            assert target[1] in make_targets(), snippet
+        if launched := re.search(r"ros2 launch tissue_sim (\S+)(.*)", snippet):
+            assert set(re.findall(r"(\w+):=", launched[2])) <= launch_arguments()[launched[1]], snippet
+
+
+def test_benchmarks_that_are_coming_have_not_come(commands):
+    assert not {name for name in COMING if ("bench", name) in commands}, "take them out of COMING"
+
+
+@by_page
+def test_parameters_exist(page, parameters):
+    of_node, of_tool = parameters
+    launched = set().union(*launch_arguments().values())
+    for snippet in snippets(page):
+        for name in re.findall(r"([\w.]+):=", snippet):
+            assert name in of_node | ({"__ns"} if "-r " in snippet else launched), snippet
+        for name in re.findall(r"^(?:<tool>)?\.(\w+)$", snippet):
+            assert name in of_tool | {"venv"}, snippet
+        if setting := re.match(r"(\w+): \w", snippet):
+            assert setting[1] in of_node, snippet
+    for head, *rows in tables(page):
+        for row in rows if head[0] == "parameter" else []:
+            for name in re.findall(r"`([^`]+)`", row[0]):
+                assert name in of_node or re.sub(r"^(<tool>)?\.", "", name) in of_tool, row
+
+
+@by_page
+def test_topics_exist(page, topics):
+    bridges = "\n".join(path.read_text() for path in (ROOT / "config" / "bridges").glob("*.yaml"))
+    for snippet in snippets(page):
+        if re.fullmatch(r"(~|<tool>|~/<tool>|left|right)(/\w+)+", snippet):
+            name = re.sub(r"^(~/<tool>|left|right)/", "<tool>/", snippet)
+            assert name in topics, snippet
+        for name in re.findall(r"(?<![\w.:/<>~])/[a-zA-Z]\w+(?:/\w+)*(?![\w.])", snippet):
+            own = re.sub("^/tissue_sim/", "~/", name)
+            if not name.startswith("/etc/") and "__ns:=" not in snippet:
+                assert own in {*topics, "/tissue_sim"} or name in bridges, snippet
+
+
+@by_page
+def test_names_are_those_of_the_code(page):
+    """A lone word in code font is a word of the sources, so that what is renamed is noticed."""
+    folders = [ROOT / name for name in ("tissue_sim", "launch", "config")]
+    files = [path for folder in folders for path in folder.rglob("*.*") if path.suffix in (".py", ".yaml", ".xml")]
+    files += [ROOT / name for name in ("setup.py", "package.xml", "Makefile", "constraints.txt", "docs/conf.py")]
+    known = set(re.findall(r"\w+", "\n".join(path.read_text() for path in files)))
+    known |= FOREIGN_WORDS | {part for path in files for part in path.relative_to(ROOT).parts}
+    for snippet in snippets(page):
+        if re.fullmatch(r"[A-Za-z_]\w+", snippet) and not snippet.isupper():
+            assert snippet in known, snippet
+
+
+@by_page
+def test_python_names_exist(page):
+    for snippet in snippets(page):
+        for dotted in re.findall(r"(?<![\w/])tissue_sim(?:\.\w+)+", snippet):
+            path, names = ROOT, dotted.split(".")
+            while names and ((path / names[0]).is_dir() or (path / f"{names[0]}.py").is_file()):
+                path = path / names.pop(0)
+            module = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+            assert module.is_file(), dotted
+            assert len(names) <= 1, dotted
+            defined = {node.name for node in ast.parse(module.read_text()).body if hasattr(node, "name")}
+            assert set(names) <= defined, dotted
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "python.md"], ids=lambda page: page.name)
+def test_examples_in_python_run(page):
+    import numpy as np
+
+    names: dict = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL):
+        exec(compile(block, page.name, "exec"), names)
+    organ, simulation = names["organ"], names["simulation"]
+    assert simulation.positions.shape == (organ.n_nodes, 3)
+    assert np.any(simulation.positions != organ.rest_positions)  # it was pushed
+    if "scene" in names:
+        assert names["scene"].wrenches.shape == (1, 6)
+
+
+# what is there is named on the pages
+
+
+def test_every_parameter_is_listed(parameters):
+    page = (DOCS / "parameters.md").read_text()
+    for of, names, prefix in (("node", parameters[0], ""), ("tool", parameters[1], "<tool>.")):
+        assert f"```{{parameters}} {of}\n```" in page
+        listed = set(re.findall(r"^\| `([^`]+)` \|", "\n".join(reference.parameters_table(of)), re.MULTILINE))
+        assert listed == {prefix + name for name in names if name != "use_sim_time"}
+
+
+def test_every_topic_is_listed_with_its_type(topics):
+    (rows,) = (rows for head, *rows in tables(DOCS / "topics.md") if head[0] == "name")
+    listed = {row[0].strip("`"): row[1] for row in rows}
+    assert listed.keys() == topics.keys()
+    for name, kind in topics.items():
+        assert re.match(rf"\w+/{kind}\b", listed[name]), name
+
+
+def test_every_command_is_listed():
+    page = (DOCS / "commands.md").read_text()
+    (rows,) = (rows for head, *rows in tables(DOCS / "commands.md") if head[0] == "command")
+    names = set(reference.subcommands())
+    assert {row[0].strip("`") for row in rows} == {"tissue_node", *(f"tissue_sim {name}" for name in names)}
+    for name in names:
+        assert f"## tissue_sim {name}\n" in page
+        assert f"```{{options}} {name}\n```" in page
+
+
+def test_every_option_is_explained(commands):
+    for words in commands:
+        help_texts = reference.options(*words)
+        assert all(help_texts.values()), words
+        listed = "\n".join(reference.options_table(*words))
+        assert all(f"`{written}`" in listed.replace(r"\|", "|") for written in help_texts)
+    assert "`tissue_sim bench tick`" in "\n".join(reference.options_table("bench"))
+
+
+def test_every_benchmark_has_its_place(commands):
+    text = (DOCS / "benchmarks.md").read_text()
+    for name in reference.subcommands("bench"):
+        assert f"`tissue_sim bench {name}" in text
+    for section in text.split("\n## ")[1:]:
+        assert re.search(r"`tissue_sim bench \w+", section), f"no command prints: {section.splitlines()[0]}"
+
+
+def test_every_launch_argument_extra_and_target_is_named():
+    named = "\n".join(snippet for page in PAGES for snippet in snippets(page))
+    for argument in set().union(*launch_arguments().values()):
+        assert re.search(rf"\b{argument}\b", "\n".join(snippets(DOCS / "installing.md"))), argument
+    with mock.patch("setuptools.setup") as setup, mock.patch.object(sys, "argv", ["setup.py"]):
+        runpy.run_path(str(ROOT / "setup.py"))
+    (extras,) = (rows for head, *rows in tables(DOCS / "installing.md") if head[0] == "extra")
+    assert {row[0].strip("`") for row in extras} == set(setup.call_args.kwargs["extras_require"])
+    for target in make_targets():
+        assert re.search(rf"\bmake {target}\b", named), target
+
+
+def test_every_folder_of_the_package_is_described():
+    (rows,) = (rows for head, *rows in tables(DOCS / "how_it_is_built.md") if head[0] == "folder")
+    folders = {path.parent for path in (ROOT / "tissue_sim").glob("*/__init__.py")}
+    assert {row[0].strip("`") for row in rows} == {path.relative_to(ROOT).as_posix() for path in folders}
+
+
+# the first page
+
+
+def test_readme_is_one_page():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+def test_every_result_in_the_readme_has_its_command():
+    (rows,) = (rows for head, *rows in tables(ROOT / "README.md") if "command" in head[-1])
+    for row in rows:
+        assert re.fullmatch(r"`(tissue_sim|pytest) .+`", row[-1]), row
+
+
+def test_every_page_is_in_the_contents():
+    contents = re.findall(r"^```\{toctree\}\n(.*?)^```$", (DOCS / "index.md").read_text(), re.MULTILINE | re.DOTALL)
+    listed = set(re.findall(r"^(\w+)$", "\n".join(contents), re.MULTILINE))
+    assert listed == {path.stem for path in DOCS.glob("*.md")} - {"index"}
