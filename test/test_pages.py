@@ -13,8 +13,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
-# Benchmarks that the pages name and that are being written; whoever adds one takes it out here.
-COMING = {"idle", "markers", "start"}
 # What isn't ours: options of other programs, and names that come from elsewhere.
 FOREIGN_OPTIONS = {"--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"}
 FOREIGN_WORDS = {"foxglove_bridge", "use_sim_time", "rclpy", "SCHED_FIFO", "ROS_DOMAIN_ID", "namespace"}
@@ -156,8 +154,6 @@ def test_commands_and_their_options_exist(page, commands):
             assert (first,) in commands, snippet
             own = (first,)
             if first == "bench" and rest:
-                if rest[0] in COMING:
-                    continue
                 own = ("bench", rest[0])
                 assert own in commands, snippet
             assert given <= commands[own] | {"--help"}, snippet
@@ -167,10 +163,6 @@ def test_commands_and_their_options_exist(page, commands):
             assert target[1] in make_targets(), snippet
         if launched := re.search(r"ros2 launch tissue_sim (\S+)(.*)", snippet):
             assert set(re.findall(r"(\w+):=", launched[2])) <= launch_arguments()[launched[1]], snippet
-
-
-def test_benchmarks_that_are_coming_have_not_come(commands):
-    assert not {name for name in COMING if ("bench", name) in commands}, "take them out of COMING"
 
 
 @by_page
