@@ -75,9 +75,9 @@ def scene(request):
 
 def test_forces_fade_on_although_pictures_fail(scene):
     scene.outlet.start()
-    wait_for(lambda: len(scene.told) >= 2, 30.0)
+    wait_for(lambda: len(scene.told) >= 2)
     turns = scene.port.turns
-    wait_for(lambda: scene.port.turns > turns + 50, 30.0)
+    wait_for(lambda: scene.port.turns > turns + 50)
     lines = ["outlet failed: OSError: nobody takes pictures", "outlet failed: ValueError: nor of tools"]
     assert scene.told[-1].failures == lines
     assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
@@ -85,7 +85,7 @@ def test_forces_fade_on_although_pictures_fail(scene):
     assert len(scene.logger.warned) <= 2 * (len(scene.told) + 1), "not one for every picture"
     scene.presenter.fails = False
     told = len(scene.told)
-    wait_for(lambda: len(scene.told) >= told + 2, 30.0)
+    wait_for(lambda: len(scene.told) >= told + 2)
     assert scene.told[-1].failures == []
 
 
