@@ -7,6 +7,7 @@ import pytest
 from helpers.ros.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node import outlet
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
@@ -48,8 +49,9 @@ class Presenter:
 
 
 @pytest.fixture(params=[60.0, 240.0])
-def scene(request):
+def scene(request, monkeypatch):
     """An outlet that isn't started, with what it serves; reports that it told."""
+    monkeypatch.setattr(outlet, "REPORT_EVERY", 0.1)
     parts = SimpleNamespace(port=Port(), presenter=Presenter(), logger=Logger(), told=[])
     live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0)
 
