@@ -1,6 +1,7 @@
-"""The compiled loop in a thread: its rate, its mailboxes, its journal, and that its ticks repeat by hand."""
+"""The compiled loop in a thread: its ticks, its mailboxes, its journal, and that its ticks repeat by hand."""
 
 import ctypes
+import itertools
 import sys
 import threading
 import time
@@ -8,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
@@ -26,10 +28,14 @@ def make_simulation():
 
 
 class Loop:
-    """The loop on a simulation of its own, as the node drives it. Keeps what it posts, by sequence number."""
+    """The loop on a simulation of its own, as the node drives it. Keeps what it posts, by sequence number.
 
-    def __init__(self):
+    A pose gets stale after stale_time s of ticks: never, where that depends on how fast this thread is.
+    """
+
+    def __init__(self, stale_time=np.inf):
         self.simulation = make_simulation()
+        self.simulation.settings[st.STALE_TIME] = self.stale_time = stale_time
         self.box = mb.make_mailboxes(self.simulation.buffer)
         self.poses, self.forces, self.contacts, self.settings = {}, {}, {}, {}
         self.thread = threading.Thread(target=self._run, daemon=True)
@@ -41,15 +47,12 @@ class Loop:
 
     def __enter__(self):
         self.thread.start()
-        deadline = time.monotonic() + 180.0
-        while self.box.control[mb.LOOP_TICKS] == 0:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_for(lambda: self.box.control[mb.LOOP_TICKS] > 0)
         return self
 
     def __exit__(self, *_):
         self.box.control[mb.STOP] = 1
-        self.thread.join(timeout=10.0)
+        self.thread.join(timeout=LIMIT)
         assert not self.thread.is_alive()
 
     def ticks(self):
@@ -57,10 +60,8 @@ class Loop:
 
     def wait(self, ticks):
         """Until the loop has done some more ticks."""
-        end, deadline = self.ticks() + ticks, time.monotonic() + 30.0
-        while self.ticks() < end:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        end = self.ticks() + ticks
+        wait_for(lambda: self.ticks() >= end)
 
     def post_pose(self, pose):
         sequence = int(self.box.pose_sequence[0]) + 1
@@ -94,10 +95,7 @@ class Loop:
 
     def snapshot(self):
         self.box.control[mb.SNAPSHOT_ASKED] += 1
-        deadline = time.monotonic() + 10.0
-        while self.box.control[mb.SNAPSHOT_DONE] != self.box.control[mb.SNAPSHOT_ASKED]:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        wait_for(lambda: self.box.control[mb.SNAPSHOT_DONE] == self.box.control[mb.SNAPSHOT_ASKED])
         return self.box.snapshot_floats.copy(), self.box.snapshot_integers.copy()
 
     def journal(self):
@@ -121,30 +119,29 @@ def all_nodes():
     return tools, nodes, weights, normals, top[None], np.full((1, 3), 1.0 / 3.0), np.array([1])
 
 
-def test_loop_keeps_its_rate_and_accounts_for_every_tick():
+def test_loop_accounts_for_every_tick():
     with Loop() as loop:
-        begin, before = time.monotonic(), loop.ticks() + int(loop.box.control[mb.DROPPED])
-        time.sleep(0.5)
-        elapsed = time.monotonic() - begin
-        due = loop.ticks() + int(loop.box.control[mb.DROPPED]) - before
-    # The loop may be behind by what it is allowed to catch up.
-    assert due == pytest.approx(elapsed * RATE, abs=60)
-    assert loop.ticks() > 0.5 * elapsed * RATE
-    assert loop.simulation.state.count[st.TICK] == loop.ticks()
-    timing = loop.box.timing[: loop.ticks()]
+        loop.wait(500)
+    control = loop.box.control
+    ticks, dropped = loop.ticks(), int(control[mb.DROPPED])
+    assert loop.simulation.state.count[st.TICK] == ticks
+    assert control[mb.SIMULATED] == round(1e9 * ticks / RATE)
+    assert control[mb.DUE] <= time.monotonic_ns()
+    timing = loop.box.timing[:ticks]
     assert np.all(timing[:, 1] > 0)
-    assert np.median(timing[:, 1]) < 1e6
-    assert np.median(timing[:, 0]) < 5e6
+    if ticks <= mb.TIMING_ROWS:
+        # Late by more than may be made up for: then ticks are given up.
+        assert (dropped > 0) == (timing[:, 0].max() > rt.LATEST_CATCH_UP)
 
 
 def test_loop_ticks_while_python_holds_the_gil():
     interval = sys.getswitchinterval()
     with Loop() as loop:
         # Nobody else gets the GIL for as long as this thread computes.
-        sys.setswitchinterval(60.0)
+        sys.setswitchinterval(2.0 * LIMIT)
         try:
-            begin, before = time.monotonic(), loop.ticks()
-            while time.monotonic() - begin < 0.3:
+            before, end = loop.ticks(), time.monotonic() + LIMIT
+            while loop.ticks() <= before + 100 and time.monotonic() < end:
                 pass
             done = loop.ticks() - before
         finally:
@@ -168,11 +165,11 @@ def test_journal_tells_which_tick_took_a_pose():
         before = loop.ticks()
         loop.post_pose(above(0.05))
         loop.wait(10)
-        rows = loop.journal()
+        rows, after = loop.journal(), loop.ticks()
     assert len(rows) == 1
     assert rows[0, mb.ROW_TOOLS] == 1
     assert rows[0, mb.ROW_TOOLS + 1] == rows[0, mb.ROW_CONTACTS] == rows[0, mb.ROW_SETTINGS] == 0
-    assert before < rows[0, mb.ROW_TICK] <= before + 10
+    assert before < rows[0, mb.ROW_TICK] <= after
     assert loop.simulation.state.tool_count[0, st.POSE_SEQUENCE] == 1
     np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], above(0.05))
 
@@ -180,6 +177,7 @@ def test_journal_tells_which_tick_took_a_pose():
 def by_hand(loop, ticks):
     """The journal's inputs fed to a simulation of its own, tick by tick."""
     simulation = make_simulation()
+    simulation.settings[st.STALE_TIME] = loop.stale_time
     rows = {int(row[mb.ROW_TICK]): row for row in loop.journal()}
     last = np.zeros(mb.ROW_TOOLS + 2, dtype=np.int64)
     for tick in range(1, ticks + 1):
@@ -216,7 +214,7 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
                 loop.box.control[mb.RESETS] += 1
             if step == 65:
                 loop.post_contacts(*all_nodes())
-            time.sleep(0.003)
+            loop.wait(1)
         floats, integers = loop.snapshot()
         newest = int(loop.box.out_sequence[0])
         wrench = loop.box.out_wrench[newest % mb.OUT_SLOTS].copy()
@@ -237,7 +235,7 @@ def test_results_are_those_of_the_newest_tick():
         loop.post_contacts(*all_nodes())
         for step in range(60):
             loop.post_pose(above(0.001 - 1e-4 * step))
-            time.sleep(0.002)
+            loop.wait(1)
         assert loop.box.surface_sequence[0] > 10
     box, state = loop.box, loop.simulation.state
     newest = int(box.out_sequence[0]) % mb.OUT_SLOTS
@@ -275,83 +273,94 @@ def test_only_the_newest_of_several_poses_is_taken():
 
 
 def test_pose_ends_a_nap():
-    """An idle loop sleeps over several ticks; a pose with the bell is taken within one, those before as if run."""
+    """An idle loop sleeps over several ticks; a pose with the bell is taken, those before are done as if run."""
     libc = ctypes.CDLL(None)
-    with Loop() as loop:
+    with Loop(stale_time=0.05) as loop:
         bell = ctypes.c_void_p(loop.box.bell.ctypes.data)
-        latencies = []
         for turn in range(12):
             loop.wait(80)  # until the last pose is stale
-            deadline = time.monotonic() + 10.0
-            while not loop.box.control[mb.NAPPING]:
-                assert time.monotonic() < deadline, "an idle loop naps"
-            before = time.monotonic()
+            wait_for(lambda: loop.box.control[mb.NAPPING], "an idle loop naps")
             loop.post_pose(above(0.05 + 0.001 * turn))
             libc.sem_post(bell)
-            while loop.box.row[mb.ROW_TOOLS] != turn + 1:
-                assert time.monotonic() < deadline
-                time.sleep(1e-4)  # where both cores are busy, the loop would wait for the one that is watched from here
-            latencies.append(time.monotonic() - before)
-        assert loop.simulation.state.count[st.TICK] == pytest.approx(loop.ticks(), abs=8)
-    assert min(latencies) < 0.002
+            wait_for(lambda wanted=turn + 1: loop.box.row[mb.ROW_TOOLS] == wanted)
     assert all(np.diff([int(row[mb.ROW_TICK]) for row in loop.journal()]) >= 70)
     simulation = by_hand(loop, loop.ticks())
     np.testing.assert_array_equal(simulation.buffer.integers, loop.simulation.buffer.integers)
     np.testing.assert_array_equal(simulation.buffer.floats, loop.simulation.buffer.floats)
 
 
+class PostedLoop(Loop):
+    """Whose ticks follow posted times."""
+
+    def __enter__(self):
+        self.box.control[mb.SIM_TIME] = 1
+        self.thread.start()
+        wait_for(lambda: self.box.control[mb.STARTED] == 1)
+        return self
+
+    def post(self, seconds):
+        self.box.control[mb.POSTED_TIME] = round(1e9 * seconds)
+
+    def comes_to(self, ticks):
+        """Whether it does so many ticks in all, and no more in the next moments."""
+        wait_for(lambda: self.ticks() >= ticks)
+        time.sleep(0.1)
+        return self.ticks() == ticks
+
+
 def test_ticks_follow_posted_times():
     """None without a time, as many as it moves, none while it stands; a jump back is taken up, a long one dropped."""
-    loop = Loop()
-    control = loop.box.control
-    control[mb.SIM_TIME] = 1
+    with PostedLoop() as loop:
+        control = loop.box.control
+        assert loop.comes_to(0)
+        assert control[mb.STANDING] == 1
+        assert loop.box.surface_sequence[0] == 1, "the rest shape is there all the same"
+        loop.post(5.0)
+        assert loop.comes_to(0), "the first time is where it begins"
+        wait_for(lambda: loop.box.clock[rt.SEEN] == 5_000_000_000)
+        loop.post(5.1)
+        assert loop.comes_to(100)
+        assert control[mb.DUE] == 5_100_000_000
+        wait_for(lambda: control[mb.STANDING] == 1)
+        assert loop.ticks() == 100
+        floats, _ = loop.snapshot()
+        assert len(floats), "a clock that stands keeps nobody waiting"
+        loop.post(2.0)
+        assert loop.comes_to(100)
+        wait_for(lambda: loop.box.clock[rt.SEEN] == 2_000_000_000)
+        loop.post(2.05)
+        assert loop.comes_to(150)
+        assert control[mb.DROPPED] == 0
+        loop.post(9.05)
+        assert loop.comes_to(151)
+        assert control[mb.DROPPED] == pytest.approx(7000, abs=1)
+        newest = itertools.count(1)
 
-    def post(seconds, wait):
-        control[mb.POSTED_TIME] = round(1e9 * seconds)
-        time.sleep(wait)
-        return loop.ticks()
+        def goes_on():
+            loop.post(9.05 + 1e-3 * next(newest))
+            return control[mb.STANDING] == 0
 
-    loop.thread.start()
-    deadline = time.monotonic() + 100.0
-    while control[mb.STARTED] == 0:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    time.sleep(0.2)
-    assert loop.ticks() == 0
-    assert control[mb.STANDING] == 1
-    assert loop.box.surface_sequence[0] == 1, "the rest shape is there all the same"
-    assert post(5.0, 0.3) == 0, "the first time is where it begins"
-    assert post(5.1, 0.3) == 100
-    assert control[mb.STANDING] == 0
-    assert control[mb.DUE] == 5_100_000_000
-    time.sleep(0.6)
-    assert control[mb.STANDING] == 1
-    assert loop.ticks() == 100
-    floats, _ = loop.snapshot()
-    assert len(floats), "a clock that stands keeps nobody waiting"
-    assert post(2.0, 0.3) == 100
-    assert post(2.05, 0.3) == 150
-    assert control[mb.DROPPED] == 0
-    assert post(9.05, 0.3) == 151
-    assert control[mb.DROPPED] == pytest.approx(7000, abs=1)
-    control[mb.SIM_TIME] = 0
-    time.sleep(0.3)
-    assert loop.ticks() > 250
-    loop.__exit__()
+        wait_for(goes_on)
+        control[mb.SIM_TIME] = 0
+        before = loop.ticks()
+        wait_for(lambda: loop.ticks() > before + 100, "the wall's clock takes over")
 
 
 def test_tick_time_is_a_setting_that_may_change():
-    with Loop() as loop:
-        loop.wait(10)
+    with PostedLoop() as loop:
+        loop.post(1.0)
+        wait_for(lambda: loop.box.clock[rt.SEEN] == 1_000_000_000)
+        loop.post(1.1)
+        assert loop.comes_to(100)
         slower = loop.simulation.settings.copy()
         slower[st.TICK_TIME] = 0.01
         loop.post_settings(slower)
-        time.sleep(0.1)
-        ticks, simulated, begin = loop.ticks(), int(loop.box.control[mb.SIMULATED]), time.monotonic()
-        time.sleep(0.5)
-        elapsed = time.monotonic() - begin
-        assert loop.ticks() - ticks == pytest.approx(100.0 * elapsed, abs=8)
-        assert 1e-9 * (int(loop.box.control[mb.SIMULATED]) - simulated) == pytest.approx(elapsed, abs=0.08)
+        loop.post(1.101)
+        assert loop.comes_to(101), "which takes the setting up"
+        simulated = int(loop.box.control[mb.SIMULATED])
+        loop.post(2.101)
+        assert loop.comes_to(201)
+        assert int(loop.box.control[mb.SIMULATED]) - simulated == 1_000_000_000
 
 
 def test_now_is_the_monotonic_clock():
@@ -361,11 +370,9 @@ def test_now_is_the_monotonic_clock():
     assert before <= middle <= time.monotonic_ns()
 
 
-def test_sleep_ends_at_the_deadline():
+def test_sleep_ends_after_the_deadline():
     clock = np.zeros(4, dtype=np.int64)
     deadline = time.monotonic_ns() + 20_000_000
     rt.sleep_until(deadline, clock)
-    assert 0 <= time.monotonic_ns() - deadline < 50_000_000
-    begin = time.monotonic_ns()
-    rt.sleep_until(begin - 1_000_000_000, clock)  # in the past: no sleep
-    assert time.monotonic_ns() - begin < 50_000_000
+    assert time.monotonic_ns() >= deadline
+    rt.sleep_until(deadline - 1_000_000_000, clock)  # in the past: no sleep

@@ -11,8 +11,8 @@ import numpy as np
 import viser
 from rclpy.node import Node
 
+from helpers.patience import LIMIT
 from helpers.ros.participant import Participant
-from helpers.ros.patience import LIMIT
 from helpers.ros.processes import shipped
 from tissue_sim.ros.viewer.loop import Viewer
 from tissue_sim.ros.viewer.poke import beside

@@ -12,7 +12,7 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from helpers.ros.patience import LIMIT
+from helpers.patience import LIMIT
 from tissue_sim.ros.shared.client import newest_status
 
 ASK_AGAIN = 4.0  # s

@@ -11,7 +11,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from helpers.ros.patience import wait_for
+from helpers.patience import wait_for
 from tissue_sim.ros.shared import client
 
 with client.client_node("watcher", "tissue_sim") as node:

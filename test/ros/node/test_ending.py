@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from helpers.ros.patience import LIMIT
+from helpers.patience import LIMIT
 from tissue_sim.ros.node import serve
 
 IN_A_CALLBACK = """

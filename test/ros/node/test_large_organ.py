@@ -14,8 +14,8 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
+from helpers.patience import LIMIT
 from helpers.ros.clients import LATCHED, Client
-from helpers.ros.patience import LIMIT
 from helpers.ros.processes import UNHURRIED, start_node
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ

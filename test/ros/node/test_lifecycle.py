@@ -15,8 +15,8 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.rosbag2 import Reader, Writer
 
+from helpers.patience import LIMIT
 from helpers.ros.clients import Client
-from helpers.ros.patience import LIMIT
 from helpers.ros.processes import (
     READY,
     UNHURRIED,

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from helpers.patience import wait_for
 from helpers.ros.clients import Client
-from helpers.ros.patience import wait_for
 from helpers.ros.processes import running_node
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation

@@ -7,7 +7,7 @@ from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from scipy.spatial.transform import Rotation
 
-from helpers.ros.patience import wait_for
+from helpers.patience import wait_for
 from helpers.ros.processes import STAND_IN, UNHURRIED, Process, running_node
 from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.shared.frames import Transform
