@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -10,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from helpers.patience import LIMIT, wait_for
-from helpers.ros.processes import STAND_IN, Process
+from helpers.ros.processes import STAND_IN, Process, free_port
 from tissue_sim.cli import main
 from tissue_sim.ros import demo
 from tissue_sim.ros.shared.children import Child
 
-SLEEPER = "import signal,time;{};print('up',flush=True);time.sleep(60)"
+SLEEPER = "import signal,time;{};print('up',flush=True);time.sleep(3600)"
 
 
 def start_demo(folder: Path, *words: str, node: str = "") -> Process:
@@ -35,14 +34,8 @@ def children_of(process: Process) -> list[int]:
     return [int(pid) for pid in listed.stdout.split()]
 
 
-def free_port() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return str(probe.getsockname()[1])
-
-
 def test_it_runs_its_seconds_and_names_its_bag(tmp_path):
-    process = start_demo(tmp_path, "--seconds", "1.5", "--port", free_port())
+    process = start_demo(tmp_path, "--seconds", "1.5", "--port", str(free_port()))
     assert process.wait() == 0, process.text()
     lines = process.text().splitlines()
     bag = tmp_path / "bags" / "bag"
@@ -131,7 +124,7 @@ def test_a_child_ends_when_its_parent_is_killed():
     code = (
         "import os, sys, time; from tissue_sim.ros.shared.children import Child;"
         f"c = Child('c', [sys.executable, '-c', {SLEEPER.format('0')!r}], os.environ);"
-        "time.sleep(0.5); print(c._process.pid, flush=True); time.sleep(60)"
+        "time.sleep(0.5); print(c._process.pid, flush=True); time.sleep(3600)"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None

@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from helpers.patience import LIMIT
 from helpers.ros.participant import Participant
-from helpers.ros.processes import shipped
+from helpers.ros.processes import free_port, shipped
 from tissue_sim.ros.viewer.loop import Viewer
 from tissue_sim.ros.viewer.poke import beside
 
@@ -24,7 +24,7 @@ class Page:
     """The viewer of a node with one browser, which this stands in for."""
 
     def __init__(self, graph: Node, *tools: str) -> None:
-        self.server = viser.ViserServer(host="127.0.0.1", port=8000 + time.monotonic_ns() % 900, verbose=False)
+        self.server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
         hand = MagicMock()
         self.server.get_clients = lambda: {HAND: hand}
         self.viewer = Viewer(self.server, graph, "tissue_sim", tools)

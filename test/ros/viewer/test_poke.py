@@ -1,7 +1,6 @@
 """Poking from the browser: how a held tool moves, what it publishes, and a hand on a real page."""
 
 import io
-import time
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.ros.clients import Client
 from helpers.ros.participant import Participant
-from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
+from helpers.ros.processes import UNHURRIED, Process, free_port, shipped, start_node
 from tissue_sim.ros.viewer.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
 
 pytest.importorskip("viser")
@@ -129,7 +128,7 @@ def page(tmp_path):
     """A node, its viewer and a browser with the viewer's page."""
     if browsers.program() is None:
         pytest.skip("no Chromium on this machine (apt install chromium)")
-    port = 8000 + int(time.monotonic_ns() % 900)
+    port = free_port()
     node = start_node(tmp_path, "tools:=[left]", UNHURRIED)
     viewer = Process(["-m", "tissue_sim", "view", "--port", str(port), "--tools", "left"], tmp_path / "view.log")
     page = None

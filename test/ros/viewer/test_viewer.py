@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from helpers.patience import LIMIT
-from helpers.ros.processes import STAND_IN, Process
+from helpers.ros.processes import STAND_IN, Process, free_port
 from helpers.ros.stand_in import ball, cloud
 from tissue_sim.cli import main
 from tissue_sim.ros.shared import client
@@ -26,12 +26,6 @@ from tissue_sim.ros.viewer.bands import cut_into_bands
 
 pytest.importorskip("viser")
 from tissue_sim.ros.viewer import panel
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def area(vertices, triangles):
