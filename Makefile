@@ -4,8 +4,6 @@
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
-# Tests in real time, with real processes, run alone; the others two at once.
-ALONE := test/ros test/bench/test_latency.py
 FIRST_TICK := from tissue_sim.model import Simulation; from tissue_sim.organ.organ import Organ; \
 	from tissue_sim.organ.shipped import shipped_organ; Simulation(Organ.load(shipped_organ())).step()
 DEMO_EXTRAS := ros,viewer
@@ -28,13 +26,12 @@ demo: .venv/.installed-demo ## node, scripted haptic bridge and viewer (http://1
 	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
 
-# Kernels are compiled before two processes would both do it; worksteal: each begins with other kernels and fixtures.
-# Each has a core: threads of their own would only wait for each other. 5: none was selected.
+# Kernels are compiled before several processes would all do it. Three at once, as those with real processes mostly wait;
+# loadfile: a file's nodes and organs are made once. What shares cores has no threads of its own, that would only wait.
+# 5: none was selected.
 test: lint ## checks and tests; PYTEST="-k node" for some of them
 	@$(PY) -c '$(FIRST_TICK)'
-	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 \
-		$(PY) -m pytest -n 2 --dist worksteal $(ALONE:%=--ignore=%) $(PYTEST) || [ $$? = 5 ]
-	@$(PY) -m pytest $(ALONE) $(PYTEST) || [ $$? = 5 ]
+	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist loadfile $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)

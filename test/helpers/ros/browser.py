@@ -12,7 +12,7 @@ from typing import Any
 
 from websockets.sync.client import connect
 
-from helpers.ros.patience import wait_for
+from helpers.patience import LIMIT, wait_for
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
@@ -44,8 +44,8 @@ class Browser:
             "about:blank",
         ]
         self._child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        port = wait_for(lambda: _port(profile / "DevToolsActivePort"), 30.0, "the browser did not start")
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10.0) as answer:
+        port = wait_for(lambda: _port(profile / "DevToolsActivePort"), "the browser did not start")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=LIMIT) as answer:
             page = next(target for target in json.load(answer) if target["type"] == "page")
         self._socket = connect(page["webSocketDebuggerUrl"], max_size=None)
         self._numbers = itertools.count(1)
@@ -55,7 +55,7 @@ class Browser:
         self._socket.close()
         self._child.terminate()
         try:
-            self._child.wait(5.0)
+            self._child.wait(20.0)
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
@@ -65,7 +65,7 @@ class Browser:
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(self._socket.recv(timeout=60.0))
+            answer = json.loads(self._socket.recv(timeout=LIMIT))
             if answer.get("id") == number:
                 assert "error" not in answer, answer["error"]
                 return answer["result"]
@@ -79,17 +79,17 @@ class Browser:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait_for(self, script: str, timeout: float = 30.0) -> Any:
+    def wait_for(self, script: str) -> Any:
         """The value of a JavaScript expression as soon as it is true."""
-        return wait_for(lambda: self.run(script), timeout, f"never true in the page: {script}")
+        return wait_for(lambda: self.run(script), f"never true in the page: {script}")
 
     def text(self) -> str:
         """What the page says."""
         return self.run("document.body ? document.body.innerText : ''")
 
-    def wait_for_text(self, words: str, timeout: float = 30.0) -> None:
+    def wait_for_text(self, words: str) -> None:
         """Wait until the page says something."""
-        wait_for(lambda: words in self.text(), timeout, f"the page never says '{words}'")
+        wait_for(lambda: words in self.text(), f"the page never says '{words}'")
 
     def mouse(self, kind: str, place: tuple[float, float], held: bool = True) -> None:
         """kind: Moved, Pressed or Released, of the left button, at a place in pixels."""

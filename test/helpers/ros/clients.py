@@ -5,11 +5,14 @@ import time
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from helpers.ros.participant import Participant
+from helpers.ros.processes import shipped
 
+MOMENT = 0.1  # s
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -20,12 +23,14 @@ class Client(Participant):
         super().__init__("client", namespace)
         self.wrenches: list[tuple[float, np.ndarray]] = []
         self.stamps: list[float] = []  # s, when the node published each of them
-        self.surfaces: list[np.ndarray] = []
-        self.markers: list[MarkerArray] = []
+        organ = shipped()
+        self.rest = organ.surface_positions[organ.surface_triangles.ravel()]  # theirs, of the organ that ships
+        self._markers: list[bytes] = []  # as bytes: to take each apart would take longer than the next needs to come
+        self._taken_apart: tuple[bytes, MarkerArray, np.ndarray] = (b"", MarkerArray(), np.zeros((0, 3)))
         node = self.node
         node.create_subscription(WrenchStamped, "left/servo_cf", self._on_wrench, qos_profile_sensor_data)
         if markers:
-            node.create_subscription(MarkerArray, f"{self.target}/markers", self._on_markers, LATCHED)
+            node.create_subscription(MarkerArray, f"{self.target}/markers", self._markers.append, LATCHED, raw=True)
         self.pose = node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
         self.force = node.create_publisher(WrenchStamped, "left/measured_cf", qos_profile_sensor_data)
 
@@ -55,6 +60,38 @@ class Client(Participant):
         pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion)
         self.pose.publish(message)
 
+    def ask(self, position: object, **named: object) -> None:
+        """Send a pose, and hear until it is answered; where the answer was lost, for a moment."""
+        heard = len(self.wrenches)
+        self.send_pose(position, **named)
+        self.spin_until(lambda: len(self.wrenches) > heard, MOMENT)
+
+    def hand_force(self) -> float:
+        """N, what the left hand feels."""
+        return float(np.linalg.norm(self.wrenches[-1][1][:3])) if self.wrenches else 0.0
+
+    def markers(self) -> MarkerArray:
+        """The newest."""
+        return self._newest_markers()[1]
+
+    def surface(self) -> np.ndarray:
+        """Corners (3 t, 3) m of the triangles in the newest markers; none before these came."""
+        return self._newest_markers()[2]
+
+    def moved(self) -> float:
+        """m, the farthest that a corner of the newest surface is from where it rests; infinite without one."""
+        surface = self.surface()
+        return float(np.linalg.norm(surface - self.rest, axis=1).max()) if len(surface) else np.inf
+
+    def _newest_markers(self) -> tuple[bytes, MarkerArray, np.ndarray]:
+        del self._markers[:-1]
+        if self._markers and self._markers[0] is not self._taken_apart[0]:
+            message = deserialize_message(self._markers[0], MarkerArray)
+            surface = next(marker for marker in message.markers if marker.ns == "surface")
+            corners = np.array([(p.x, p.y, p.z) for p in surface.points]).reshape(-1, 3)
+            self._taken_apart = self._markers[0], message, corners
+        return self._taken_apart
+
     def send_force(self, force: object, frame: str = "organ") -> None:
         message = WrenchStamped()
         message.header.frame_id = frame
@@ -67,9 +104,3 @@ class Client(Participant):
         values = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
         self.wrenches.append((time.monotonic(), values))
         self.stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
-
-    def _on_markers(self, message: MarkerArray) -> None:
-        self.markers.append(message)
-        surface = next(marker for marker in message.markers if marker.ns == "surface")
-        if surface.action == Marker.ADD:
-            self.surfaces.append(np.array([(p.x, p.y, p.z) for p in surface.points]))

@@ -11,6 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 from helpers.ros.participant import Participant
 
+MOMENT = 0.1  # s
 HELD = Rotation.from_euler("xyz", (30.0, -40.0, 100.0), degrees=True)  # how the hand holds a stylus
 
 
@@ -96,6 +97,12 @@ class StandIn(Participant):
         pose.position.x, pose.position.y, pose.position.z = map(float, position)
         pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, turn)
         self.poses.publish(message)
+
+    def hold(self, position: np.ndarray) -> None:
+        """Send a position; returns when it is answered or a moment has passed."""
+        heard = len(self.forces)
+        self.send(position)
+        self.spin_until(lambda: len(self.forces) > heard, MOMENT)
 
     def _on_wrench(self, message: object) -> None:
         self.messages.append(message)

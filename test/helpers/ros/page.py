@@ -1,6 +1,7 @@
 """The viewer of a node without a browser: a hand on its page, and the nodes that it looks at."""
 
 import asyncio
+import itertools
 import time
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -10,7 +11,11 @@ import numpy as np
 import viser
 from rclpy.node import Node
 
+from helpers.patience import LIMIT
+from helpers.ros.participant import Participant
+from helpers.ros.processes import free_port, shipped
 from tissue_sim.ros.viewer.loop import Viewer
+from tissue_sim.ros.viewer.poke import beside
 
 HAND = 7  # the browser's number
 
@@ -19,7 +24,7 @@ class Page:
     """The viewer of a node with one browser, which this stands in for."""
 
     def __init__(self, graph: Node, *tools: str) -> None:
-        self.server = viser.ViserServer(host="127.0.0.1", port=8000 + time.monotonic_ns() % 900, verbose=False)
+        self.server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
         hand = MagicMock()
         self.server.get_clients = lambda: {HAND: hand}
         self.viewer = Viewer(self.server, graph, "tissue_sim", tools)
@@ -29,8 +34,8 @@ class Page:
         self.viewer.close()
         self.server.stop()
 
-    def wait(self, done: Callable[[], bool], timeout: float) -> bool:
-        """Whether something is so in time, while pictures are drawn at 30 Hz."""
+    def wait(self, done: Callable[[], bool], timeout: float = LIMIT) -> bool:
+        """Whether something becomes so, while pictures are drawn at 30 Hz."""
         end = time.monotonic() + timeout
         while not done() and time.monotonic() < end:
             self.viewer.update()
@@ -48,6 +53,31 @@ class Page:
         slider = self.poke.jaws._slider
         slider.value = degrees
         asyncio.run(self.poke.jaws._on_slider(SimpleNamespace(client_id=HAND, target=slider)))
+
+    def press_and_let_go(self) -> None:
+        """Take the tool in hand, press the organ that ships until the hand feels it, let go."""
+        assert self.wait(lambda: not self.poke._box.disabled)
+        self.tick(True)
+        assert self.wait(lambda: self.poke._tool.held and self.view.force is not None)
+        assert self.force() == 0.0, "taken in hand outside the organ"
+        assert not self.poke._warning.visible
+        position, inward = beside(shipped().surface_positions, 0, self.view.reach)
+        depths = itertools.cycle([*np.linspace(0.0, 0.024, 60), *[0.024] * 60, *np.linspace(0.024, 0.0, 30)])
+
+        def is_felt() -> bool:
+            """Again from outside where a busy machine held the poses up, so that the node holds the tool off."""
+            self.drag(position + next(depths) * inward)
+            return self.wait(lambda: self.force() > 0.1, 0.03)
+
+        assert self.wait(is_felt), "nothing is felt"
+        self.tick(False)
+        participant = Participant("hand")
+        try:
+            assert participant.set_parameter("stale_time", 0.3).successful
+            assert self.wait(lambda: self.force() == 0.0), "it is not let go"
+            assert participant.set_parameter("stale_time", 5.0).successful
+        finally:
+            participant.close()
 
     def force(self) -> float:
         return self.view.force or 0.0

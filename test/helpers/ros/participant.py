@@ -12,7 +12,7 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from helpers.ros.patience import LIMIT
+from helpers.patience import LIMIT
 from tissue_sim.ros.shared.client import newest_status
 
 ASK_AGAIN = 4.0  # s
@@ -32,6 +32,8 @@ class Participant:
         self.diagnostics: dict[str, str] = {}
         self.level = b""
         self.message = ""
+        self.told: list[str] = []  # every message
+        self.reported = 0.0  # s, the stamp of the newest report
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def close(self) -> None:
@@ -85,3 +87,5 @@ class Participant:
         if status is not None:
             self.diagnostics = {item.key: item.value for item in status.values}
             self.level, self.message = status.level, status.message
+            self.told.append(status.message)
+            self.reported = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from helpers.patience import LIMIT, wait_for
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -25,7 +27,8 @@ HERE = Path(__file__).parent
 PUBLISHER, WATCHER, STAND_IN = (str(HERE / f"{name}.py") for name in ("publish_poses", "watch_surface", "stand_in"))
 FAKE_TF = HERE / "fake_tf"  # a folder for PYTHONPATH
 READY = "surface nodes"  # in the line that the node logs when its first tick is done
-UNHURRIED = "stale_time:=0.5"  # a busy machine is no stale hand
+UNHURRIED = "stale_time:=5.0"  # a busy machine is no stale hand
+SOON_STALE = "stale_time:=1.0"  # where a test waits for a tool to go stale
 
 
 class Process:
@@ -46,18 +49,26 @@ class Process:
     def text(self) -> str:
         return self.log.read_text()
 
-    def wait_for(self, words: str, timeout: float = 90.0) -> None:
-        end = time.monotonic() + timeout
-        while words not in self.text():
-            assert self.child.poll() is None, f"ended with {self.child.returncode}:\n{self.text()}"
-            assert time.monotonic() < end, f"no '{words}' within {timeout} s:\n{self.text()}"
-            time.sleep(0.05)
+    def says(self, words: str) -> bool:
+        """Whether it has said something; fails when it has ended without that."""
+        ended = self.child.poll() is not None  # before its words are read
+        if words in self.text():
+            return True
+        assert not ended, f"ended with {self.child.returncode}, without '{words}':\n{self.text()}"
+        return False
 
-    def stop(self, number: int = signal.SIGINT, timeout: float = 20.0) -> int:
+    def wait_for(self, words: str) -> None:
+        wait_for(lambda: self.says(words), lambda: f"no '{words}':\n{self.text()}")
+
+    def wait(self) -> int:
+        """Its exit code, once it has ended by itself."""
+        return self.child.wait(LIMIT)
+
+    def stop(self, number: int = signal.SIGINT) -> int:
         if self.child.poll() is None:
             self.child.send_signal(number)
         try:
-            return self.child.wait(timeout)
+            return self.child.wait(LIMIT)
         finally:
             self.child.kill()
             self._stream.close()
@@ -94,10 +105,16 @@ def running_node(folder: Path, *parameters: str, **environment: str) -> Iterator
     assert "Traceback" not in process.text()
 
 
-def start_publisher(folder: Path, *, depth: float, seconds: float, hold: bool = False) -> Process:
-    """A second process that pokes the shipped kidney by depth m with tool `left`, and releases unless held."""
-    words = [PUBLISHER, f"--depth={depth}", f"--seconds={seconds}"]
-    return Process([*words, "--hold"] if hold else words, folder / "publisher.log")
+def start_publisher(folder: Path, depth: float) -> Process:
+    """A second process that presses the shipped kidney by depth m with tool `left`; on SIGTERM it leaves and ends."""
+    return Process([PUBLISHER, f"--depth={depth}"], folder / "publisher.log")
+
+
+def free_port() -> int:
+    """A TCP port of this machine that nobody uses."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def poke_path(organ: Organ, radius: float = 0.005) -> tuple[np.ndarray, np.ndarray]:
@@ -116,8 +133,9 @@ def press_until_felt(client: Client, move: Callable[[np.ndarray], None], deepest
     comes from outside again.
     """
     touch, inward = poke_path(shipped())
-    for _ in range(6):
-        for depth in np.linspace(-0.002, deepest, 60):
+    end = time.monotonic() + LIMIT
+    while time.monotonic() < end:
+        for depth in [*np.linspace(-0.002, deepest, 60), *[deepest] * 60]:
             position = touch + depth * inward
             move(position)
             if depth > 0.9 * deepest and client.wrenches and client.wrenches[-1][1][0] > 0.02:

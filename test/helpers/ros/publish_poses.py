@@ -1,47 +1,72 @@
-"""A haptic bridge in small: pokes the shipped kidney with tool `left`, 500 poses a second."""
+"""A haptic bridge in small: presses the shipped kidney with tool `left`, 500 poses a second at most.
+
+Each step waits for the wrench that answers the one before, or a moment, so that a slow node sees the same path.
+SIGTERM has it leave the tissue and end; until then it holds. Arguments: --depth M.
+"""
 
 import argparse
-import math
+import signal
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from helpers.ros.processes import poke_path, shipped
 
+OUTSIDE, STEPS, PERIOD, PATIENCE = 0.008, 400, 0.002, 0.1  # m, poses on the way in, s, s
+
 parser = argparse.ArgumentParser()
 parser.add_argument("--depth", type=float, required=True)
-parser.add_argument("--seconds", type=float, required=True)
-parser.add_argument("--hold", action="store_true")
 args = parser.parse_args()
 
+asked = []
+signal.signal(signal.SIGTERM, lambda *_: asked.append(True))
 touch, inward = poke_path(shipped())
-rclpy.init()
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node("publisher")
+executor = SingleThreadedExecutor()
+executor.add_node(node)
 publisher = node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
-end = time.monotonic() + 10.0
-while publisher.get_subscription_count() == 0 and time.monotonic() < end:
-    time.sleep(0.02)
+answers = []
+node.create_subscription(WrenchStamped, "left/servo_cf", answers.append, qos_profile_sensor_data)
 message = PoseStamped()
 message.header.frame_id = "organ"
 message.pose.orientation.w = 1.0
-start = time.monotonic()
 count = 0
-# A second outside first: the node may discover this publisher later than the publisher discovers the node.
-while (elapsed := time.monotonic() - start - 1.0) < args.seconds:
-    phase = max(0.0, elapsed / args.seconds)
-    # A busy machine shows its viewers little: for a third of the way in and out the organ is pressed all the way.
-    pressed = min(1.0, 4.0 * phase if args.hold else 1.2 * math.sin(math.pi * min(1.0, 2.0 * phase)))
-    position = touch + (args.depth * pressed - 0.008 * (1.0 - pressed)) * inward
+
+
+def send(depth: float) -> None:
+    """A pose at a depth in m; returns when it is answered."""
+    global count
+    position = touch + depth * inward
     message.header.stamp = node.get_clock().now().to_msg()
     message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, position)
+    answers.clear()
     publisher.publish(message)
     count += 1
-    time.sleep(max(0.0, start + count / 500.0 - time.monotonic()))
-print(f"{count} poses")
+    begin = time.monotonic()
+    while not answers and time.monotonic() < begin + PATIENCE:
+        executor.spin_once(timeout_sec=PATIENCE)
+    time.sleep(max(0.0, begin + PERIOD - time.monotonic()))
+
+
+while not (answers or asked):  # the node may discover this publisher later than the publisher discovers the node
+    send(-OUTSIDE)
+for depth in np.linspace(-OUTSIDE, args.depth, STEPS):
+    send(depth)
+print("pressed", flush=True)
+while not asked:
+    send(args.depth)
+for depth in np.linspace(args.depth, -OUTSIDE, STEPS):
+    send(depth)
+print(f"{count} poses", flush=True)
+executor.shutdown()
 node.destroy_node()
 rclpy.shutdown()

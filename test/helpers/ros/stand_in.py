@@ -1,6 +1,6 @@
 """Stands in for the node where a test is about a program beside it: a ball with a moving bump, and its services.
 
-Prints where each tool was last. Arguments: --record-folder DIR (default: no bag is named), --smaller (another organ),
+Arguments: --record-folder DIR (default: no bag is named), --smaller (another organ),
 --dies-after S, --still (the bump does not move). Runs until SIGINT or SIGTERM.
 """
 
@@ -151,8 +151,6 @@ def main() -> None:
         rclpy.spin_once(node, timeout_sec=0.05)
         if args.dies_after is not None and time.monotonic() - started > args.dies_after:
             sys.exit("stand_in: error: the disk is on fire")
-    for tool, place in places.items():
-        print("last pose of", tool, place.x, place.y, place.z, flush=True)
     node.destroy_node()
     rclpy.try_shutdown()
 

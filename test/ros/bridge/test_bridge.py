@@ -1,14 +1,15 @@
 """The scripted bridge as a process: it moves tools, feels forces, and leaves the tissue when it ends."""
 
 import signal
-import time
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, PoseStamped
+from rclpy.qos import qos_profile_sensor_data
 from shape_msgs.msg import Mesh
 
 from helpers.ros.clearance import clearance
+from helpers.ros.participant import Participant
 from helpers.ros.processes import STAND_IN, Process
 from helpers.ros.stand_in import ball
 from tissue_sim.cli import main
@@ -16,6 +17,9 @@ from tissue_sim.ros.bridge.player import Player
 from tissue_sim.ros.bridge.trajectory import plan
 
 BRIDGE = ["-m", "tissue_sim", "bridge"]
+
+
+HELD_UP = 0.03  # s
 
 
 class RecordedTool:
@@ -40,6 +44,32 @@ class RecordedTool:
         return 0
 
 
+class Clock:
+    """Takes the place of the module `time`: what is done takes next to no time, and some sleepers are held up."""
+
+    def __init__(self):
+        self.now, self.sleeps = 100.0, 0
+
+    def monotonic(self):
+        self.now += 1e-6
+        return self.now
+
+    def time_ns(self):
+        return round(1e9 * self.now)
+
+    def sleep(self, seconds):
+        self.sleeps += 1
+        self.now += seconds + (HELD_UP if self.sleeps % 20 == 0 else 1e-4)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Of the player in this process."""
+    made = Clock()
+    monkeypatch.setattr("tissue_sim.ros.bridge.play.time", made)
+    return made
+
+
 class NoMesh:
     def take(self):
         return None
@@ -48,24 +78,19 @@ class NoMesh:
 @pytest.fixture
 def node(tmp_path):
     process = Process([STAND_IN], tmp_path / "node.log")
-    process.wait_for("up", 20.0)
+    process.wait_for("up")
     yield process
     process.stop()
 
 
-def last_pose(process: Process) -> np.ndarray:
-    """Where the left tool was when the stand-in ended."""
-    assert process.stop() == 0, process.text()
-    line = next(line for line in process.text().splitlines() if line.startswith("last pose of left "))
-    return np.array(line.split()[-3:], dtype=float)
-
-
 @pytest.mark.parametrize("seconds", [0.3, 1.2])
-def test_poses_keep_to_the_path_in_real_time_and_end_outside(seconds):
+def test_poses_keep_to_the_path_in_time_and_end_outside(seconds, clock):
     vertices, triangles = ball()
     path = plan(vertices, triangles, 0.005, rate=200.0)
     tools = [RecordedTool(), RecordedTool()]
-    Player(tools, seconds).play(path, False, NoMesh(), vertices)
+    player = Player(tools, seconds)
+    player.play(path, False, NoMesh(), vertices)
+    assert player.skipped > 0, "the clock holds it up"
     stamps, poses = 1e-9 * np.array(tools[0].stamps), np.array(tools[0].poses)
     assert np.all(np.diff(stamps) > 0.0)
     on_path = stamps - stamps[0] < seconds - 0.02
@@ -74,11 +99,12 @@ def test_poses_keep_to_the_path_in_real_time_and_end_outside(seconds):
         for stamp, pose in zip(stamps[on_path], poses[on_path], strict=True)
     ]
     assert np.median(errors) < 0.15 * 0.003  # 3 ms at the highest speed
-    assert np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1).max() < 0.02  # late poses are skipped, not jumped
+    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    assert np.all(steps <= 0.15 * (np.diff(stamps) + HELD_UP) + 1e-9)  # what was late is left out: no speed of its own
     assert clearance(vertices, triangles, poses[-1, :3]) > 0.01
 
 
-def test_another_organ_ends_the_path(monkeypatch):
+def test_another_organ_ends_the_path(monkeypatch, clock):
     vertices, triangles = ball()
 
     class Meshes:
@@ -102,18 +128,27 @@ def bridge(node, tmp_path):
 
 
 def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, bridge):
-    bridge.wait_for("at 500 Hz", 20.0)
-    time.sleep(1.5)  # now it draws
-    bridge.child.send_signal(signal.SIGTERM)
-    assert bridge.child.wait(5.0) == 0
+    bridge.wait_for("at 500 Hz")
+    listener, poses = Participant("listener"), []
+    listener.node.create_subscription(PoseStamped, "left/measured_cp", poses.append, qos_profile_sensor_data)
+    try:
+        assert listener.spin_until(lambda: float(listener.diagnostics.get("left.force_n", 0.0)) > 0.0), "it presses"
+        assert listener.spin_until(lambda: len(poses) > 100)
+        bridge.child.send_signal(signal.SIGTERM)
+        assert listener.spin_until(lambda: bridge.child.poll() is not None)
+        listener.spin(0.5)
+    finally:
+        listener.close()
+    assert bridge.wait() == 0
     assert "Traceback" not in bridge.text()
     last = bridge.text().splitlines()[-1]
     words = last.replace(",", "").split()
     sent, received = int(words[0]), int(words[words.index("wrenches") - 1])
-    assert 2 * 0.7 * 500 * 1.5 < sent < 2 * 500 * 4.0, last
-    assert received > 0.3 * sent, last
+    assert sent > 100, last
+    assert received > 0, last
     assert "left 0.50 N, right 0.00 N" in last, last
-    assert clearance(*ball(), last_pose(node)) > 0.01
+    place = poses[-1].pose.position
+    assert clearance(*ball(), np.array([place.x, place.y, place.z])) > 0.01
 
 
 def test_no_node_is_one_line_and_exit_code_1(capfd):

@@ -1,12 +1,12 @@
 """What the scripted bridge feels, whatever the type of the wrench."""
 
-import time
 from dataclasses import replace
 
 import pytest
 from geometry_msgs.msg import Wrench, WrenchStamped
 from std_msgs.msg import Float64MultiArray
 
+from helpers.patience import wait_for
 from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_link import ToolLink
@@ -33,9 +33,11 @@ def test_it_feels_a_wrench_of_every_type(graph, kind, is_reliable):
     link = replace(link, topics=replace(link.topics, wrench_type=kind.__name__, reliable=is_reliable))
     tool = ScriptedTool(graph, link)
     publisher = graph.create_publisher(kind, "left/servo_cf", RELIABLE if is_reliable else STREAM)
-    end = time.monotonic() + 10.0
-    while tool.received == 0 and time.monotonic() < end:
+
+    def is_felt():
         publisher.publish(pushed(kind))
-        time.sleep(0.01)
         tool.feel()
+        return tool.received > 0
+
+    wait_for(is_felt)
     assert tool.peak == pytest.approx(0.5)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.ros.patience import wait_for
+from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
@@ -69,14 +69,14 @@ def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene,
 
     monkeypatch.setattr(scene.finder, "find", sometimes)
     scene.worker.start()
-    wait_for(lambda: len(calls) > 5, 30.0)
+    wait_for(lambda: len(calls) > 5)
     line = "contact search failed: RuntimeError: no such luck"
     assert scene.warned == [line], "not one for every set"
     report = report_of(scene.worker)
     assert report.failures == [line]
     assert report.problems["contact_search_failures"] >= 5
     fails[0] = False
-    wait_for(lambda: not report_of(scene.worker).failures, 30.0)
+    wait_for(lambda: not report_of(scene.worker).failures)
     report = report_of(scene.worker)
     assert report.problems["contact_search_failures"] >= 5, "what happened is still counted"
     assert report.values["contact_sets"] > 0

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from helpers.patience import LIMIT
 from tissue_sim.ros.node import serve
 
 IN_A_CALLBACK = """
@@ -27,7 +28,7 @@ time.sleep({})
 
 def run(line, then_sleeps=5.0):
     code = IN_A_CALLBACK.format(line, then_sleeps)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT)
 
 
 def test_signal_in_a_callback_of_the_compiler_ends_without_a_traceback():

@@ -1,7 +1,5 @@
 """A gripper over ROS: its angle opens the jaws, its hand feels their sum, and a bag of it replays."""
 
-import time
-
 import numpy as np
 import pytest
 from rclpy.qos import qos_profile_sensor_data
@@ -9,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import poke_path, running_node, shipped
+from helpers.ros.processes import UNHURRIED, poke_path, running_node, shipped
 from tissue_sim.cli import main
 
 RADIUS = 0.003
@@ -27,18 +25,31 @@ class Gripper:
     def is_heard(self):
         return self.joint.get_subscription_count() > 0 and self.client.pose.get_subscription_count() > 0
 
-    def hold(self, depth, angle, seconds):
-        """Poses and angles at some 250 Hz; the mean force of the last half, (3,) N."""
+    def hold(self, depth, angle):
+        """A pose and an angle, until they are answered or a moment has passed."""
+        message = JointState(name=["jaw"], position=[float(angle)])
+        message.header.stamp = self.client.stamp()
+        self.joint.publish(message)
+        self.client.ask(self.touch + depth * self.inward, quaternion=self.turn)
+
+    def felt(self, depth, angle):
+        """The force (3,) N once it has settled; None while it has not been so for 100 answers."""
+        self.hold(depth, angle)
+        forces = np.array([wrench[:3] for _, wrench in self.client.wrenches[-100:]])
+        steady = len(forces) == 100 and np.ptp(np.linalg.norm(forces, axis=1)) < 0.002
+        return forces.mean(axis=0) if steady else None
+
+    def settle(self, depth, angle):
+        """Hold until the force has settled; what it is then."""
         self.client.wrenches.clear()
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            message = JointState(name=["jaw"], position=[float(angle)])
-            message.header.stamp = self.client.stamp()
-            self.joint.publish(message)
-            self.client.send_pose(self.touch + depth * self.inward, self.turn)
-            self.client.spin(0.004)
-        forces = [wrench[:3] for _, wrench in self.client.wrenches]
-        return np.mean(forces[len(forces) // 2 :], axis=0) if forces else None
+        found = []
+
+        def is_settled():
+            found[:] = [self.felt(depth, angle)]
+            return found[0] is not None
+
+        assert self.client.spin_until(is_settled), self.client.wrenches[-10:]
+        return found[0]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +61,7 @@ def folder(tmp_path_factory):
 def node(folder):
     parameters = ("left.shape:=gripper", f"left.radius:={RADIUS}", "left.length:=0.03", f"record_folder:={folder}")
     # A busy machine may hold the poses up, and a tool that comes back inside the organ is held off.
-    with running_node(folder, *parameters, "record:=true", "stale_time:=5.0") as process:
+    with running_node(folder, *parameters, "record:=true", UNHURRIED) as process:
         yield process
 
 
@@ -64,7 +75,7 @@ def client(node):
 @pytest.fixture(scope="module")
 def gripper(client):
     made = Gripper(client)
-    assert client.spin_until(made.is_heard, 10.0)
+    assert client.spin_until(made.is_heard)
     return made
 
 
@@ -75,27 +86,29 @@ def test_angle_that_is_none_is_refused_and_counted(client, node, gripper):
             gripper.joint.publish(message)
             return f"left.refused.{name}" in client.diagnostics
 
-        assert client.spin_until(is_told, 10.0), client.diagnostics
+        assert client.spin_until(is_told), client.diagnostics
     assert "tool 'left': angle refused" in node.text()
 
 
 def test_jaws_that_open_are_felt_and_a_bag_of_it_replays(folder, client, node, gripper):
     # DDS matches both ends, not both at once; a tool first heard inside the organ would be held off.
-    assert any(gripper.hold(-0.015, 0.0, 0.1) is not None for _ in range(50)), "poses get no answer"
-    for depth in np.linspace(-0.015, 0.004, 60):
-        gripper.hold(depth, 0.0, 0.015)
-    closed = gripper.hold(0.004, 0.0, 1.0)
-    opened = gripper.hold(0.004, 0.5, 1.0)
+    assert client.spin_until(lambda: gripper.hold(-0.015, 0.0) or client.wrenches), "poses get no answer"
+    for depth in np.linspace(-0.015, 0.004, 200):
+        gripper.hold(depth, 0.0)
+    closed = gripper.settle(0.004, 0.0)
+    opened = gripper.settle(0.004, 0.5)
     assert closed @ gripper.inward < -0.05, client.diagnostics
     assert np.linalg.norm(opened - closed) > 0.02
     assert client.set_parameter("force_clamp", 0.04).successful
-    assert np.linalg.norm(gripper.hold(0.004, 0.5, 0.3)) < 0.04 + 1e-6
+    assert np.linalg.norm(gripper.settle(0.004, 0.5)) < 0.04 + 1e-6
     assert client.set_parameter("stale_time", 0.3).successful
-    # An angle alone doesn't keep a tool in touch whose poses have stopped.
-    end = time.monotonic() + 1.0
-    while time.monotonic() < end:
+
+    def is_let_go():
+        """An angle alone doesn't keep a tool in touch whose poses have stopped."""
         gripper.joint.publish(JointState(position=[0.1]))
         client.spin(0.01)
-    assert np.abs(client.wrenches[-1][1]).max() == 0.0
+        return client.hand_force() == 0.0
+
+    assert client.spin_until(is_let_go)
     assert node.stop() == 0
     assert main(["replay", str(next(folder.glob("tissue_sim-*")))]) == 0

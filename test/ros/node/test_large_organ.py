@@ -1,9 +1,9 @@
 """An organ of 20,000 points reaches its viewers."""
 
+import itertools
 import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -14,10 +14,12 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
+from helpers.patience import LIMIT
 from helpers.ros.clients import LATCHED, Client
-from helpers.ros.processes import start_node
+from helpers.ros.processes import UNHURRIED, start_node
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
+from tissue_sim.ros.shared.client import cloud_array
 from tissue_sim.ros.shared.dds import PROFILE_VARIABLES, use_shipped_profile
 
 FREQUENCY = 45  # pieces that an edge of the icosahedron is cut into: 10 f^2 + 2 points
@@ -43,7 +45,7 @@ def test_the_profile_gives_large_shared_memory(reach):
     )
     environment = {key: value for key, value in os.environ.items() if key not in PROFILE_VARIABLES}
     environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = reach
-    made = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    made = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=LIMIT)
     assert int(made.stdout.split()[-1]) > 16e6, made.stderr
 
 
@@ -86,18 +88,24 @@ def large_organ() -> Organ:
     )
 
 
+def client_points(raw: bytes) -> np.ndarray:
+    return cloud_array(deserialize_message(raw, PointCloud2))
+
+
 @pytest.mark.slow
-@pytest.mark.timeout(240)
 def test_a_large_organ_reaches_its_viewers_whole(tmp_path):
-    began = time.monotonic()
     organ = large_organ()
     assert 20_000 <= organ.n_surface <= 21_000
     organ.save(tmp_path / "egg.npz")
-    print(f"\n{time.monotonic() - began:.1f} s to make it")
     # Soft tissue needs fewer substeps: what is tested is what is sent.
-    words = [f"organ_file:={tmp_path / 'egg.npz'}", "tools:=[left]", "stiffness_scale:=0.02", "marker_rate:=20.0"]
+    words = [
+        f"organ_file:={tmp_path / 'egg.npz'}",
+        "tools:=[left]",
+        "stiffness_scale:=0.02",
+        "marker_rate:=20.0",
+        UNHURRIED,
+    ]
     node = start_node(tmp_path, *words)
-    print(f"{time.monotonic() - began:.1f} s until it ticks")
     client = Client(markers=False)
     heard = {"mesh": [], "markers": [], "surface": []}
     try:
@@ -107,26 +115,29 @@ def test_a_large_organ_reaches_its_viewers_whole(tmp_path):
             ("surface", PointCloud2, qos_profile_sensor_data),
         ):
             client.node.create_subscription(kind, f"/tissue_sim/{name}", heard[name].append, qos, raw=True)
-        assert client.spin_until(lambda: all(heard.values()), 20.0), {k: len(v) for k, v in heard.items()}
+        assert client.spin_until(lambda: all(heard.values())), {k: len(v) for k, v in heard.items()}
         assert len(deserialize_message(heard["mesh"][0], Mesh).vertices) == organ.n_surface
         cloud = deserialize_message(heard["surface"][0], PointCloud2)
         assert cloud.width == organ.n_surface
         assert len(heard["markers"][0]) > 72 * len(organ.surface_triangles)
-        # In motion: what is sent arrives.
+        # In motion: what is sent arrives, whole.
         top = np.array([0.0, -0.02, 0.0])
         for share in np.linspace(0.0, 1.0, 100):
-            client.send_pose(top + [0.0, -0.008 + 0.012 * share, 0.0])
-            client.spin(0.01)
-        heard["markers"].clear()
-        heard["surface"].clear()
-        first = time.monotonic()
-        while time.monotonic() < first + 4.0:
-            client.send_pose(top + [0.0, 0.004 + 0.001 * np.sin(6.0 * time.monotonic()), 0.0])
-            client.spin(0.008)
-        rates = {name: len(heard[name]) / (time.monotonic() - first) for name in ("markers", "surface")}
-        print(rates, client.diagnostics["tick_rate_hz"], client.diagnostics["region"])
-        assert min(rates.values()) > 0.6 * max(rates.values())
-        assert min(rates.values()) > 5.0
+            client.ask(top + [0.0, -0.008 + 0.012 * share, 0.0])
+        rest = client_points(heard["surface"][0])
+        for name in ("markers", "surface"):
+            heard[name].clear()
+        pressed = itertools.count()
+
+        def moves():
+            client.ask(top + [0.0, 0.004 + 0.001 * np.sin(0.05 * next(pressed)), 0.0])
+            return min(len(heard["markers"]), len(heard["surface"])) > 20
+
+        assert client.spin_until(moves), {name: len(found) for name, found in heard.items()}
+        assert len(heard["markers"][-1]) > 72 * len(organ.surface_triangles)
+        moved = client_points(heard["surface"][-1])
+        assert len(moved) == organ.n_surface
+        assert np.abs(moved - rest).max() > 1e-3
     finally:
         client.close()
         assert node.stop() == 0, node.text()

@@ -2,9 +2,8 @@
 
 import json
 import re
-import time
+import signal
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ def colours_of(message):
     """Colours (corners, 4) of the surface's marker."""
     (surface,) = [marker for marker in message.markers if marker.ns == "surface"]
     assert len(surface.colors) in (0, len(surface.points)), "RViz shows another number as an error"
-    return np.array([(c.r, c.g, c.b, c.a) for c in surface.colors])
+    return np.array([(c.r, c.g, c.b, c.a) for c in surface.colors]).reshape(-1, 4)
 
 
 def test_who_comes_late_gets_the_organ_although_nothing_moves(client):
@@ -56,9 +55,7 @@ def test_who_comes_late_gets_the_organ_although_nothing_moves(client):
                 ("skeleton", PointCloud2, qos_profile_sensor_data),
             )
         ]
-        began = time.monotonic()
-        assert client.spin_until(lambda h=heard: len(h) == 4, 10.0), heard.keys()
-        assert time.monotonic() - began < 4.0
+        assert client.spin_until(lambda h=heard: len(h) == 4), heard.keys()
         organ = shipped()
         assert np.abs(cloud_array(heard["surface"]) - organ.surface_positions).max() < 1e-6
         assert len(heard["mesh"].triangles) == len(organ.surface_triangles)
@@ -70,87 +67,45 @@ def test_markers_are_coloured_by_what_is_asked_for(client, tmp_path):
     markers = []  # as bytes: to take each apart would take longer than the next one needs to come
     client.node.create_subscription(MarkerArray, "/tissue_sim/markers", markers.append, LATCHED, raw=True)
 
-    def newest():
-        return colours_of(deserialize_message(markers[-1], MarkerArray))
-
-    def coloured(colour):
+    def coloured(colour, is_right):
+        """The first colours that are right after such are asked for; nothing has to move."""
         markers.clear()
         assert client.set_parameter("marker_colour", colour).successful
-        assert client.spin_until(lambda: len(markers) > 0, 5.0), "nothing moves, but the colour is new"
-        client.spin(0.3)
-        return newest()
+        found = []
 
-    assert client.spin_until(lambda: len(markers) > 0, 10.0)
-    assert len(newest()) == 0, "a colour for each corner only when asked"
-    assert np.allclose(coloured("displacement"), [*(part / 255.0 for part in TISSUE), 1.0], atol=1e-6)
+        def is_shown():
+            if markers:
+                found[:] = [colours_of(deserialize_message(markers[-1], MarkerArray))]
+                markers.clear()
+            return found and is_right(found[0])
+
+        assert client.spin_until(is_shown), colour
+
+    coloured("none", lambda found: len(found) == 0)  # a colour for each corner only when asked
+    rest = [*(part / 255.0 for part in TISSUE), 1.0]
+    coloured("displacement", lambda found: len(found) and np.allclose(found, rest, atol=1e-6))
     assert client.set_parameter("stale_time", 5.0).successful  # a busy machine may hold these poses up
-    publisher = start_publisher(tmp_path, depth=0.004, seconds=20.0, hold=True)
-    assert client.spin_until(lambda: len(client.wrenches) > 0 and client.wrenches[-1][1][0] > 0.1, 15.0)
-    client.spin(1.0)
-    pressed, moved, region, none = [coloured(c) for c in ("force", "displacement", "region", "none")]
-    publisher.child.terminate()
-    publisher.stop()
-    assert client.set_parameter("stale_time", 0.05).successful
+    publisher = start_publisher(tmp_path, depth=0.004)
+    assert client.spin_until(lambda: publisher.says("pressed") and client.hand_force() > 0.1), publisher.text()
     touch, _ = poke_path(shipped())
     away = np.linalg.norm(shipped().surface_positions[shipped().surface_triangles.ravel()] - touch, axis=1)
     red_of_rest = TISSUE[0] / 255.0 + 0.01
-    assert moved[away < 0.01, 0].mean() > moved[away > 0.03, 0].mean() + 0.05
-    assert (pressed[away < 0.012, 0] > red_of_rest).any(), "who is pressed"
-    assert (pressed[away > 0.02, 0] < red_of_rest).all(), "who is not"
-    assert np.allclose(region, SHADES[int(MOVING * (len(SHADES) - 1))]), "all of it moves"
-    assert len(none) == 0
+
+    def shows_who_is_pressed(found):
+        red = found[:, 0] > red_of_rest
+        return len(red) and red[away < 0.012].any() and not red[away > 0.02].any()
+
+    def shows_who_moved(found):
+        return len(found) and found[away < 0.01, 0].mean() > found[away > 0.03, 0].mean() + 0.05
+
+    coloured("force", shows_who_is_pressed)
+    coloured("displacement", shows_who_moved)
+    # All of it moves.
+    coloured("region", lambda found: len(found) and np.allclose(found, SHADES[int(MOVING * (len(SHADES) - 1))]))
+    coloured("none", lambda found: len(found) == 0)
+    assert publisher.stop(signal.SIGTERM) == 0, publisher.text()
     assert not client.set_parameter("marker_colour", "rainbow").successful
     assert client.set_parameter("marker_colour", "displacement").successful
-
-
-WANTED_SHARE = 0.03  # of a core
-
-
-def processor_seconds(process):
-    """Seconds of processor time of a process beside its busiest thread, which steps the organ."""
-    spent = [int((task / "schedstat").read_text().split()[0]) for task in Path(f"/proc/{process}/task").iterdir()]
-    return 1e-9 * (sum(spent) - max(spent))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(240)
-@pytest.mark.xfail(strict=False, reason="2.2 to 3.9 % plain, 2.6 to 5.4 % coloured, by the hour, on two shared cores")
-@pytest.mark.parametrize("colour", ["none", "displacement"])
-def test_sixty_markers_a_second_cost_little(client, node, tmp_path, colour):
-    """Of the node's processor time with one subscriber of the markers, less without one, while the organ moves."""
-    client.set_parameter("marker_colour", colour)
-    # Let go, it swings on: no pose and no contact adds its own noise to the figure.
-    client.set_parameter("damping_scale", 0.0)
-    publisher = start_publisher(tmp_path, depth=0.004, seconds=2.0)
-    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
-    publisher.stop()
-    count = [0]
-
-    def heard(_):
-        count[0] += 1
-
-    shares, seen = {False: [], True: []}, 0
-    for _ in range(6):
-        for watched in (False, True):
-            if watched:
-                subscription = client.node.create_subscription(
-                    MarkerArray, "/tissue_sim/markers", heard, LATCHED, raw=True
-                )
-            client.spin(1.0)
-            count[0] = 0
-            began, spent = time.monotonic(), processor_seconds(node.child.pid)
-            client.spin(4.0)
-            elapsed = time.monotonic() - began
-            shares[watched].append((processor_seconds(node.child.pid) - spent) / elapsed)
-            if watched:
-                seen += count[0] / elapsed / 6
-                client.node.destroy_subscription(subscription)
-    client.set_parameter("damping_scale", 1.0)
-    share = np.median(shares[True]) - np.median(shares[False])
-    print(f"\n{colour}: {100 * share:.2f} % of a core for {seen:.0f} markers a second")
-    print({key: [round(100 * s, 2) for s in value] for key, value in shares.items()})
-    assert seen > 50.0
-    assert share < WANTED_SHARE
 
 
 # the files for other viewers -------------------------------------------------------------------
@@ -164,7 +119,8 @@ def test_the_rviz_config_shows_what_the_node_publishes(client):
     config = yaml.safe_load((CONFIG / "tissue_sim.rviz").read_text())["Visualization Manager"]
     kinds = {"MarkerArray": "visualization_msgs/msg", "PointCloud2": "sensor_msgs/msg", "Pose": "geometry_msgs/msg"}
     assert config["Global Options"]["Fixed Frame"] == "organ"
-    assert client.spin_until(lambda: "/tissue_sim/markers" in topics_of_the_node(client)[0], 5.0)
+    shown = {display["Topic"]["Value"] for display in config["Displays"]}
+    assert client.spin_until(lambda: shown <= topics_of_the_node(client)[0].keys()), shown
     topics, _ = topics_of_the_node(client)
     for display in config["Displays"]:
         plugin = display["Class"].rpartition("/")[2]
@@ -182,11 +138,10 @@ def test_the_rviz_config_shows_what_the_node_publishes(client):
 def test_the_foxglove_layout_shows_what_the_node_publishes(client):
     layout = json.loads((CONFIG / "foxglove.json").read_text())
     panels = layout["configById"]
-    assert client.spin_until(lambda: "/tissue_sim/reset" in topics_of_the_node(client)[1], 5.0)
-    topics, services = topics_of_the_node(client)
     named = {*panels["3D!organ"]["topics"], panels["DiagnosticStatusPanel!health"]["topicToRender"]}
     named |= {path["value"].partition(".")[0] for path in panels["Plot!force"]["paths"]}
-    assert named <= set(topics)
-    assert {panel["serviceName"] for panel in panels.values() if "serviceName" in panel} <= set(services)
+    called = {panel["serviceName"] for panel in panels.values() if "serviceName" in panel}
+    assert client.spin_until(lambda: named <= topics_of_the_node(client)[0].keys()), named
+    assert client.spin_until(lambda: called <= topics_of_the_node(client)[1].keys()), called
     placed = re.findall(r"\w+!\w+", json.dumps(layout["layout"]))
     assert sorted(placed) == sorted(panels)

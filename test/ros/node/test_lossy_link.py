@@ -1,6 +1,6 @@
 """A viewer behind a link that loses 5 % of the packets and takes 50 ms."""
 
-import re
+import signal
 import sys
 
 import pytest
@@ -8,11 +8,10 @@ import pytest
 from helpers.ros.processes import PUBLISHER, READY, WATCHER, Process, shipped
 from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
 
-LOSS, DELAY, WANTED = 0.05, 0.05, 20.0  # share, s, Hz
+LOSS, DELAY, WANTED = 0.05, 0.05, 100  # share, s, surfaces that differ
 SWINGS = ("damping_scale:=0.0", "integrator:=implicit", "rate:=100.0")
 
 
-@pytest.mark.timeout(180)
 def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     try:
@@ -31,13 +30,13 @@ def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch)
         words = [word for setting in SWINGS for word in ("-p", setting)]
         node = start(here, "node", "-m", "tissue_sim.ros.node.program", "--ros-args", *words)
         node.wait_for(READY)
-        publisher = start(here, "publisher", PUBLISHER, "--depth=0.004", "--seconds=2")
-        assert publisher.child.wait(30.0) == 0, publisher.text()
-        watcher = start(there, "watcher", WATCHER, "6")
-        assert watcher.child.wait(60.0) == 0, watcher.text()
-        print("\n" + watcher.text())
+        publisher = start(here, "publisher", PUBLISHER, "--depth=0.004")
+        publisher.wait_for("pressed")
+        assert publisher.stop(signal.SIGTERM) == 0, publisher.text()
+        watcher = start(there, "watcher", WATCHER, str(WANTED))
+        assert watcher.wait() == 0, watcher.text()
         assert f"mesh {shipped().n_surface} points" in watcher.text()
-        assert float(re.search(r"rate ([\d.]+)", watcher.text())[1]) >= WANTED, node.text()
+        assert f"{WANTED} surfaces" in watcher.text()
         assert node.stop() == 0, node.text()
     finally:
         for process in started:

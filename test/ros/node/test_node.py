@@ -1,7 +1,7 @@
 """The node as others meet it: real processes that talk over DDS."""
 
+import itertools
 import math
-import signal
 import time
 
 import numpy as np
@@ -10,22 +10,22 @@ from rosbags.rosbag2 import Reader
 from visualization_msgs.msg import Marker
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import Process, poke_path, running_node, shipped, start_node, start_publisher
+from helpers.ros.processes import UNHURRIED, Process, poke_path, running_node, shipped, start_node, start_publisher
 from tissue_sim.cli import main
 
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
-    with running_node(folder, "marker_rate:=30.0", f"record_folder:={folder / 'bags'}") as process:
+    with running_node(folder, "marker_rate:=30.0", UNHURRIED, f"record_folder:={folder / 'bags'}") as process:
         yield process
 
 
 @pytest.fixture(scope="module")
 def only_client(node):
     client = Client()
-    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0, 10.0)
-    assert client.spin_until(lambda: len(client.surfaces) > 0, 10.0), "late joiners get no markers"
+    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0)
+    assert client.spin_until(lambda: len(client.surface()) > 0), "late joiners get no markers"
     yield client
     client.close()
 
@@ -33,33 +33,34 @@ def only_client(node):
 @pytest.fixture
 def client(only_client):
     """The client, with an organ at rest, and nothing heard but how it looks then."""
+    assert only_client.set_parameter("stale_time", 5.0).successful
     only_client.reset()
-    only_client.spin(0.2)
+    assert only_client.spin_until(lambda: only_client.moved() < 1e-6)
     only_client.wrenches.clear()
-    del only_client.markers[:-1], only_client.surfaces[:-1]
     return only_client
 
 
 def test_poses_from_a_second_process_deform_the_organ_and_let_it_return(client, tmp_path):
     """Wrench and markers rise on contact and come back to within 1 % of their peak."""
-    rest = client.surfaces[0]
-    publisher = start_publisher(tmp_path, depth=0.004, seconds=4.0)
-    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
-    client.spin(0.7)
+    publisher = start_publisher(tmp_path, depth=0.004)
+    assert client.spin_until(lambda: publisher.says("pressed")), publisher.text()
+    assert client.spin_until(lambda: client.moved() > 0.0035), client.diagnostics
+    moved = client.moved()
+    assert client.spin_until(lambda: client.hand_force() > 0.05), client.diagnostics
+    publisher.child.terminate()
+    assert client.spin_until(lambda: publisher.child.poll() is not None)
     assert publisher.stop() == 0, publisher.text()
-
     force = np.array([np.linalg.norm(wrench[:3]) for _, wrench in client.wrenches])
-    moved = np.array([np.linalg.norm(surface - rest, axis=1).max() for surface in client.surfaces])
-    assert 0.05 < force.max() < 2.0, client.diagnostics
-    assert 0.0035 < moved.max() < 0.006
-    assert force[-1] <= 0.01 * force.max()
-    assert moved[-1] <= 0.01 * moved.max()
+    assert force.max() < 2.0
+    assert moved < 0.006
     pushed = client.wrenches[int(np.argmax(force))][1]
     assert pushed[0] > 0.9 * force.max(), "the tissue pushes the tool back out"
+    assert client.spin_until(lambda: client.hand_force() <= 0.01 * force.max())
+    assert client.spin_until(lambda: client.moved() <= 0.01 * moved)
 
 
 def test_markers_are_what_rviz_can_bear(client):
-    markers = {(marker.ns, marker.id): marker for marker in client.markers[-1].markers}
+    markers = {(marker.ns, marker.id): marker for marker in client.markers().markers}
     organ = shipped()
     surface = markers["surface", 0]
     assert surface.type == Marker.TRIANGLE_LIST
@@ -77,35 +78,29 @@ def test_markers_are_what_rviz_can_bear(client):
 
 
 def test_force_fades_when_poses_stop(client, tmp_path):
-    """A stale pose ramps the wrench to zero and leaves no force standing."""
-    publisher = start_publisher(tmp_path, depth=0.003, seconds=1.5, hold=True)
-    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
-    assert publisher.stop() == 0
-    client.spin(0.5)
-    force = np.array([np.linalg.norm(wrench[:3]) for _, wrench in client.wrenches])
-    times = np.array(client.stamps[-len(force) :])  # of the node: this process may be late to hear
-    assert force.max() > 0.03
-    assert force[-1] == 0.0
-    last = int(np.flatnonzero(force > 0.0)[-1])
-    held = int(np.flatnonzero(force > 0.5 * force.max())[-1])
-    assert times[last] - times[held] < 0.25, "50 ms stale, 20 ms ramp, and the machine's own delays"
+    """A stale pose ramps the wrench to zero and leaves no force standing; after how many ticks, test/contact shows."""
+    publisher = start_publisher(tmp_path, depth=0.003)
+    assert client.spin_until(lambda: publisher.says("pressed") and client.hand_force() > 0.03), publisher.text()
+    publisher.child.kill()
+    assert client.set_parameter("stale_time", 0.05).successful
+    assert client.spin_until(lambda: client.hand_force() == 0.0), client.diagnostics
     client.spin(0.2)
-    assert client.wrenches[-1][1].max() == 0.0
+    assert np.abs(client.wrenches[-1][1]).max() == 0.0
 
 
 def test_external_force_moves_the_tissue(client):
     touch, inward = poke_path(shipped(), radius=0.0)
-    rest = client.surfaces[-1]
-    depth, end = 0.0, time.monotonic() + 5.0
-    while depth <= 0.0005 and time.monotonic() < end:
+
+    def is_pushed():
         client.send_pose(touch - 0.0055 * inward)  # the tip stays clear of the surface
         client.send_force(0.1 * inward)
         client.spin(0.005)
-        moved = client.surfaces[-1] - rest
-        depth = moved[np.argmax(np.linalg.norm(moved, axis=1))] @ inward
-    assert depth > 0.0005
-    client.spin(1.0)
-    assert np.linalg.norm(client.surfaces[-1] - rest, axis=1).max() < 0.01 * depth
+        moved = client.surface() - client.rest
+        return moved[np.argmax(np.linalg.norm(moved, axis=1))] @ inward > 0.0005
+
+    assert client.spin_until(is_pushed), client.diagnostics
+    assert client.set_parameter("stale_time", 0.05).successful
+    assert client.spin_until(lambda: client.moved() < 5e-6), "it goes back when nobody pushes"
 
 
 BAD_POSES = {
@@ -125,36 +120,50 @@ def test_bad_poses_are_refused_by_name(client, node):
             client.send_pose(**{"position": (1.0, 0.0, 0.0)} | bad)
         return all(reason in client.message for reason in BAD_POSES)
 
-    assert client.spin_until(all_are_told, 5.0), client.message
+    assert client.spin_until(all_are_told), client.message
     for reason in BAD_POSES:
         assert int(client.diagnostics[f"left.refused.{reason}"]) > 0, client.diagnostics
     assert client.level != b"\x00"
     assert node.text().count("tool 'left': pose refused: ") >= len(BAD_POSES)
     before = int(client.diagnostics["tick"])
-    assert client.spin_until(lambda: int(client.diagnostics["tick"]) > before + 500, 5.0), "the node went on"
+    assert client.spin_until(lambda: int(client.diagnostics["tick"]) > before + 500), "the node went on"
 
 
 def test_stamp_that_runs_backwards_is_refused(client):
-    now = time.time()
-    for k in range(40):
-        client.send_pose((1.0, 0.0, 0.0), stamp=now - 0.01 * (k % 2))
-        client.spin(0.01)
-    assert client.spin_until(lambda: int(client.diagnostics.get("left.refused.backward_stamp", 0)) > 0, 3.0)
+    now, sent = time.time(), itertools.count()
+
+    def is_refused():
+        client.ask((1.0, 0.0, 0.0), stamp=now - 0.01 * (next(sent) % 2))
+        return int(client.diagnostics.get("left.refused.backward_stamp", 0)) > 0
+
+    assert client.spin_until(is_refused)
     # A bridge that starts again with an older clock is heard after a pause.
-    client.spin(0.2)
-    poses = int(client.diagnostics["left.poses"])
-    client.send_pose((1.0, 0.0, 0.0), stamp=now - 1000.0)
-    assert client.spin_until(lambda: int(client.diagnostics["left.poses"]) > poses, 3.0)
+    assert client.set_parameter("stale_time", 0.05).successful
+    poses = int(client.report()["left.poses"])
+
+    def is_heard():
+        client.spin(0.5)
+        client.send_pose((1.0, 0.0, 0.0), stamp=now - 1000.0)
+        return int(client.diagnostics["left.poses"]) > poses
+
+    assert client.spin_until(is_heard)
 
 
 def test_tool_that_appears_inside_is_held_off(client, node):
+    assert client.set_parameter("stale_time", 0.05).successful
     inside = shipped().atom_positions[20]
-    client.spin(0.2)
+
+    def is_told():
+        client.spin(0.3)  # the last pose, wherever it was, is stale
+        client.ask(inside)
+        return "appeared inside the organ" in node.text()
+
+    assert client.spin_until(is_told)
+    client.wrenches.clear()
     for _ in range(60):
-        client.send_pose(inside)
-        client.spin(0.005)
+        client.ask(inside)
+    assert len(client.wrenches) > 5
     assert all(np.all(wrench == 0.0) for _, wrench in client.wrenches)
-    assert "appeared inside the organ" in node.text()
 
 
 def test_parameters_change_live_or_say_why_not(client):
@@ -173,10 +182,13 @@ def test_recording_on_demand_replays_bit_for_bit(client, tmp_path, capsys):
     assert started.success, started.message
     assert not client.record(True).success, "one bag at a time"
     client.set_parameter("stiffness_scale", 2.0)
-    publisher = start_publisher(tmp_path, depth=0.004, seconds=2.5)
-    client.spin_until(lambda: publisher.child.poll() is not None, 20.0)
+    publisher = start_publisher(tmp_path, depth=0.004)
+    assert client.spin_until(lambda: publisher.says("pressed") and client.hand_force() > 0.05), publisher.text()
+    publisher.child.terminate()
+    assert client.spin_until(lambda: publisher.child.poll() is not None)
+    assert publisher.stop() == 0, publisher.text()
     client.reset()
-    client.spin(0.2)
+    assert client.spin_until(lambda: client.moved() < 1e-6)
     client.set_parameter("stiffness_scale", 1.0)
     stopped = client.record(False)
     assert stopped.success
@@ -185,7 +197,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, tmp_path, capsys):
         topics = {connection.topic: connection.msgcount for connection in reader.connections}
     assert topics["/left/measured_cp"] > 300
     assert topics["/left/servo_cf"] >= topics["/left/measured_cp"] - 1, "a wrench for each pose that arrives"
-    assert topics["/tissue_sim/surface"] > 10
+    assert topics["/tissue_sim/surface"] > 1, "how many depends on how fast the machine is"
     code = main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"])
     said = capsys.readouterr()
     assert code == 0, said.err
@@ -194,9 +206,15 @@ def test_recording_on_demand_replays_bit_for_bit(client, tmp_path, capsys):
 
 
 def test_diagnostics_tell_the_state_of_the_loop(client):
-    client.diagnostics = {}
-    # In a second in which the machine does something else there are fewer ticks, and that is told too.
-    assert client.spin_until(lambda: 900.0 < float(client.diagnostics.get("tick_rate_hz", 0.0)) < 1100.0, 20.0)
+    told = []
+
+    def is_told():
+        """Whether the rate is that of the ticks between two reports; a machine may do something else in between."""
+        told.append((int(client.report()["tick"]), client.reported, float(client.diagnostics["tick_rate_hz"])))
+        (tick, then, _), (newest, now, rate) = told[-2:] if len(told) > 1 else told * 2
+        return newest > tick and rate == pytest.approx((newest - tick) / (now - then), rel=0.05)
+
+    assert client.spin_until(is_told), told
     values = client.diagnostics
     assert float(values["tick_p50_us"]) > 0.0
     assert values["region"] in ("asleep", "whole")
@@ -236,7 +254,7 @@ for parameter in sys.argv[1:]:
 def starts(tmp_path_factory):
     """What each of those parameters has the node say, and its exit code."""
     process = Process(["-c", STARTS, *REFUSED_STARTS], tmp_path_factory.mktemp("starts") / "node.log")
-    assert process.child.wait(60.0) == 0, process.text()
+    assert process.wait() == 0, process.text()
     said = {}
     for part in process.text().split("start ")[1:]:
         parameter, *lines = part.splitlines()
@@ -256,23 +274,12 @@ def test_damaged_organ_file_is_refused_by_name(tmp_path):
     organ = tmp_path / "organ.npz"
     organ.write_bytes(b"PK\x03\x04 nothing else")
     process = start_node(tmp_path, f"organ_file:={organ}", wait=False)
-    assert process.child.wait(30.0) == 2
+    assert process.wait() == 2
     assert "organ.npz is damaged" in process.text()
-
-
-def test_sigterm_ends_in_a_second_with_the_bag_closed(tmp_path):
-    process = start_node(tmp_path, "record:=true", f"record_folder:={tmp_path}", "tools:=[probe]")
-    time.sleep(0.5)
-    start = time.monotonic()
-    assert process.stop(signal.SIGTERM) == 0, process.text()
-    assert time.monotonic() - start < 1.0
-    (bag,) = tmp_path.glob("tissue_sim-*")
-    with Reader(bag) as reader:
-        assert reader.message_count > 0
 
 
 def test_help_lists_every_parameter(tmp_path):
     process = Process(["-m", "tissue_sim.ros.node.program", "--help"], tmp_path / "help.log")
-    assert process.child.wait(30.0) == 0
+    assert process.wait() == 0
     for name in ("organ_file", "local_region", "<tool>.radius", "force_clamp"):
         assert name in process.text()

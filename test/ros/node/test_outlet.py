@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from helpers.ros.patience import wait_for
+from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node import outlet
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
@@ -48,8 +49,9 @@ class Presenter:
 
 
 @pytest.fixture(params=[60.0, 240.0])
-def scene(request):
+def scene(request, monkeypatch):
     """An outlet that isn't started, with what it serves; reports that it told."""
+    monkeypatch.setattr(outlet, "REPORT_EVERY", 0.1)
     parts = SimpleNamespace(output=Output(), presenter=Presenter(), logger=Logger(), told=[])
     live = SimpleNamespace(marker_rate=request.param, helps=lambda _: False, level=0)
 
@@ -75,9 +77,9 @@ def scene(request):
 
 def test_forces_fade_on_although_pictures_fail(scene):
     scene.outlet.start()
-    wait_for(lambda: len(scene.told) >= 2, 30.0)
+    wait_for(lambda: len(scene.told) >= 2)
     turns = scene.output.turns
-    wait_for(lambda: scene.output.turns > turns + 50, 30.0)
+    wait_for(lambda: scene.output.turns > turns + 50)
     lines = ["outlet failed: OSError: nobody takes pictures", "outlet failed: ValueError: nor of tools"]
     assert scene.told[-1].failures == lines
     assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
@@ -85,7 +87,7 @@ def test_forces_fade_on_although_pictures_fail(scene):
     assert len(scene.logger.warned) <= 2 * (len(scene.told) + 1), "not one for every picture"
     scene.presenter.fails = False
     told = len(scene.told)
-    wait_for(lambda: len(scene.told) >= told + 2, 30.0)
+    wait_for(lambda: len(scene.told) >= told + 2)
     assert scene.told[-1].failures == []
 
 

@@ -1,7 +1,6 @@
 """Every message type in and out, transforms and tf: one node with a tool for each, and its bag."""
 
 import os
-import time
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
-from helpers.ros.clients import LATCHED, Client
-from helpers.ros.processes import FAKE_TF, poke_path, running_node, shipped
+from helpers.ros.clients import LATCHED, MOMENT, Client
+from helpers.ros.processes import FAKE_TF, UNHURRIED, poke_path, running_node, shipped
 from tissue_sim.cli import main
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES
 
@@ -41,7 +40,7 @@ PARAMETERS = (
     *("named.array_length:=7", "named.wrench_frame:=body", "named.reliable:=true", f"named.base_pose:={BASE_POSE}"),
     *("odometry.pose_type:=Odometry", "odometry.motion_scale:=0.5", "odometry.frame_id:=world"),
     "led.frame_id:=elsewhere",
-    "stale_time:=5.0",  # a busy machine may hold these poses up
+    UNHURRIED,
 )
 
 
@@ -103,25 +102,30 @@ class Tools(Client):
         """
         self.reset()
         touch, inward = poke_path(shipped())
-        start, arrived = time.monotonic(), 0  # s, and how many wrenches had come when the tool was deep enough
+        felt = self.felt[tool]
 
-        def is_settled() -> bool:
-            newest = np.array([np.linalg.norm(felt[:3]) for felt in self.felt[tool][-20:]])
-            return arrived > 0 and len(self.felt[tool]) > arrived + 40 and bool(np.ptp(newest) < 0.01 * newest.mean())
-
-        while not is_settled() and time.monotonic() < start + 20.0:
-            depth = -0.008 + (DEPTH + 0.008) * min(1.0, max(0.0, time.monotonic() - start - 0.2))
+        def hold(depth: float) -> None:
+            """A pose, until it is answered or a moment has passed."""
+            heard = len(felt)
             self.send(tool, to_device(touch + depth * inward), turn, frame)
             if force is not None:
                 self.forces.publish(force)
-            self.spin(0.004)
-            if depth > DEPTH - 1e-9 and not arrived:
-                arrived = max(1, len(self.felt[tool]))
-        felt = np.array(self.felt[tool][-10:]).mean(axis=0)
-        for depth in np.linspace(DEPTH, -0.05, 10):  # gone before the next tool comes
-            self.send(tool, to_device(touch + depth * inward), turn, frame)
-            self.spin(0.01)
-        return felt
+            self.spin_until(lambda: len(felt) > heard, MOMENT)
+
+        def is_settled() -> bool:
+            hold(DEPTH)
+            newest = np.array([np.linalg.norm(one[:3]) for one in felt[arrived:][-20:]])
+            return len(felt) > arrived + 40 and bool(np.ptp(newest) < 0.01 * newest.mean())
+
+        assert self.spin_until(lambda: hold(-0.008) or len(felt) > 0), "poses get no answer"
+        for depth in np.linspace(-0.008, DEPTH, 200):
+            hold(depth)
+        arrived = len(felt)
+        assert self.spin_until(is_settled), felt[-20:]
+        pressed = np.array(felt[-10:]).mean(axis=0)
+        for depth in np.linspace(DEPTH, -0.05, 20):  # gone before the next tool comes
+            hold(depth)
+        return pressed
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +139,7 @@ def node(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tools(node):
     tools = Tools()
-    assert tools.spin_until(lambda: all(p.get_subscription_count() for p in tools.poses.values()), 10.0)
+    assert tools.spin_until(lambda: all(p.get_subscription_count() for p in tools.poses.values()))
     yield tools
     tools.close()
 
@@ -145,7 +149,7 @@ def test_frame_that_tf_does_not_know_is_refused_by_name(node, tools):
         tools.send("led", np.ones(3), HELD, frame="moon")
         return "led.refused.unknown_frame" in tools.diagnostics
 
-    assert tools.spin_until(refused, 5.0)
+    assert tools.spin_until(refused)
     line = next(line for line in node.text().splitlines() if "'moon'" in line)
     assert "expected 'elsewhere' (parameter led.frame_id names another); tf leads from none of that name to" in line
     assert "does not exist" in line
@@ -166,7 +170,6 @@ def is_outward(force: np.ndarray) -> bool:
 def bag(node, tools):
     """A bag in which each tool presses once; what was felt last, along each device's axes."""
     assert tools.record(True).success
-    tools.spin(0.2)
     felt = {}
     pull = Wrench()
     pull.force.x, pull.force.y, pull.force.z = map(float, TURN.inv().apply([0.0, 0.0, 0.02]))
@@ -209,14 +212,14 @@ def test_tools_are_shown_in_the_organs_frame(tools):
         tools.send("plain", in_device(place), TURN.inv() * HELD)
         return any(m.ns == "plain" and m.action == Marker.ADD for message in seen[-1:] for m in message.markers)
 
-    assert tools.spin_until(is_there, 5.0)
+    assert tools.spin_until(is_there)
     (ball,) = [m for m in seen[-1].markers if m.ns == "plain" and m.type == Marker.SPHERE]
     assert ball.header.frame_id == "organ"
     assert (ball.pose.position.x, ball.pose.position.y, ball.pose.position.z) == pytest.approx(place, abs=1e-9)
     assert ball.scale.x == 0.01
     assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led"}
     # Nobody moves it any more.
-    gone = tools.spin_until(lambda: all(m.action == Marker.DELETE for m in seen[-1].markers), 5.0)
+    gone = tools.spin_until(lambda: all(m.action == Marker.DELETE for m in seen[-1].markers))
     assert gone, "a tool that nobody moves is still shown"
 
 

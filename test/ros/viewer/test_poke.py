@@ -1,18 +1,17 @@
 """Poking from the browser: how a held tool moves, what it publishes, and a hand on a real page."""
 
 import io
-import time
 
 import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 
 from helpers.ros.clients import Client
 from helpers.ros.participant import Participant
-from helpers.ros.processes import Process, shipped, start_node
+from helpers.ros.processes import UNHURRIED, Process, free_port, shipped, start_node
 from tissue_sim.ros.viewer.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
 
 pytest.importorskip("viser")
@@ -22,6 +21,7 @@ from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for
 
 RADIUS = 0.005
 SIZE = (900, 600)
+EVERY = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)  # a busy machine loses none
 
 
 # the hand --------------------------------------------------------------------------------------
@@ -62,30 +62,26 @@ def graph():
 def test_a_held_tool_publishes_until_it_is_released(graph):
     listener = Participant("listener")
     heard = []
-    listener.node.create_subscription(
-        PoseStamped, "left/measured_cp", lambda m: heard.append((time.monotonic(), m)), qos_profile_sensor_data
-    )
+    listener.node.create_subscription(PoseStamped, "left/measured_cp", heard.append, EVERY)
     tool = HeldTool(graph, "left")
     assert not tool.held
     tool.take(np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.6, 0.0, 0.8]), "theatre")
-    listener.spin(0.7)
+    assert listener.spin_until(lambda: len(heard) > 0)
     tool.goal = np.array([0.2, 0.2, 0.3])
-    del heard[:-1]
-    listener.spin(1.0)
-    assert len(heard) > 100, "poses a second"
+    assert listener.spin_until(lambda: heard[-1].pose.position.x > 0.19)
     assert tool.rivals() == 0
-    message = heard[-1][1]
+    message = heard[-1]
     assert message.header.frame_id == "theatre"
     assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
-    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for _, m in heard])
-    x = np.array([m.pose.position.x for _, m in heard])
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
+    x = np.array([m.pose.position.x for m in heard])
     assert (np.diff(stamps) > 0.0).all()
     assert np.diff(x).max() <= TOP_SPEED * 0.021, "a leap"
-    assert 0.15 < x[-1] <= 0.2002
+    assert x[-1] <= 0.2002
     listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
-    assert listener.spin_until(lambda: tool.rivals() == 1, 5.0)
+    assert listener.spin_until(lambda: tool.rivals() == 1)
     tool.release()
-    listener.spin(0.1)
+    listener.spin(0.5)
     heard.clear()
     listener.spin(0.3)
     assert not heard
@@ -132,12 +128,12 @@ def page(tmp_path):
     """A node, its viewer and a browser with the viewer's page."""
     if browsers.program() is None:
         pytest.skip("no Chromium on this machine (apt install chromium)")
-    port = 8000 + int(time.monotonic_ns() % 900)
-    node = start_node(tmp_path, "tools:=[left]")
+    port = free_port()
+    node = start_node(tmp_path, "tools:=[left]", UNHURRIED)
     viewer = Process(["-m", "tissue_sim", "view", "--port", str(port), "--tools", "left"], tmp_path / "view.log")
     page = None
     try:
-        viewer.wait_for("open http", 20.0)
+        viewer.wait_for("open http")
         page = browsers.Browser(tmp_path, *SIZE)
         page.open(f"http://127.0.0.1:{port}")
         yield page
@@ -149,7 +145,7 @@ def page(tmp_path):
     assert "Traceback" not in viewer.text()
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(1200)
 def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
     client = Client()
     poses = []
@@ -159,31 +155,32 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         return float(np.linalg.norm(client.wrenches[-1][1][:3])) if client.wrenches else 0.0
 
     try:
-        page.wait_for_text("Tick rate", 60.0)
+        page.wait_for_text("Tick rate")
         page.wait_for(f"{BOXES}.length == 1 && !{BOXES}[0].disabled")
-        assert client.spin_until(lambda: "A bridge already moves" in page.text(), 10.0), "the client publishes too"
+        assert client.spin_until(lambda: "A bridge already moves" in page.text()), "the client publishes too"
         client.node.destroy_publisher(client.pose)
-        assert client.spin_until(lambda: "A bridge already moves" not in page.text(), 10.0)
+        assert client.spin_until(lambda: "A bridge already moves" not in page.text())
         assert share_of_yellow(page.picture()) < 0.001
 
         page.click(page.run(CENTRES)[0])
-        assert client.spin_until(lambda: len(poses) > 50, 20.0), page.text()
+        assert client.spin_until(lambda: len(poses) > 50), page.text()
         assert force() == 0.0, "taken in hand outside the organ"
         position, inward = beside(shipped().surface_positions, 0, RADIUS)
         start = position + 0.022 * inward  # on the arrow that points into the organ
-        browsers.wait_for(lambda: shows_an_arrow(page.picture(), pixel(start)), 30.0, "no arrow to drag")
+        browsers.wait_for(lambda: shows_an_arrow(page.picture(), pixel(start)), "no arrow to drag")
         page.drag(pixel(start), pixel(start + 0.02 * inward))
-        assert client.spin_until(lambda: force() > 0.1, 30.0), page.text()
-        browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, 30.0, "no colour")
+        assert client.spin_until(lambda: force() > 0.1), page.text()
+        browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
         plotted = "Math.max(...Object.values(window.__viserTestpoints.uplots)[0].chart.data[1].filter(isFinite))"
-        browsers.wait_for(lambda: page.run(plotted) > 0.1, 10.0, "no curve")
+        browsers.wait_for(lambda: page.run(plotted) > 0.1, "no curve")
 
         page.open("about:blank")  # the hand leaves without letting go: the browser keeps the connection open
-        left = time.monotonic()
-        while poses and time.monotonic() < left + 30.0:
+
+        def is_let_go():
             poses.clear()
             client.spin(0.5)
-        assert not poses
-        assert force() == 0.0
+            return not poses and force() == 0.0
+
+        assert client.spin_until(is_let_go)
     finally:
         client.close()

@@ -1,16 +1,14 @@
-"""The viewer holds a node's tools as their bridges would: every profile, every type, without a browser."""
-
-import time
+"""The viewer holds a node's tools as their bridges would: every type, without a browser."""
 
 import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import Pose, PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
-from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
-from helpers.ros.processes import STAND_IN, UNHURRIED, Process, shipped, start_node
+from helpers.patience import wait_for
+from helpers.ros.processes import STAND_IN, UNHURRIED, Process, running_node
 from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.node_parameters import NodeParameters
@@ -19,11 +17,7 @@ from tissue_sim.ros.shared.tool_messages import N_POSE, POSE_TYPES
 from tissue_sim.ros.viewer.held_tool import HeldTool
 
 pytest.importorskip("viser")
-from helpers.paths import CONFIG
 from helpers.ros.told import values
-from tissue_sim.ros.viewer.poke import beside
-
-PROFILES = {path.stem: path for path in sorted((CONFIG / "bridges").glob("*.yaml"))}
 
 
 # what goes out ---------------------------------------------------------------------------------
@@ -63,66 +57,33 @@ def test_a_node_without_these_parameters_tells_none(tmp_path, graph):
     node = Process([STAND_IN], tmp_path / "node.log")
     reader = NodeParameters("tissue_sim")
     try:
-        node.wait_for("up", 20.0)
-        assert wait_for(reader.poll, 20.0) == {}
+        node.wait_for("up")
+        assert wait_for(lambda: [found for found in [reader.poll()] if found is not None]) == [{}]
         assert reader.poll() is None
         reader.ask()
-        assert wait_for(reader.poll, 20.0) == {}
+        assert wait_for(lambda: [found for found in [reader.poll()] if found is not None]) == [{}]
     finally:
         node.stop()
 
 
-def wait_for(answer, timeout):
-    end = time.monotonic() + timeout
-    while (found := answer()) is None and time.monotonic() < end:
-        time.sleep(0.01)
-    return found
-
-
 # a node and the viewer -------------------------------------------------------------------------
-def poke(page, node):
-    """Take the tool in hand, press the organ, let go."""
-    assert page.wait(lambda: not page.poke._box.disabled, 30.0), node.text()
-    page.tick(True)
-    assert page.wait(lambda: page.poke._tool.held and page.view.force is not None, 20.0), node.text()
-    assert page.force() == 0.0, "taken in hand outside the organ"
-    assert not page.poke._warning.visible
-    position, inward = beside(shipped().surface_positions, 0, page.view.reach)
-    for depth in np.linspace(0.0, 0.024, 60):
-        page.drag(position + depth * inward)
-        if page.wait(lambda: page.force() > 0.1, 0.03):
-            break
-    assert page.force() > 0.1, node.text()
-    page.tick(False)
-    assert page.wait(lambda: page.force() == 0.0, 10.0)
+KINDS = ("Pose", "TransformStamped", "Odometry")
 
 
-@pytest.mark.parametrize("name", PROFILES)
-def test_a_tool_of_every_profile_can_be_poked_with(name, tmp_path, open_page):
-    tool = YAML(typ="safe").load(PROFILES[name].read_text())["/**"]["ros__parameters"]["tools"][0]
-    node = start_node(tmp_path, UNHURRIED, profile=PROFILES[name])
-    try:
-        page = open_page(tool)
-        poke(page, node)
-        assert page.poke._tool.topic in page.poke._box.hint
-        assert not page.poke.jaws._slider.visible
-        assert node.stop() == 0, node.text()
-        assert "refused" not in node.text()
-    finally:
-        node.child.kill()
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    """A node with a tool of each type, all in a frame that is turned."""
+    turned = ("base_pose:=[0.2, -0.3, 0.1, 0.6, 0.0, 0.0, 0.8]", "frame_id:=arm", "motion_scale:=0.5")
+    words = [f"{kind}.{word}" for kind in KINDS for word in (f"pose_type:={kind}", "wrench_frame:=body", *turned)]
+    folder = tmp_path_factory.mktemp("types")
+    with running_node(folder, UNHURRIED, f"tools:=[{', '.join(KINDS)}]", "base_frame:=world", *words) as process:
+        yield process
+        assert "refused" not in process.text()
 
 
-@pytest.mark.parametrize("kind", ["Pose", "TransformStamped", "Odometry"])
-def test_a_tool_of_any_type_can_be_poked_with(kind, tmp_path, open_page):
-    turned = ["left.base_pose:=[0.2, -0.3, 0.1, 0.6, 0.0, 0.0, 0.8]", "base_frame:=world", "left.frame_id:=arm"]
-    words = [UNHURRIED, f"left.pose_type:={kind}", *turned, "left.motion_scale:=0.5"]
-    node = start_node(tmp_path, *words, profile=PROFILES["dvrk"])
-    try:
-        poke(open_page("left"), node)
-        assert node.stop() == 0, node.text()
-        assert "refused" not in node.text()
-    finally:
-        node.child.kill()
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_tool_of_any_type_can_be_poked_with(kind, node, open_page):
+    open_page(kind).press_and_let_go()
 
 
 def test_another_frame_has_the_tool_let_go(graph):

@@ -1,13 +1,12 @@
 """Which tools the page shows: those of the node, whichever it has."""
 
-import time
-
 import numpy as np
 import pytest
 import viser
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
+from helpers.ros.processes import free_port
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.ros.node.tool_markers import ToolMarkers
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
@@ -15,7 +14,7 @@ from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 
 @pytest.fixture
 def server():
-    server = viser.ViserServer(host="127.0.0.1", port=8000 + time.monotonic_ns() % 900, verbose=False)
+    server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
     yield server
     server.stop()
 

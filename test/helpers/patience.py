@@ -12,5 +12,5 @@ def wait_for(value: Callable[[], Any], problem: str | Callable[[], str] = "it ne
     end = time.monotonic() + LIMIT
     while not (found := value()):
         assert time.monotonic() < end, problem if isinstance(problem, str) else problem()
-        time.sleep(0.02)
+        time.sleep(0.005)
     return found
