@@ -22,7 +22,7 @@ def coupled(organ, stiffness=STIFFNESS, damping=DAMPING, tool=PROBE):
 def apart(scene):
     """Where the tool is less where the hand is, (3,) m."""
     state = scene.simulation.state
-    return state.tool_pose[0, :3] - state.hand_pose[0, :3]
+    return state.body_pose[0, :3] - state.held_pose[0, :3]
 
 
 def test_hand_at_rest_feels_the_coupling_spring():
@@ -123,4 +123,4 @@ def test_unknown_damping_has_no_bound():
 def test_tools_with_a_coupling_are_led_like_those_without_when_nothing_is_touched():
     scene = coupled(kidney())
     lead(scene, 0, line([0.2, 0.0, 0.0], [0.25, 0.0, 0.0], 50))
-    np.testing.assert_allclose(scene.simulation.state.tool_pose[0, :3], [0.25, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(scene.simulation.state.body_pose[0, :3], [0.25, 0.0, 0.0], atol=1e-9)

@@ -18,13 +18,13 @@ def make_finder(organ, *tools):
 
 
 def find(finder, organ, *poses, engaged=None, pushing=None, margins=None):
-    n_tools = len(poses)
+    n_bodies = len(poses)
     return finder.find(
         organ.rest_positions,
         np.array(poses),
-        np.zeros(n_tools) if margins is None else np.array(margins),
-        np.ones(n_tools, dtype=np.int64) if engaged is None else np.array(engaged),
-        np.zeros(n_tools, dtype=np.int64) if pushing is None else np.array(pushing),
+        np.zeros(n_bodies) if margins is None else np.array(margins),
+        np.ones(n_bodies, dtype=np.int64) if engaged is None else np.array(engaged),
+        np.zeros(n_bodies, dtype=np.int64) if pushing is None else np.array(pushing),
     )
 
 

@@ -76,7 +76,7 @@ def test_ring_presses_with_its_rim_and_lets_the_tissue_bulge_into_its_hole(ring_
         scene.step()
     state = scene.simulation.state
     assert scene.wrenches[0, 1] < -0.05
-    local = scene.simulation.positions[: organ.n_surface] - state.tool_pose[0, :3]
+    local = scene.simulation.positions[: organ.n_surface] - state.body_pose[0, :3]
     gaps = np.array([signed_distance(scene.tools.shapes, 0, x, z, -y)[0] for x, y, z in local])
     assert gaps.min() > -2e-4
     moved = np.linalg.norm(scene.simulation.positions - organ.rest_positions, axis=1)[: organ.n_surface]

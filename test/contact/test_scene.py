@@ -81,7 +81,7 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
         give_impulse(state, scene.tools.shapes, mobility, scratch, entry, *impulse, 1e-3)
     np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
     np.testing.assert_allclose(organ.mass @ simulation.velocities - before, expected[:3], atol=1e-9 * len(own))
-    np.testing.assert_array_equal(scratch.origin[tool], state.tool_pose[tool, :3])
+    np.testing.assert_array_equal(scratch.origin[tool], state.body_pose[tool, :3])
     assert not scratch.impulse[1 - tool].any()
 
 
@@ -159,7 +159,7 @@ def push_through_the_middle(organ, radius, number, travel=0.004):
     x = scene.simulation.positions[triangle]
     facing = np.cross(x[1] - x[0], x[2] - x[0])
     facing /= np.linalg.norm(facing)
-    above = (scene.simulation.state.tool_pose[0, :3] - x[0]) @ facing
+    above = (scene.simulation.state.body_pose[0, :3] - x[0]) @ facing
     assert is_sound(scene)
     return float(np.linalg.norm(scene.wrenches[0, :3])), above
 
@@ -205,7 +205,7 @@ def test_tool_at_one_metre_a_second_does_not_pass_through(tool, direction):
     simulation = scene.simulation
     assert scene.wrenches[0, :3] @ way > 0.02
     assert deepest(scene) < 2e-4
-    middle = simulation.state.tool_pose[0, :3]
+    middle = simulation.state.body_pose[0, :3]
     assert not inside(middle[None], simulation.positions[: organ.n_surface], organ.surface_triangles)[0]
     assert is_sound(scene)
 
@@ -249,7 +249,7 @@ def plate(folder):
 def pressed_and_dragged(scene, speed, ticks=120):
     """Forces while a plate is pressed 3 mm down on the top and then dragged along x at `speed` m/s."""
     press(scene, 0.003, hold=150, radius=0.0)
-    at = scene.simulation.state.tool_pose[0, :3].copy()
+    at = scene.simulation.state.body_pose[0, :3].copy()
     return lead(scene, 0, line(at, at + [speed * ticks * 1e-3, 0.0, 0.0], ticks))
 
 
@@ -277,7 +277,7 @@ def test_smooth_ball_feels_no_moment_about_its_middle():
         scene = Scene(kidney(), [PROBE])
         scene.simulation.settings.friction = friction
         press(scene, 0.003, hold=20)
-        at = scene.simulation.state.tool_pose[0, :3].copy()
+        at = scene.simulation.state.body_pose[0, :3].copy()
         lead(scene, 0, line(at, at + [0.004, 0.002, 0.0], 40))
         moments[friction] = np.linalg.norm(scene.wrenches[0, 3:])
         assert np.linalg.norm(scene.wrenches[0, :3]) > 0.05
@@ -294,7 +294,7 @@ def test_stuck_tissue_follows_the_tool(tmp_path):
         press(scene, 0.003, hold=150, radius=0.0)
         node = int(np.argmax(scene.simulation.positions[:162, 2]))
         before = scene.simulation.positions[node].copy()
-        at = scene.simulation.state.tool_pose[0, :3].copy()
+        at = scene.simulation.state.body_pose[0, :3].copy()
         lead(scene, 0, line(at, at + [0.001, 0.0, 0.0], 100))
         moved[friction] = scene.simulation.positions[node, 0] - before[0]
     assert moved[5.0] == pytest.approx(0.001, rel=0.02)
@@ -347,7 +347,7 @@ def test_stale_tool_lets_the_organ_go_and_a_new_pose_engages_at_once():
     assert np.abs(scene.simulation.positions - scene.simulation.model.rest).max() < 1e-5
     pose = top_of(ball(2)) + [0.01, 0.0, 0.02]
     scene.move(0, pose)
-    np.testing.assert_array_equal(scene.simulation.state.tool_pose[0, :3], pose)
+    np.testing.assert_array_equal(scene.simulation.state.body_pose[0, :3], pose)
 
 
 # external force --------------------------------------------------------------------------------

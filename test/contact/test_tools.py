@@ -183,5 +183,5 @@ def test_open_mesh_that_is_not_convex_is_refused_with_the_remedy(tmp_path):
 def test_gripper_has_two_bodies_and_other_tools_one():
     tools = ToolSet([Tool("left"), Tool("right", "gripper", radius=0.002, length=0.03), Tool("third", "capsule")])
     assert tools.bodies == [[0], [1, 2], [3]]
-    np.testing.assert_array_equal(tools.shapes.hand, [0, 1, 1, 2])
+    np.testing.assert_array_equal(tools.shapes.tool, [0, 1, 1, 2])
     np.testing.assert_array_equal(tools.shapes.kind, [SPHERE, CAPSULE, CAPSULE, CAPSULE])

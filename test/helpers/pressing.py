@@ -40,7 +40,7 @@ def press(scene, depth, ticks=60, hold=150, tool=0, radius=None):
 def deepest(scene, tool=0):
     """How deep the deepest surface node lies inside a tool, m."""
     simulation = scene.simulation
-    pose = simulation.state.tool_pose[tool]
+    pose = simulation.state.body_pose[tool]
     local = Rotation.from_quat(pose[3:]).inv().apply(simulation.positions[: simulation.organ.n_surface] - pose[:3])
     return -min(signed_distance(scene.tools.shapes, tool, *point)[0] for point in local)
 

@@ -31,9 +31,9 @@ def test_first_pose_is_taken_at_once():
     simulation = Simulation(ball(), shapes=sphere_tools(0.005))
     simulation.take_pose(0, FAR, 7)
     simulation.step()
-    np.testing.assert_array_equal(simulation.state.tool_pose[0], FAR)
-    assert simulation.state.tools[0].pose_sequence == 7
-    assert simulation.state.tools[0].age == 1
+    np.testing.assert_array_equal(simulation.state.body_pose[0], FAR)
+    assert simulation.state.bodies[0].pose_sequence == 7
+    assert simulation.state.bodies[0].age == 1
 
 
 @pytest.mark.parametrize("period", [1, 4, 16])
@@ -45,17 +45,17 @@ def test_tool_is_led_evenly_to_a_pose_that_took_several_ticks(period):
     # The same turn with the other sign of the quaternion: no long way round.
     goal = np.array([0.01, -0.02, 0.18, *-turn.as_quat()])
     simulation.take_pose(0, goal, 2)
-    path = [simulation.state.tool_pose[0].copy()]
+    path = [simulation.state.body_pose[0].copy()]
     for _ in range(period):
         simulation.step()
-        path.append(simulation.state.tool_pose[0].copy())
+        path.append(simulation.state.body_pose[0].copy())
     share = np.linspace(0.0, 1.0, period + 1)
     np.testing.assert_allclose([p[:3] for p in path], FAR[:3] + share[:, None] * (goal - FAR)[:3], atol=1e-15)
     even = Slerp([0.0, 1.0], Rotation.concatenate([Rotation.identity(), turn]))(share)
     assert max((even.inv() * Rotation.from_quat([p[3:] for p in path])).magnitude()) < 1e-6
     np.testing.assert_allclose([np.linalg.norm(p[3:]) for p in path], 1.0, atol=1e-12)
     simulation.step()
-    np.testing.assert_array_equal(simulation.state.tool_pose[0], goal)
+    np.testing.assert_array_equal(simulation.state.body_pose[0], goal)
 
 
 def test_slow_input_leads_the_tool_no_longer_than_the_limit():
@@ -63,18 +63,18 @@ def test_slow_input_leads_the_tool_no_longer_than_the_limit():
     for _ in range(LONGEST_PERIOD + 15):
         simulation.step()
     simulation.take_pose(0, FAR + 0.001, 2)
-    assert simulation.state.tools[0].remaining == LONGEST_PERIOD
+    assert simulation.state.bodies[0].remaining == LONGEST_PERIOD
 
 
 def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():
     simulation = engaged_at(FAR)
-    assert simulation.state.tools[0].engaged
+    assert simulation.state.bodies[0].engaged
     for _ in range(71):
         simulation.step()
-    assert not simulation.state.tools[0].engaged
+    assert not simulation.state.bodies[0].engaged
     unknown = Simulation(ball(), shapes=sphere_tools(0.005))
     take_set(unknown, 1)
-    assert not unknown.state.tools[0].engaged
+    assert not unknown.state.bodies[0].engaged
 
 
 def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
@@ -92,7 +92,7 @@ def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     # Ten fresh ticks, then down to nothing in five.
     expected = 0.3 * np.clip((15 - np.arange(1, 21)) / 5, 0.0, 1.0)
     np.testing.assert_allclose(pull, expected[:, None] * [0.0, 0.0, 1.0], atol=1e-10)
-    assert simulation.state.tools[0].force_sequence == 5
+    assert simulation.state.bodies[0].force_sequence == 5
     # Spread over the triangle's corners by the weights.
     first = Simulation(organ, shapes=sphere_tools(0.005))
     first.apply_force(triangle, weight[:, None] * [0.0, 0.0, 0.3])

@@ -175,8 +175,8 @@ def test_journal_tells_which_tick_took_a_pose():
     assert inputs[0].pose == 1
     assert inputs[0].force == rows[0].contact_set == rows[0].settings == 0
     assert before < rows[0].tick <= after
-    assert loop.simulation.state.tools[0].pose_sequence == 1
-    np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], above(0.05))
+    assert loop.simulation.state.bodies[0].pose_sequence == 1
+    np.testing.assert_array_equal(loop.simulation.state.body_goal[0], above(0.05))
 
 
 def by_hand(loop, ticks):
@@ -273,7 +273,7 @@ def test_only_the_newest_of_several_poses_is_taken():
     taken = loop.journal()[1].pose.tolist()
     assert taken == sorted(set(taken))
     assert taken[-1] == 500
-    np.testing.assert_array_equal(loop.simulation.state.tool_goal[0], loop.poses[500])
+    np.testing.assert_array_equal(loop.simulation.state.body_goal[0], loop.poses[500])
 
 
 def test_pose_ends_a_nap():

@@ -160,8 +160,8 @@ def _time_ticks(
             share = 1.0 if steady else 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
             phase[0] = phase[0] % _LOAD_PERIOD + 1
             load_nodes(state, nodes, share * forces)
-        for tool in range(len(state.tool_pose)):
-            take_pose(state, tool, state.tool_goal[tool].copy(), state.tools[tool].pose_sequence + 1)
+        for tool in range(len(state.body_pose)):
+            take_pose(state, tool, state.body_goal[tool].copy(), state.bodies[tool].pose_sequence + 1)
         start = _now(clock)
         tick_world(world)
         if guarded:  # once more, after a tick as in it

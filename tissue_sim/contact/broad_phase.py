@@ -182,7 +182,7 @@ def add_normals(position: Any, triangles: Any, normal: Any) -> None:
 
 @kernel
 def holds_node(
-    position: Any, n_surface: int, shapes: Any, tool: int, origin: Any, rotation: Any, low: Any, high: Any
+    position: Any, n_surface: int, shapes: Any, body: int, origin: Any, rotation: Any, low: Any, high: Any
 ) -> bool:
     """True when a surface node lies inside a tool at origin (3,), rotation (9,), in the box low, high (3,)."""
     r = rotation
@@ -192,6 +192,6 @@ def holds_node(
             continue
         x, y, z = x - origin[0], y - origin[1], z - origin[2]
         lx, ly, lz = r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
-        if signed_distance(shapes, tool, lx, ly, lz)[0] < 0.0:
+        if signed_distance(shapes, body, lx, ly, lz)[0] < 0.0:
             return True
     return False

@@ -43,7 +43,7 @@ class Scene:
 
         The live array, unless a tool has more than one body.
         """
-        wrench, poses = self.simulation.state.wrench, self.simulation.state.tool_pose[:, :3]
+        wrench, poses = self.simulation.state.wrench, self.simulation.state.body_pose[:, :3]
         if len(wrench) == len(self.tools.tools):
             return wrench
         bodies = self.tools.bodies
@@ -74,9 +74,9 @@ class Scene:
 
     def _find(self) -> None:
         state = self.simulation.state
-        fresh = (state.tools.age >= 0).astype(np.int64)
-        pushing = (state.tools.force_age >= 0).astype(np.int64)
-        goal = state.tool_goal.copy()
+        fresh = (state.bodies.age >= 0).astype(np.int64)
+        pushing = (state.bodies.force_age >= 0).astype(np.int64)
+        goal = state.body_goal.copy()
         margins = np.zeros(len(fresh))
         if self._ticks_a_set > 1 and self._set_goal is not None:
             margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0)

@@ -23,22 +23,22 @@ TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still ch
 
 
 @kernel
-def point_in_tool(
+def point_in_body(
     state: Any, entry: int, origin: Any, rotation: Any
 ) -> tuple[float, float, float, float, float, float]:
     """Contact point of an entry, in the organ's frame and in its tool's frame (m).
 
     origin (T, 3), rotation (T, 9) of the tools.
     """
-    tool = state.contacts.body[entry]
+    body = state.contacts.body[entry]
     x = y = z = 0.0
     for c in range(3):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
         x += weight * state.position[node, 0]
         y += weight * state.position[node, 1]
         z += weight * state.position[node, 2]
-    r = rotation[tool]
-    dx, dy, dz = x - origin[tool, 0], y - origin[tool, 1], z - origin[tool, 2]
+    r = rotation[body]
+    dx, dy, dz = x - origin[body, 0], y - origin[body, 1], z - origin[body, 2]
     return (
         x,
         y,
@@ -55,9 +55,9 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
 
     Tissue is pushed from outside only: a tool that came to lie inside leaves without hooking it.
     """
-    tool = state.contacts.body[entry]
-    _, _, _, lx, ly, lz = point_in_tool(state, entry, origin, rotation)
-    gap, nx, ny, nz = gap_and_normal(shapes, tool, rotation[tool], lx, ly, lz)
+    body = state.contacts.body[entry]
+    _, _, _, lx, ly, lz = point_in_body(state, entry, origin, rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, body, rotation[body], lx, ly, lz)
     normal = state.contacts.normal[entry]
     facing = normal[0] * nx
     facing += normal[1] * ny
@@ -69,8 +69,8 @@ def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation:
 def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
     """True when any contact point lies inside its tool."""
     for entry in range(state.contacts.header.points):
-        tool = state.contacts.body[entry]
-        if state.tools[tool].engaged:
+        body = state.contacts.body[entry]
+        if state.bodies[body].engaged:
             if gap_from_outside(state, shapes, entry, origin, rotation) < 0.0:
                 return True
     return False
@@ -78,13 +78,13 @@ def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
 
 @kernel
 def gap_and_normal(
-    shapes: Any, tool: int, r: Any, lx: float, ly: float, lz: float
+    shapes: Any, body: int, r: Any, lx: float, ly: float, lz: float
 ) -> tuple[float, float, float, float]:
     """Signed distance, m, of a point in a tool's frame to it, and the tool's outward normal in the organ's frame.
 
     r (9,): the tool's rotation.
     """
-    gap, mx, my, mz = signed_distance(shapes, tool, lx, ly, lz)
+    gap, mx, my, mz = signed_distance(shapes, body, lx, ly, lz)
     return (
         gap,
         r[0] * mx + r[1] * my + r[2] * mz,
@@ -102,10 +102,10 @@ def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch
     """
     found = 0
     for entry in range(state.contacts.header.points):
-        tool = state.contacts.body[entry]
+        body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         near = False
-        if state.tools[tool].engaged and found < len(scratch.near_entry):
+        if state.bodies[body].engaged and found < len(scratch.near_entry):
             near = pressed > 0.0 or gap_from_outside(state, shapes, entry, origin, rotation) < NEAR
         if not near:
             state.contact_pressed[0, entry] = 0.0
@@ -124,9 +124,9 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 
     And that normal.
     """
-    tool = state.contacts.body[entry]
-    _, _, _, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
-    _, nx, ny, nz = gap_and_normal(shapes, tool, scratch.rotation[tool], lx, ly, lz)
+    body = state.contacts.body[entry]
+    _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+    _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
     pressed, held = state.contact_pressed[0, entry], state.contact_held[0, entry]
     pressed -= held[0] * nx + held[1] * ny + held[2] * nz
     return pressed * nx + held[0], pressed * ny + held[1], pressed * nz + held[2], nx, ny, nz
@@ -137,7 +137,7 @@ def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, ta
     """Add the last substep's contact impulses, N s, times a scale to target (n, 3)."""
     shares = state.contacts.weight
     for entry in range(state.contacts.header.points):
-        if state.contact_pressed[0, entry] > 0.0 and state.tools[state.contacts.body[entry]].engaged:
+        if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
             for corner in range(3):
                 node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]
@@ -194,28 +194,28 @@ def resolve_contact(
 ) -> float:
     """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
     entry = scratch.near_entry[near]
-    tool = state.contacts.body[entry]
+    body = state.contacts.body[entry]
     compliance = 0.0
     for c in range(3):
         weight = state.contacts.weight[entry, c]
         compliance += weight * weight * mobility[state.contacts.node[entry, c]]
     pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
-    compliance = compliance * step + scratch.give[tool]
+    compliance = compliance * step + scratch.give[body]
     if compliance == 0.0:
         scratch.near_normal[near] = 0.0
         held[0] = held[1] = held[2] = 0.0
         return 0.0
-    x, y, z, lx, ly, lz = point_in_tool(state, entry, scratch.origin, scratch.rotation)
-    gap, nx, ny, nz = gap_and_normal(shapes, tool, scratch.rotation[tool], lx, ly, lz)
+    x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
     normal = max(0.0, pressed - gap / compliance)
     if normal == 0.0 and pressed == 0.0:
         return 0.0
     scratch.near_normal[near] = normal
     # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
-    q = scratch.last_rotation[tool]
-    sx = scratch.last_origin[tool, 0] + q[0] * lx + q[1] * ly + q[2] * lz - x
-    sy = scratch.last_origin[tool, 1] + q[3] * lx + q[4] * ly + q[5] * lz - y
-    sz = scratch.last_origin[tool, 2] + q[6] * lx + q[7] * ly + q[8] * lz - z
+    q = scratch.last_rotation[body]
+    sx = scratch.last_origin[body, 0] + q[0] * lx + q[1] * ly + q[2] * lz - x
+    sy = scratch.last_origin[body, 1] + q[3] * lx + q[4] * ly + q[5] * lz - y
+    sz = scratch.last_origin[body, 2] + q[6] * lx + q[7] * ly + q[8] * lz - z
     for c in range(3):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c] * step
         sx += weight * state.velocity[node, 0]
@@ -240,7 +240,7 @@ def give_impulse(
     state: Any, shapes: Any, mobility: Any, scratch: Any, entry: int, px: float, py: float, pz: float, step: float
 ) -> None:
     """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 only count it."""
-    tool = state.contacts.body[entry]
+    body = state.contacts.body[entry]
     x = y = z = 0.0
     for c in range(3):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
@@ -259,25 +259,25 @@ def give_impulse(
             state.position[node, 0] += step * move * px
             state.position[node, 1] += step * move * py
             state.position[node, 2] += step * move * pz
-    origin = scratch.origin[tool]
+    origin = scratch.origin[body]
     ax, ay, az = x - origin[0], y - origin[1], z - origin[2]
-    impulse = scratch.impulse[tool]
+    impulse = scratch.impulse[body]
     impulse[0] += px
     impulse[1] += py
     impulse[2] += pz
     impulse[3] += ay * pz - az * py
     impulse[4] += az * px - ax * pz
     impulse[5] += ax * py - ay * px
-    if scratch.give[tool] > 0.0:
-        push_tool(shapes.hand, tool, scratch, px, py, pz)
+    if scratch.give[body] > 0.0:
+        push_bodies(shapes.tool, body, scratch, px, py, pz)
 
 
 @kernel
-def push_tool(hands: Any, tool: int, scratch: Any, px: float, py: float, pz: float) -> None:
-    """Let every body of a tool's hand give way to an impulse on the tissue, N s."""
-    give = scratch.give[tool]
-    for body in range(len(hands)):
-        if hands[body] == hands[tool]:
+def push_bodies(tools: Any, body: int, scratch: Any, px: float, py: float, pz: float) -> None:
+    """Let every body of a body's tool give way to an impulse on the tissue, N s."""
+    give = scratch.give[body]
+    for body in range(len(tools)):
+        if tools[body] == tools[body]:
             scratch.origin[body, 0] -= give * px
             scratch.origin[body, 1] -= give * py
             scratch.origin[body, 2] -= give * pz

@@ -11,26 +11,26 @@ from tissue_sim.model.tool_motion import freshness
 
 @kernel
 def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Set the wrench of every body; clamp and slew limit hold for the sum over a hand's bodies."""
+    """Set the wrench of every body; clamp and slew limit hold for the sum over a tool's bodies."""
     cut = held_back = False
-    for hand in range(len(state.wrench)):
-        clamped = clamp_share(scratch.impulse, shapes.hand, hand, settings.force_clamp * settings.tick_time)
+    for tool in range(len(state.wrench)):
+        clamped = clamp_share(scratch.impulse, shapes.tool, tool, settings.force_clamp * settings.tick_time)
         cut = cut or clamped < 1.0
         wanted = -clamped / settings.tick_time
-        change = slew_share(state.felt, scratch.impulse, wanted, shapes.hand, hand, settings)
+        change = slew_share(state.felt, scratch.impulse, wanted, shapes.tool, tool, settings)
         held_back = held_back or change < 1.0
         for body in range(len(state.wrench)):
-            if shapes.hand[body] == hand:
+            if shapes.tool[body] == tool:
                 felt, impulse = state.felt[body], scratch.impulse[body]
                 for c in range(6):
                     felt[c] = (
                         wanted * impulse[c] if change == 1.0 else felt[c] + change * (wanted * impulse[c] - felt[c])
                     )
         # Where the clamp itself was lowered meanwhile.
-        clamped = clamp_share(state.felt, shapes.hand, hand, settings.force_clamp)
+        clamped = clamp_share(state.felt, shapes.tool, tool, settings.force_clamp)
         for body in range(len(state.wrench)):
-            if shapes.hand[body] == hand:
-                fresh = freshness(state.tools[body].age, settings)
+            if shapes.tool[body] == tool:
+                fresh = freshness(state.bodies[body].age, settings)
                 for c in range(6):
                     state.felt[body, c] *= clamped
                     state.wrench[body, c] = fresh * state.felt[body, c]
@@ -39,11 +39,11 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
 
 
 @kernel
-def clamp_share(values: Any, hands: Any, hand: int, most: float) -> float:
-    """Factor that brings the sum of a hand's forces, the first three of values (T, 6), to `most`."""
+def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
+    """Factor that brings the sum of a tool's forces, the first three of values (T, 6), to `most`."""
     x = y = z = 0.0
     for body in range(len(values)):
-        if hands[body] == hand:
+        if tools[body] == tool:
             x += values[body, 0]
             y += values[body, 1]
             z += values[body, 2]
@@ -52,11 +52,11 @@ def clamp_share(values: Any, hands: Any, hand: int, most: float) -> float:
 
 
 @kernel
-def slew_share(felt: Any, impulse: Any, wanted: float, hands: Any, hand: int, settings: Any) -> float:
-    """Share of the way from felt (T, 6) to wanted * impulse (T, 6) that a hand's force may go in a tick."""
+def slew_share(felt: Any, impulse: Any, wanted: float, tools: Any, tool: int, settings: Any) -> float:
+    """Share of the way from felt (T, 6) to wanted * impulse (T, 6) that a tool's force may go in a tick."""
     x = y = z = 0.0
     for body in range(len(felt)):
-        if hands[body] == hand:
+        if tools[body] == tool:
             x += wanted * impulse[body, 0] - felt[body, 0]
             y += wanted * impulse[body, 1] - felt[body, 1]
             z += wanted * impulse[body, 2] - felt[body, 2]

@@ -13,30 +13,30 @@ LONGEST_PERIOD = 20  # ticks over which a tool is led to its newest pose at the 
 
 
 @kernel
-def take_pose(state: Any, tool: int, pose: Any, sequence: int) -> None:
+def take_pose(state: Any, body: int, pose: Any, sequence: int) -> None:
     """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw.
 
     The tool is led there over as many ticks as the pose took to come, so that input slower than
     the tick rate moves it evenly.
     """
-    tools = state.tools[tool]
-    if not tools.engaged:
-        copy(pose, state.tool_pose[tool])
-        copy(pose, state.hand_pose[tool])
-        tools.remaining = 0
+    status = state.bodies[body]
+    if not status.engaged:
+        copy(pose, state.body_pose[body])
+        copy(pose, state.held_pose[body])
+        status.remaining = 0
     else:
-        tools.remaining = min(max(tools.age, 1), LONGEST_PERIOD)
-    copy(pose, state.tool_goal[tool])
-    tools.age = 0
-    tools.pose_sequence = sequence
+        status.remaining = min(max(status.age, 1), LONGEST_PERIOD)
+    copy(pose, state.body_goal[body])
+    status.age = 0
+    status.pose_sequence = sequence
 
 
 @kernel
-def take_force(state: Any, tool: int, force: Any, sequence: int) -> None:
+def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
     """Take up the newest external force (3,) N on the tissue at a tool's tip."""
-    copy(force, state.tool_force[tool])
-    state.tools[tool].force_age = 0
-    state.tools[tool].force_sequence = sequence
+    copy(force, state.body_force[body])
+    state.bodies[body].force_age = 0
+    state.bodies[body].force_sequence = sequence
 
 
 @kernel
@@ -47,8 +47,8 @@ def take_contacts(state: Any, found: Any, sequence: int) -> None:
     for index in range(used_words(found)):
         contacts.words[index] = found.words[index]
     contacts.header.sequence = sequence
-    for tool in range(len(state.tools)):
-        state.tools[tool].engaged = contacts.engaged[tool] == 1 and state.tools[tool].age >= 0
+    for body in range(len(state.bodies)):
+        state.bodies[body].engaged = contacts.engaged[body] == 1 and state.bodies[body].age >= 0
 
 
 @kernel
@@ -117,17 +117,17 @@ def reset_state(model: Any, state: Any) -> None:
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
     drop_region(state)
-    state.tool_goal[:] = 0.0
-    state.tool_goal[:, 6] = 1.0
-    copy(state.tool_goal, state.hand_pose)
-    copy(state.tool_goal, state.tool_pose)
-    state.tool_force[:] = 0.0
+    state.body_goal[:] = 0.0
+    state.body_goal[:, 6] = 1.0
+    copy(state.body_goal, state.held_pose)
+    copy(state.body_goal, state.body_pose)
+    state.body_force[:] = 0.0
     state.wrench[:] = 0.0
     state.felt[:] = 0.0
-    for tool in range(len(state.tools)):
-        body = state.tools[tool]
-        body.age = body.force_age = -1
-        body.remaining = body.pose_sequence = body.force_sequence = 0
-        body.engaged = False
+    for body in range(len(state.bodies)):
+        status = state.bodies[body]
+        status.age = status.force_age = -1
+        status.remaining = status.pose_sequence = status.force_sequence = 0
+        status.engaged = False
         for c in range(3):
-            state.contacts.tip_node[tool, c] = -1
+            state.contacts.tip_node[body, c] = -1

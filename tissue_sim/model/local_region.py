@@ -21,13 +21,13 @@ def mark_loaded(state: Any, scratch: Any) -> int:
     """Give hop 0 to the nodes of contact points, tool tips and nodal forces; how many are new, in scratch.fresh."""
     fresh = 0
     for entry in range(state.contacts.header.points):
-        if state.tools[state.contacts.body[entry]].engaged:
+        if state.bodies[state.contacts.body[entry]].engaged:
             for c in range(3):
                 fresh = _mark(state, scratch, state.contacts.node[entry, c], fresh)
-    for tool in range(len(state.tool_force)):
-        if state.contacts.tip_node[tool, 0] >= 0:
+    for body in range(len(state.body_force)):
+        if state.contacts.tip_node[body, 0] >= 0:
             for c in range(3):
-                fresh = _mark(state, scratch, state.contacts.tip_node[tool, c], fresh)
+                fresh = _mark(state, scratch, state.contacts.tip_node[body, c], fresh)
     for index in range(state.status.loaded):
         fresh = _mark(state, scratch, state.loaded_node[index], fresh)
     return fresh

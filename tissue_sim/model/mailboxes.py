@@ -124,14 +124,14 @@ class Mailboxes(NamedTuple):
 
 def make_mailboxes(state: State) -> Mailboxes:
     """Empty mailboxes for a simulation's state."""
-    n_tools = len(state.tool_pose)
+    n_bodies = len(state.body_pose)
 
     def longs(*shape: int) -> Longs:
         return np.zeros(shape, dtype=np.int64)
 
     return Mailboxes(
-        pose=mailbox(7, n_tools),
-        force=mailbox(3, n_tools),
+        pose=mailbox(7, n_bodies),
+        force=mailbox(3, n_bodies),
         contacts=mailbox(len(state.contacts.words)),
         settings=mailbox(Settings.words()),
         results=mailbox(len(state.results)),
@@ -140,19 +140,19 @@ def make_mailboxes(state: State) -> Mailboxes:
         control=Control.new(),
         journal_written=longs(1),
         journal=JournalRow.rows(longs(JOURNAL_ROWS * JournalRow.words())),
-        journal_inputs=BodyInputs.rows(longs(JOURNAL_ROWS * n_tools * BodyInputs.words())).reshape(
-            JOURNAL_ROWS, n_tools
+        journal_inputs=BodyInputs.rows(longs(JOURNAL_ROWS * n_bodies * BodyInputs.words())).reshape(
+            JOURNAL_ROWS, n_bodies
         ),
         timing=Timing.rows(longs(TIMING_ROWS * Timing.words())),
         row=JournalRow.new(),
-        inputs=BodyInputs.rows(longs(n_tools * BodyInputs.words())),
+        inputs=BodyInputs.rows(longs(n_bodies * BodyInputs.words())),
         pace=Pace.new(),
         now=longs(2),
         wake=longs(2),
         bell=longs(4),
         taken_pose=np.zeros(7),
         taken_force=np.zeros(3),
-        taken_contacts=contact_set(n_tools),
+        taken_contacts=contact_set(n_bodies),
     )
 
 
@@ -212,16 +212,16 @@ def take_inputs(world: Any, box: Any) -> bool:
     sequence = take(box.settings, 0, row.settings, world.settings_words)
     if sequence != row.settings:
         row.settings, changed = sequence, True
-    for tool in range(len(box.inputs)):
-        taken = box.inputs[tool]
-        sequence = take(box.pose, tool, taken.pose, box.taken_pose.view(np.int64))
+    for body in range(len(box.inputs)):
+        taken = box.inputs[body]
+        sequence = take(box.pose, body, taken.pose, box.taken_pose.view(np.int64))
         if sequence != taken.pose:
             taken.pose, changed = sequence, True
-            take_pose(state, tool, box.taken_pose, sequence)
-        sequence = take(box.force, tool, taken.force, box.taken_force.view(np.int64))
+            take_pose(state, body, box.taken_pose, sequence)
+        sequence = take(box.force, body, taken.force, box.taken_force.view(np.int64))
         if sequence != taken.force:
             taken.force, changed = sequence, True
-            take_force(state, tool, box.taken_force, sequence)
+            take_force(state, body, box.taken_force, sequence)
     sequence = take(box.contacts, 0, row.contact_set, box.taken_contacts.words)
     if sequence != row.contact_set:
         row.contact_set, changed = sequence, True
@@ -235,8 +235,8 @@ def write_journal(box: Any, tick: int) -> None:
     box.row.tick = tick
     place = box.journal_written[0] % JOURNAL_ROWS
     box.journal[place] = box.row
-    for tool in range(len(box.inputs)):
-        box.journal_inputs[place, tool] = box.inputs[tool]
+    for body in range(len(box.inputs)):
+        box.journal_inputs[place, body] = box.inputs[body]
     fence()
     box.journal_written[0] += 1
     fence()

@@ -85,10 +85,10 @@ def is_idle(world: Any, box: Any) -> bool:
     """True while the organ sleeps, no pose or force is fresh, and none has come."""
     state, settings = world.state, world.settings
     idle = state.status.asleep and box.control.resets == box.row.resets
-    for tool in range(len(state.tools)):
-        body, taken = state.tools[tool], box.inputs[tool]
+    for body in range(len(state.bodies)):
+        body, taken = state.bodies[body], box.inputs[body]
         idle = idle and freshness(body.age, settings) == 0.0 and freshness(body.force_age, settings) == 0.0
-        idle = idle and box.pose.sequence[tool] == taken.pose and box.force.sequence[tool] == taken.force
+        idle = idle and box.pose.sequence[body] == taken.pose and box.force.sequence[body] == taken.force
     return idle
 
 

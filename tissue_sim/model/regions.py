@@ -320,10 +320,10 @@ def total_load(state: Any, settings: Any) -> float:
     for index in range(state.status.loaded):
         force = state.nodal_force[state.loaded_node[index]]
         load += math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-    for tool in range(len(state.wrench)):
-        load += math.sqrt(state.wrench[tool, 0] ** 2 + state.wrench[tool, 1] ** 2 + state.wrench[tool, 2] ** 2)
-        if state.contacts.tip_node[tool, 0] >= 0:
-            force = state.tool_force[tool]
-            fresh = freshness(state.tools[tool].force_age, settings)
+    for body in range(len(state.wrench)):
+        load += math.sqrt(state.wrench[body, 0] ** 2 + state.wrench[body, 1] ** 2 + state.wrench[body, 2] ** 2)
+        if state.contacts.tip_node[body, 0] >= 0:
+            force = state.body_force[body]
+            fresh = freshness(state.bodies[body].force_age, settings)
             load += fresh * math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     return load

@@ -25,7 +25,7 @@ class Scratch(NamedTuple):
     rotation: Any  # (T, 9)
     last_origin: Any  # (T, 3) at its beginning
     last_rotation: Any  # (T, 9)
-    hand: Any  # (T, 7) where the hand holds it at the substep's end
+    held: Any  # (T, 7) where it is held at the substep's end
     give: Any  # (T,) m, by how much a tool gives way to an impulse of 1 N s
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
@@ -62,7 +62,7 @@ class Scratch(NamedTuple):
     field: Any  # (3n,) m
 
 
-def make_scratch(model: Model, n_tools: int) -> Scratch:
+def make_scratch(model: Model, n_bodies: int) -> Scratch:
     """Room for a model, with its tables for a local region when it has one, and as many tools."""
     n, hinges, links = len(model.rest), len(model.edges.nodes) * BLOCK, len(model.links.nodes) * BLOCK
     modes = len(model.reduction.frequency)
@@ -87,17 +87,17 @@ def make_scratch(model: Model, n_tools: int) -> Scratch:
 
     return Scratch(
         force=empty(n, 3),
-        impulse=empty(n_tools, 6),
+        impulse=empty(n_bodies, 6),
         mobility=empty(n),
         mobility_key=empty(5),
         predicted=model.rest.copy(),
         change=empty(0 if model.factor is None else len(model.moving), 3),
-        origin=empty(n_tools, 3),
-        rotation=empty(n_tools, 9),
-        last_origin=empty(n_tools, 3),
-        last_rotation=empty(n_tools, 9),
-        hand=empty(n_tools, 7),
-        give=empty(n_tools),
+        origin=empty(n_bodies, 3),
+        rotation=empty(n_bodies, 9),
+        last_origin=empty(n_bodies, 3),
+        last_rotation=empty(n_bodies, 9),
+        held=empty(n_bodies, 7),
+        give=empty(n_bodies),
         near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),

@@ -37,7 +37,7 @@ class Settings(Record):
     region_force: float  # N above which the region is skipped
     region_inertia: float  # factor on mass and damping of a modal region, so that it needs no more substeps
     runaway_span: float  # m, displacement that the guard takes for runaway
-    coupling_stiffness: float  # N/m between hand and tool; 0: the tool is where the hand is
+    coupling_stiffness: float  # N/m between a body and where it is held; 0: it is there
     coupling_damping: float  # N s/m on the tool
     substeps: int  # in a tick, from the critical step
     region_substeps: int  # in a tick of a local region, whose nodes are never stepped implicitly

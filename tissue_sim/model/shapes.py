@@ -19,7 +19,7 @@ class Shapes(NamedTuple):
     """Shapes of T rigid bodies, each in its own frame, whose origin is the tip.
 
     A capsule runs from the origin along -z, where an instrument's shaft lies. A shape that is not convex is a grid of
-    signed distances. The bodies of one tool, as the two jaws of a gripper, are held by one hand.
+    signed distances. The bodies of one tool, as the two jaws of a gripper, are held as one.
     """
 
     kind: Any  # (T,) SPHERE, CAPSULE, CONVEX or GRID
@@ -30,7 +30,7 @@ class Shapes(NamedTuple):
     grid_start: Any  # (T,) first distance of each
     grid_points: Any  # (T, 3) points along each axis
     grid_frame: Any  # (T, 4) m: where the first point is, and the spacing
-    hand: Any  # (T,) which tool each body belongs to
+    tool: Any  # (T,) which tool each body belongs to
 
 
 def make_shapes(
@@ -38,9 +38,9 @@ def make_shapes(
     size: ArrayLike,
     planes: Sequence[Floats] | None = None,
     grids: Sequence[Grid | None] | None = None,
-    hand: ArrayLike | None = None,
+    tool: ArrayLike | None = None,
 ) -> Shapes:
-    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; hand (T,), its own unless given."""
+    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,) that each belongs to, its own unless given."""
     kinds = np.asarray(kind, dtype=np.int64).reshape(-1)
     n = len(kinds)
     planes = [np.zeros((0, 4))] * n if planes is None else planes
@@ -60,7 +60,7 @@ def make_shapes(
         grid_frame=np.array(
             [(0.0, 0.0, 0.0, 1.0) if grid is None else (*grid.origin, grid.spacing) for grid in grids], dtype=np.float64
         ).reshape(n, 4),
-        hand=np.arange(n, dtype=np.int64) if hand is None else np.asarray(hand, dtype=np.int64),
+        tool=np.arange(n, dtype=np.int64) if tool is None else np.asarray(tool, dtype=np.int64),
     )
 
 
@@ -82,9 +82,9 @@ def rotation_matrix(quaternion: Any, matrix: Any) -> None:
 
 
 @kernel
-def grid_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def grid_distance(shapes: Any, body: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Distance between the points of a body's grid, m, and the way that it grows; beyond the grid a lower bound."""
-    frame, points, table = shapes.grid_frame[tool], shapes.grid_points[tool], shapes.distance
+    frame, points, table = shapes.grid_frame[body], shapes.grid_points[body], shapes.distance
     spacing = frame[3]
     u, v, w = (x - frame[0]) / spacing, (y - frame[1]) / spacing, (z - frame[2]) / spacing
     a = min(max(u, 0.0), points[0] - 1.000001)
@@ -93,7 +93,7 @@ def grid_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple
     i, j, k = int(a), int(b), int(c)
     beyond = spacing * math.sqrt((u - a) ** 2 + (v - b) ** 2 + (w - c) ** 2)
     a, b, c = a - i, b - j, c - k
-    at = shapes.grid_start[tool] + (i * points[1] + j) * points[2] + k
+    at = shapes.grid_start[body] + (i * points[1] + j) * points[2] + k
     right, row = points[1] * points[2], points[2]
     d000, d001, d010, d011 = table[at], table[at + 1], table[at + row], table[at + row + 1]
     at += right
@@ -116,24 +116,24 @@ def grid_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple
 
 
 @kernel
-def signed_distance(shapes: Any, tool: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def signed_distance(shapes: Any, body: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Distance of a point in the tool's frame to the tool's surface, m, and the outward normal.
 
     Negative inside. Outside a convex shape's edges the distance is a lower bound, and so it is beyond a grid.
     """
-    if shapes.kind[tool] == GRID:
-        return grid_distance(shapes, tool, x, y, z)
-    if shapes.kind[tool] == CONVEX:
-        start = shapes.plane_start[tool]
+    if shapes.kind[body] == GRID:
+        return grid_distance(shapes, body, x, y, z)
+    if shapes.kind[body] == CONVEX:
+        start = shapes.plane_start[body]
         best, chosen = -math.inf, start
-        for p in range(start, shapes.plane_start[tool + 1]):
+        for p in range(start, shapes.plane_start[body + 1]):
             gap = shapes.plane[p, 0] * x + shapes.plane[p, 1] * y + shapes.plane[p, 2] * z - shapes.plane[p, 3]
             if gap > best:
                 best, chosen = gap, p
         return best, shapes.plane[chosen, 0], shapes.plane[chosen, 1], shapes.plane[chosen, 2]
-    if shapes.kind[tool] == CAPSULE:
-        z -= min(0.0, max(-shapes.size[tool, 1], z))
+    if shapes.kind[body] == CAPSULE:
+        z -= min(0.0, max(-shapes.size[body, 1], z))
     length = math.sqrt(x * x + y * y + z * z)
     if length < 1e-12:
-        return -shapes.size[tool, 0], 0.0, 0.0, 1.0
-    return length - shapes.size[tool, 0], x / length, y / length, z / length
+        return -shapes.size[body, 0], 0.0, 0.0, 1.0
+    return length - shapes.size[body, 0], x / length, y / length, z / length

@@ -110,11 +110,11 @@ class Simulation:
         self.model: Model = self._with_tables(assemble(organ, model, return_target), local_region)
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
-        n_tools, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
-        self.state: State = make_state(organ.n_nodes, n_tools, n_modes, len(self.model.cells))
+        n_bodies, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
+        self.state: State = make_state(organ.n_nodes, n_bodies, n_modes, len(self.model.cells))
         self.frequency = largest_frequency(self.model)
         self.set_substeps()
-        self.scratch = make_scratch(self.model, n_tools)
+        self.scratch = make_scratch(self.model, n_bodies)
         self.refer()
         self.reset()
 

@@ -69,7 +69,7 @@ class Counts(Record):
     slewed_ticks: int  # ticks in which a wrench changed no faster than it may
 
 
-class ToolStatus(Record):
+class BodyStatus(Record):
     """How a rigid body of a tool is held."""
 
     age: int  # ticks since the newest pose; -1 before the first one
@@ -85,7 +85,7 @@ class Results(NamedTuple):
 
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
-    tools: Any  # (T,) of ToolStatus
+    bodies: Any  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
 
 
@@ -97,7 +97,7 @@ class State(NamedTuple):
     shape: Longs  # the words of shape_tick and position
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
-    tools: Any  # (T,) of ToolStatus
+    bodies: Any  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     shape_tick: Longs  # (1,) tick of the positions that were handed out last
     position: Floats  # (n, 3) m
@@ -110,10 +110,10 @@ class State(NamedTuple):
     blend: Floats  # (1,) share of the offset that is left
     mode_position: Floats  # (m,) sqrt(kg) m
     mode_velocity: Floats  # (m,) sqrt(kg) m/s
-    tool_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
-    hand_pose: Floats  # (T, 7) where the hand holds it, on its way to the newest pose
-    tool_goal: Floats  # (T, 7) the newest pose
-    tool_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
+    body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
+    held_pose: Floats  # (T, 7) where it is held, on its way to the newest pose
+    body_goal: Floats  # (T, 7) the newest pose
+    body_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
     felt: Floats  # (T, 6) the wrench before it fades with a stale pose
     contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is room
     contact_held: Floats  # (2, C, 3) N s across it
@@ -124,24 +124,24 @@ class State(NamedTuple):
     contacts: ContactSet  # which points may touch
 
 
-def _result_fields(n_tools: int) -> dict[str, Field]:
-    return {"status": Status, "count": Counts, "tools": (ToolStatus, n_tools), "wrench": (np.float64, (n_tools, 6))}
+def _result_fields(n_bodies: int) -> dict[str, Field]:
+    return {"status": Status, "count": Counts, "bodies": (BodyStatus, n_bodies), "wrench": (np.float64, (n_bodies, 6))}
 
 
-def result_words(n_tools: int) -> int:
+def result_words(n_bodies: int) -> int:
     """Words of Results."""
-    return size_of(_result_fields(n_tools))
+    return size_of(_result_fields(n_bodies))
 
 
-def results_in(words: Longs, n_tools: int) -> Results:
+def results_in(words: Longs, n_bodies: int) -> Results:
     """Results that view words (result_words(),)."""
-    return Results(**carve(words, _result_fields(n_tools)))
+    return Results(**carve(words, _result_fields(n_bodies)))
 
 
-def make_state(n: int, n_tools: int, n_modes: int = 0, n_cells: int = 0) -> State:
+def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> State:
     """A state of zeros."""
     real, whole = np.float64, np.int64
-    fields: dict[str, Field] = _result_fields(n_tools) | {
+    fields: dict[str, Field] = _result_fields(n_bodies) | {
         "shape_tick": (whole, (1,)),
         "position": (real, (n, 3)),
         "velocity": (real, (n, 3)),
@@ -153,11 +153,11 @@ def make_state(n: int, n_tools: int, n_modes: int = 0, n_cells: int = 0) -> Stat
         "blend": (real, (1,)),
         "mode_position": (real, (n_modes,)),
         "mode_velocity": (real, (n_modes,)),
-        "tool_pose": (real, (n_tools, 7)),
-        "hand_pose": (real, (n_tools, 7)),
-        "tool_goal": (real, (n_tools, 7)),
-        "tool_force": (real, (n_tools, 3)),
-        "felt": (real, (n_tools, 6)),
+        "tool_pose": (real, (n_bodies, 7)),
+        "hand_pose": (real, (n_bodies, 7)),
+        "tool_goal": (real, (n_bodies, 7)),
+        "tool_force": (real, (n_bodies, 3)),
+        "felt": (real, (n_bodies, 6)),
         "contact_pressed": (real, (2, MOST_POINTS)),
         "contact_held": (real, (2, MOST_POINTS, 3)),
         "loaded_node": (whole, (n,)),
@@ -165,13 +165,13 @@ def make_state(n: int, n_tools: int, n_modes: int = 0, n_cells: int = 0) -> Stat
         "is_turned": (whole, (n_cells,)),
         "region_hop": (whole, (n,)),
     }
-    size, first = size_of(fields), result_words(n_tools)
-    words = np.zeros(size + contact_set_words(n_tools), dtype=np.int64)
+    size, first = size_of(fields), result_words(n_bodies)
+    words = np.zeros(size + contact_set_words(n_bodies), dtype=np.int64)
     return State(
         words=words,
         results=words[:first],
         shape=words[first : first + 1 + 3 * n],
-        contacts=contact_set(n_tools, words=words[size:]),
+        contacts=contact_set(n_bodies, words=words[size:]),
         **carve(words, fields),
     )
 

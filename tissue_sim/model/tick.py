@@ -32,11 +32,11 @@ from tissue_sim.model.settings import Integrator
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
-    advance_hands,
-    follow_hands,
+    advance_held,
+    couple_bodies,
+    follow_held,
     has_tip_force,
-    hold_tools,
-    keep_tools,
+    keep_bodies,
 )
 
 CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
@@ -47,12 +47,12 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     """Advance the organ by one tick of settings.tick_time seconds."""
     status, count = state.status, state.count
     status.tick += 1
-    advance_hands(state, settings, scratch)
+    advance_held(state, settings, scratch)
     forced = status.loaded > 0 or has_tip_force(state, settings)
     status.touching = 0
     if status.asleep:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
-            follow_hands(state)
+            follow_held(state)
             count.asleep_ticks += 1
             status.active = 0
             return
@@ -63,7 +63,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
             check_cells(model, state)
-            follow_hands(state)
+            follow_held(state)
             return
         status.snapped = False
     prepare_region(model, state, settings, scratch)
@@ -133,7 +133,7 @@ def advance_substep(
 ) -> None:
     """Forces, integration and contact of one substep; eased: the first of a longer step than the last."""
     step = settings.tick_time / substeps
-    hold_tools(state, settings, scratch, step, 1.0 / (substeps - substep))
+    couple_bodies(state, settings, scratch, step, 1.0 / (substeps - substep))
     implicit = steps_implicitly(model, state, settings)
     if state.status.region == Region.WHOLE:
         scratch.force[:] = 0.0
@@ -154,7 +154,7 @@ def advance_substep(
     state.status.touching = resolve_contacts(
         state, shapes, scratch.mobility, scratch, settings.friction, step, implicit
     )
-    keep_tools(state, scratch)
+    keep_bodies(state, scratch)
 
 
 @kernel

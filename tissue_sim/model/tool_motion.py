@@ -1,4 +1,4 @@
-"""How hands and their tools move through a tick, and how fresh their poses and forces are."""
+"""How the bodies of tools move through a tick, and how fresh their poses and forces are."""
 
 from __future__ import annotations
 
@@ -22,62 +22,62 @@ def freshness(age: int, settings: Any) -> float:
 
 
 @kernel
-def advance_hands(state: Any, settings: Any, scratch: Any) -> None:
-    """Move each hand towards its newest pose, and let go of its tool when poses stop."""
-    for tool in range(len(state.hand_pose)):
-        tools = state.tools[tool]
-        copy(state.hand_pose[tool], scratch.hand[tool])
-        if tools.age >= 0:
-            tools.age += 1
-            if tools.age * settings.tick_time > settings.stale_time + settings.ramp_time:
-                tools.engaged = 0
-        if tools.force_age >= 0:
-            tools.force_age += 1
-        if tools.remaining > 0:
-            share = 1.0 / tools.remaining
-            step_pose(state.hand_pose[tool], state.tool_goal[tool], share)
-            tools.remaining -= 1
-        set_frame(state.hand_pose[tool], scratch.origin[tool], scratch.rotation[tool])
+def advance_held(state: Any, settings: Any, scratch: Any) -> None:
+    """Move where each body is held towards its newest pose, and let go of it when poses stop."""
+    for body in range(len(state.held_pose)):
+        status = state.bodies[body]
+        copy(state.held_pose[body], scratch.held[body])
+        if status.age >= 0:
+            status.age += 1
+            if status.age * settings.tick_time > settings.stale_time + settings.ramp_time:
+                status.engaged = 0
+        if status.force_age >= 0:
+            status.force_age += 1
+        if status.remaining > 0:
+            share = 1.0 / status.remaining
+            step_pose(state.held_pose[body], state.body_goal[body], share)
+            status.remaining -= 1
+        set_frame(state.held_pose[body], scratch.origin[body], scratch.rotation[body])
 
 
 @kernel
-def follow_hands(state: Any) -> None:
-    """Put every tool where its hand is: nothing is touched, and nobody feels anything."""
-    copy(state.hand_pose, state.tool_pose)
+def follow_held(state: Any) -> None:
+    """Put every body where it is held: nothing is touched, and nobody feels anything."""
+    copy(state.held_pose, state.body_pose)
     state.wrench[:] = 0.0
     state.felt[:] = 0.0
 
 
 @kernel
-def hold_tools(state: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
-    """Lead the hands a share of their way, and each tool after its hand through the virtual coupling.
+def couple_bodies(state: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
+    """Lead where the bodies are held a share of its way, and each body after it through the virtual coupling.
 
-    The tool has no mass: B p' = K (h - p) + F, of which a step without contact is done here; what an impulse of the
-    contact adds to it is scratch.give, m / (N s). The hand moves evenly through the tick, so that its speed holds no
+    A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; what an impulse of the
+    contact adds to it is scratch.give, m / (N s). What holds it moves evenly through the tick, so that its speed holds no
     jumps.
     """
     stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
-    for tool in range(len(state.tool_pose)):
-        hand, pose = scratch.hand[tool], state.tool_pose[tool]
-        set_frame(pose, scratch.last_origin[tool], scratch.last_rotation[tool])
-        step_pose(hand, state.hand_pose[tool], share)
+    for body in range(len(state.body_pose)):
+        held, pose = scratch.held[body], state.body_pose[body]
+        set_frame(pose, scratch.last_origin[body], scratch.last_rotation[body])
+        step_pose(held, state.held_pose[body], share)
         if stiffness > 0.0:
-            scratch.give[tool] = 1.0 / (damping + stiffness * step)
+            scratch.give[body] = 1.0 / (damping + stiffness * step)
             for c in range(3):
-                pose[c] += scratch.give[tool] * stiffness * step * (hand[c] - pose[c])
-            copy(hand[3:], pose[3:])
+                pose[c] += scratch.give[body] * stiffness * step * (held[c] - pose[c])
+            copy(held[3:], pose[3:])
         else:
-            scratch.give[tool] = 0.0
-            copy(hand, pose)
-        set_frame(pose, scratch.origin[tool], scratch.rotation[tool])
+            scratch.give[body] = 0.0
+            copy(held, pose)
+        set_frame(pose, scratch.origin[body], scratch.rotation[body])
 
 
 @kernel
-def keep_tools(state: Any, scratch: Any) -> None:
+def keep_bodies(state: Any, scratch: Any) -> None:
     """Keep where contact has pushed the tools."""
-    for tool in range(len(state.tool_pose)):
-        if scratch.give[tool] > 0.0:
-            copy(scratch.origin[tool], state.tool_pose[tool, :3])
+    for body in range(len(state.body_pose)):
+        if scratch.give[body] > 0.0:
+            copy(scratch.origin[body], state.body_pose[body, :3])
 
 
 @kernel
@@ -109,9 +109,9 @@ def set_frame(pose: Any, origin: Any, rotation: Any) -> None:
 @kernel
 def has_tip_force(state: Any, settings: Any) -> bool:
     """True when an external force acts on the tissue under any tool's tip."""
-    for tool in range(len(state.tool_force)):
-        if state.contacts.tip_node[tool, 0] >= 0 and freshness(state.tools[tool].force_age, settings) > 0.0:
-            force = state.tool_force[tool]
+    for body in range(len(state.body_force)):
+        if state.contacts.tip_node[body, 0] >= 0 and freshness(state.bodies[body].force_age, settings) > 0.0:
+            force = state.body_force[body]
             if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
                 return True
     return False
@@ -120,10 +120,10 @@ def has_tip_force(state: Any, settings: Any) -> bool:
 @kernel
 def add_tip_forces(state: Any, settings: Any, force: Any) -> None:
     """Add the external forces at the tools' tips to force (n, 3) N."""
-    for tool in range(len(state.tool_force)):
-        fresh = freshness(state.tools[tool].force_age, settings)
-        if fresh > 0.0 and state.contacts.tip_node[tool, 0] >= 0:
+    for body in range(len(state.body_force)):
+        fresh = freshness(state.bodies[body].force_age, settings)
+        if fresh > 0.0 and state.contacts.tip_node[body, 0] >= 0:
             for c in range(3):
-                node, weight = state.contacts.tip_node[tool, c], fresh * state.contacts.tip_weight[tool, c]
+                node, weight = state.contacts.tip_node[body, c], fresh * state.contacts.tip_weight[body, c]
                 for axis in range(3):
-                    force[node, axis] += weight * state.tool_force[tool, axis]
+                    force[node, axis] += weight * state.body_force[body, axis]

@@ -79,7 +79,7 @@ class Poke:
         simulation.take_pose(0, np.concatenate([self.path[tick], [0.0, 0.0, 0.0, 1.0]]), tick + 1)
         if tick % self._every == 0 or tick == self.ticks - 1:
             touching, pushing = np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
-            found = self._finder.find(state.position, state.tool_goal, self._margins, touching, pushing)
+            found = self._finder.find(state.position, state.body_goal, self._margins, touching, pushing)
             simulation.take_contacts(found, tick + 1)
 
     def over(self, tick: int) -> bool:

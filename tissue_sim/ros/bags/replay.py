@@ -244,7 +244,7 @@ class _Player:
             newest, _ = self.inputs[min(self.inputs)]
             row["settings"], row["resets"] = newest["settings"], newest["resets"]
         bodies = np.zeros(len(self.poses), dtype=BodyInputs.dtype)
-        bodies["pose"], bodies["force"] = self.state.tools.pose_sequence, self.state.tools.force_sequence
+        bodies["pose"], bodies["force"] = self.state.bodies.pose_sequence, self.state.bodies.force_sequence
         return row, bodies
 
     def run(self) -> Result:

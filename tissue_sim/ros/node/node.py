@@ -78,7 +78,7 @@ class TissueNode(Node):
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken = threading.Event()
         self.sim_clock = SimClock(self, self.physics)
-        self.recorder = Recorder(self.get_fully_qualified_name(), self.physics.n_tools, self._config())
+        self.recorder = Recorder(self.get_fully_qualified_name(), self.physics.n_bodies, self._config())
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
         self.contacts = ContactWorker(

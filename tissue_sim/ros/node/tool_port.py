@@ -63,7 +63,7 @@ class ToolPort:
             return "none"
         if not self.pose_freshness.is_fresh:
             return "stale"
-        return "fresh" if self._physics.results().tools[self.bodies[0]].engaged else "refused"
+        return "fresh" if self._physics.results().bodies[self.bodies[0]].engaged else "refused"
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""

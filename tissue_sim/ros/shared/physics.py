@@ -39,7 +39,7 @@ class Physics:
         self._pose, self._force = handle(self.box.pose), handle(self.box.force)
         self._contacts, self._settings = handle(self.box.contacts), handle(self.box.settings)
         self._results, self._shape = handle(self.box.results), handle(self.box.shape)
-        self.n_tools = len(simulation.shapes.kind)
+        self.n_bodies = len(simulation.shapes.kind)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._journal_read = 0
         bell = ctypes.c_void_p(self.box.bell.ctypes.data)
@@ -151,7 +151,7 @@ class Physics:
         """What the newest tick handed out; a copy."""
         words = np.zeros(len(self.simulation.state.results), dtype=np.int64)
         mb.take(self._results, 0, 0, words)
-        return results_in(words, self.n_tools)
+        return results_in(words, self.n_bodies)
 
     def wrenches(self) -> tuple[int, Floats]:
         """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock stands.
@@ -159,7 +159,7 @@ class Physics:
         A force that no tick renews must not stay in the hand.
         """
         if self.standing:
-            return -1, np.zeros((self.n_tools, 6))
+            return -1, np.zeros((self.n_bodies, 6))
         newest = self.results()
         return newest.status.tick, newest.wrench
 
