@@ -83,19 +83,6 @@ def test_ticks_follow_the_clock_not_the_wall(client, simulator, node):
     assert ticks == pytest.approx(1000.0 * (simulator.time - start), abs=5)
 
 
-def test_stale_time_counts_simulated_time(client, simulator):
-    """A simulator at a tenth of real time: its poses are 10 ms apart to the ticks, 100 ms to the wall."""
-    inside = simulator.press()
-    client.wrenches.clear()
-    simulator.run(0.2, inside, wall=10.0 * STEP)
-    forces = [np.abs(wrench).max() for _, wrench in client.wrenches]
-    assert len(forces) > 10
-    assert min(forces) > 0.0
-    simulator.run(0.2)
-    assert client.spin_until(lambda: np.abs(client.wrenches[-1][1]).max() == 0.0, 5.0)
-    assert report(client)["left.state"] == "stale"
-
-
 def test_a_clock_that_stands_leaves_no_force_and_holds_tools_off(client, simulator, node):
     inside = simulator.press()
     stood = time.monotonic()
@@ -130,7 +117,7 @@ def test_a_jump_back_resets(client, simulator, node):
     simulator.run(0.1)
     assert client.spin_until(lambda: "/clock jumped back by" in node.text(), 2.0)
     simulator.run(0.3, away)
-    assert np.abs(client.surfaces[-1] - rest).max() < 1e-6
+    assert client.spin_until(lambda: np.abs(client.surfaces[-1] - rest).max() < 1e-6, 5.0)
     values = report(client)
     assert tick + 350 < int(values["tick"]) < tick + 450, "ticks go on counting"
     assert "left.refused.backward_stamp" not in values
