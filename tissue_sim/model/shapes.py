@@ -40,7 +40,7 @@ def make_shapes(
     grids: Sequence[Grid | None] | None = None,
     tool: ArrayLike | None = None,
 ) -> Shapes:
-    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,) that each belongs to, its own unless given."""
+    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,), its own unless given."""
     kinds = np.asarray(kind, dtype=np.int64).reshape(-1)
     n = len(kinds)
     planes = [np.zeros((0, 4))] * n if planes is None else planes

@@ -53,8 +53,8 @@ def couple_bodies(state: Any, settings: Any, scratch: Any, step: float, share: f
     """Lead where the bodies are held a share of its way, and each body after it through the virtual coupling.
 
     A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; what an impulse of the
-    contact adds to it is scratch.give, m / (N s). What holds it moves evenly through the tick, so that its speed holds no
-    jumps.
+    contact adds to it is scratch.give, m / (N s). What holds it moves evenly through the tick, so that its speed has
+    no jumps.
     """
     stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
     for body in range(len(state.body_pose)):

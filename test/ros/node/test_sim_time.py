@@ -127,19 +127,6 @@ def test_use_sim_time_can_be_left_and_taken_live(client, simulator):
 
 
 # an organ that is pressed --------------------------------------------------------------------------
-def test_stale_time_counts_simulated_time(client, simulator):
-    """A simulator at a tenth of real time: its poses are 10 ms apart to the ticks, 100 ms to the wall."""
-    inside = simulator.press()
-    client.wrenches.clear()
-    simulator.run(0.2, inside, wall=10.0 * STEP)
-    forces = [np.abs(wrench).max() for _, wrench in client.wrenches]
-    assert len(forces) > 5
-    assert min(forces) > 0.0
-    simulator.run(0.2)
-    assert client.spin_until(lambda: client.hand_force() == 0.0)
-    assert client.report()["left.state"] == "stale"
-
-
 def test_a_clock_that_stands_leaves_no_force_and_holds_tools_off(client, simulator, node):
     inside = simulator.press()
 

@@ -1,0 +1,70 @@
+"""How fresh input is, by the clock that ticks follow."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from helpers.scenes import ball
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.node.freshness import Freshness
+from tissue_sim.ros.shared.physics import Physics
+
+
+@pytest.fixture
+def scene():
+    """Freshness by a clock that the test moves, with the settings that a simulation has at first."""
+    clock = SimpleNamespace(time=10.0, now=lambda: clock.time, jumped=[])
+    physics = SimpleNamespace(standing=False, settings=Physics(Simulation(ball(1))).settings)
+    return SimpleNamespace(clock=clock, physics=physics, freshness=Freshness(clock, physics))
+
+
+def states(scene, *ages):
+    """Whether a message that came so many s ago is fresh, and whether it counts."""
+    found = []
+    for age in ages:
+        scene.freshness.came(1)
+        scene.clock.time += age
+        found.append((scene.freshness.is_fresh, scene.freshness.counts))
+    return found
+
+
+def test_what_is_stale_counts_until_it_has_faded(scene):
+    """After 50 ms stale, 20 ms later faded: of the clock's time, however long the wall waits."""
+    assert states(scene, 0.0, 0.049, 0.051, 0.069, 0.071) == [
+        *((True, True), (True, True), (False, True)),
+        *((False, True), (False, False)),
+    ]
+
+
+def test_nothing_counts_before_the_first_message_nor_while_the_clock_stands(scene):
+    assert scene.freshness.age == math.inf
+    assert not scene.freshness.counts
+    scene.physics.standing = True
+    assert states(scene, 0.0) == [(False, False)]
+    scene.physics.standing = False
+    assert states(scene, 0.0) == [(True, True)]
+
+
+def test_a_stream_that_begins_anew_may_have_any_stamp(scene):
+    scene.freshness.came(5_000)
+    assert scene.freshness.last_stamp == 5_000
+    scene.clock.time += 0.1
+    assert scene.freshness.last_stamp == 0, "faded"
+    scene.freshness.came(5_000)
+    scene.clock.time = 3.0
+    for begin_anew in scene.clock.jumped:
+        begin_anew()
+    assert scene.freshness.last_stamp == 0, "the clock jumped back"
+    assert not scene.freshness.counts
+
+
+def test_the_period_is_that_of_the_times_at_which_messages_come(scene):
+    """Several at one time of /clock are one to the ticks; a pause is none."""
+    for _ in range(400):
+        scene.clock.time += 0.01
+        for _ in range(3):
+            scene.freshness.came(1)
+    scene.clock.time += 5.0
+    scene.freshness.came(1)
+    assert 0.0099 < scene.freshness.period <= 0.0125
