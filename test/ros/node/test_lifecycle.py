@@ -97,13 +97,15 @@ def test_time_that_was_lost_is_told(client, node):
 
     def is_told():
         reports.append((client.report(), client.level, client.message))
-        return counter(client, "dropped_ticks") > dropped and any(float(r["behind_ms"]) > 900.0 for r, *_ in reports)
+        behind, factors = (
+            [float(values[name]) for values, *_ in reports] for name in ("behind_ms", "real_time_factor")
+        )
+        return counter(client, "dropped_ticks") > dropped and max(behind) > 900.0 and min(factors) < 0.9
 
     assert client.spin_until(is_told)
     # At the lowest rate that a slow machine is given, a tick is 8 ms.
     assert counter(client, "dropped_ticks") - dropped > 0.9 / 0.008
     values, level, message = max(reports, key=lambda report: float(report[0]["behind_ms"]))
-    assert float(values["real_time_factor"]) < 0.9
     assert level == DiagnosticStatus.WARN
     assert f"{float(values['behind_ms']):.1f} ms behind" in message
     assert "dropped_ticks" in "".join(message for *_, message in reports)
