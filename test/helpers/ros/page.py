@@ -37,10 +37,10 @@ class Page:
     def wait(self, done: Callable[[], bool], timeout: float = LIMIT) -> bool:
         """Whether something becomes so, while pictures are drawn at 30 Hz."""
         end = time.monotonic() + timeout
-        while not done() and time.monotonic() < end:
+        while not (found := done()) and time.monotonic() < end:
             self.viewer.update()
             time.sleep(1.0 / 30.0)
-        return done()
+        return bool(found)
 
     def tick(self, on: bool) -> None:
         self.poke._box.value = on

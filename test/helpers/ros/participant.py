@@ -48,9 +48,9 @@ class Participant:
     def spin_until(self, done: Callable[[], bool], timeout: float = LIMIT) -> bool:
         """Whether something has become true."""
         end = time.monotonic() + timeout
-        while not done() and (left := end - time.monotonic()) > 0.0:
+        while not (found := done()) and (left := end - time.monotonic()) > 0.0:
             self.executor.spin_once(timeout_sec=min(left, 0.01))
-        return done()
+        return bool(found)
 
     def report(self) -> dict[str, str]:
         """The next diagnostics of the node."""

@@ -46,6 +46,26 @@ def test_other_errors_there_are_still_shown():
     assert "ZeroDivisionError" in run("1 / 0", then_sleeps=0.0).stderr
 
 
+BEFORE_IT_WATCHES = """
+import os, signal, threading
+from tissue_sim.ros.node import program
+
+start = threading.Thread.start
+
+def signalled(thread):
+    os.kill(os.getpid(), signal.SIGTERM)
+    start(thread)
+
+threading.Thread.start = signalled
+program.run()
+"""
+
+
+def test_signal_before_the_program_watches_for_it_ends_without_a_traceback():
+    done = subprocess.run([sys.executable, "-c", BEFORE_IT_WATCHES], capture_output=True, text=True, timeout=LIMIT)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_node_that_fails_leaves_no_force_standing(monkeypatch):
     """An error in a callback reaches serve: what is published last is a wrench of zero."""
     done = []

@@ -15,7 +15,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.rosbag2 import Reader, Writer
 
-from helpers.patience import LIMIT
+from helpers.patience import LIMIT, wait_for
 from helpers.ros.clients import Client
 from helpers.ros.processes import (
     READY,
@@ -97,13 +97,15 @@ def test_time_that_was_lost_is_told(client, node):
 
     def is_told():
         reports.append((client.report(), client.level, client.message))
-        return counter(client, "dropped_ticks") > dropped and any(float(r["behind_ms"]) > 900.0 for r, *_ in reports)
+        behind, factors = (
+            [float(values[name]) for values, *_ in reports] for name in ("behind_ms", "real_time_factor")
+        )
+        return counter(client, "dropped_ticks") > dropped and max(behind) > 900.0 and min(factors) < 0.9
 
     assert client.spin_until(is_told)
     # At the lowest rate that a slow machine is given, a tick is 8 ms.
     assert counter(client, "dropped_ticks") - dropped > 0.9 / 0.008
     values, level, message = max(reports, key=lambda report: float(report[0]["behind_ms"]))
-    assert float(values["real_time_factor"]) < 0.9
     assert level == DiagnosticStatus.WARN
     assert f"{float(values['behind_ms']):.1f} ms behind" in message
     assert "dropped_ticks" in "".join(message for *_, message in reports)
@@ -259,16 +261,34 @@ def test_signal_while_kernels_compile_ends_it(tmp_path, start):
         assert "Traceback" not in process.text()
 
 
+def hears(process):
+    """Whether a process that runs has come to handle SIGTERM itself, which Python does not."""
+    try:
+        status = Path(f"/proc/{process.child.pid}/status").read_text()
+    except FileNotFoundError:
+        return False
+    caught = re.search(r"SigCgt:\s*(\w+)", status)
+    return caught is not None and bool(int(caught[1], 16) >> (signal.SIGTERM - 1) & 1)
+
+
 @pytest.mark.parametrize("delay", [0.4, 0.8, 1.2, 1.6, 2.0])
 def test_signal_while_loading_ends_it(tmp_path, start, delay):
-    """While Python itself starts, twice over the wheels, the signal ends it as it does every program."""
+    """While Python itself starts, twice over the wheels, the signal ends it as it does every program.
+
+    There Python can lose a KeyboardInterrupt: who sent it would send it again. From the program's first line on, one
+    signal is enough.
+    """
     processes = {}
     for number in (signal.SIGINT, signal.SIGTERM):
         (tmp_path / number.name).mkdir()
         processes[number] = start(tmp_path / number.name, wait=False)
     time.sleep(delay)
     for number, process in processes.items():
-        code = process.stop(number)
+        heard = hears(process)
+        process.child.send_signal(number)
+        if not heard:
+            wait_for(lambda one=process: one.child.poll() is not None or hears(one))
+        code = process.wait() if heard else process.stop(number)
         assert code in (0, -number), process.text()
         assert "Traceback" not in process.text() or code == -number
 

@@ -11,8 +11,10 @@ from tissue_sim.ros.shared.ending import Ending, Interrupted
 
 def run() -> NoReturn:
     """Run the node and leave the process."""
-    code, ending = 0, Ending()
+    code, ending = 0, None
     try:
+        ending = Ending()  # from here on, and within, a signal raises Interrupted
+
         from tissue_sim.ros.node.serve import serve
 
         code = serve(sys.argv, ending)
@@ -20,7 +22,7 @@ def run() -> NoReturn:
         pass
     except Exception:
         # A library that was being loaded may have turned Interrupted into an error of its own.
-        if not ending.asked.is_set():
+        if ending is None or not ending.asked.is_set():
             raise
     sys.stdout.flush()
     os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise
