@@ -24,7 +24,7 @@ def test_time_of_a_process_holds_threads_that_have_ended():
     worker.start()
     worker.join()
     spent = processor_seconds(os.getpid()) - before
-    assert 0.1 <= spent <= time.process_time() - mine
+    assert 0.1 - 1e-3 <= spent <= time.process_time() - mine + 1e-3  # clocks that are read one after the other
 
 
 def test_busiest_thread_is_left_out_when_asked():

@@ -66,7 +66,7 @@ class Clock:
 def clock(monkeypatch):
     """Of the player in this process."""
     made = Clock()
-    monkeypatch.setattr("tissue_sim.ros.bridge.play.time", made)
+    monkeypatch.setattr("tissue_sim.ros.bridge.player.time", made)
     return made
 
 

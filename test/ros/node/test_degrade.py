@@ -1,5 +1,7 @@
 """What is given up when the machine is too slow, in which order, and how it comes back."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -112,7 +114,7 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
         Physics(simulation),
         Values(values),
         lambda sequence, one: posted.append((sequence, one)),
-        lambda: [1e-3, 4e-3],
+        [SimpleNamespace(period=period) for period in (1e-3, 4e-3)],
     )
     return made, posted
 

@@ -297,7 +297,7 @@ def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch)
     """What a slow disk can't take in time is left out and counted; the bag can be read."""
     simulation = Simulation(ball(2))
     physics = Physics(simulation)
-    recorder = Recorder("/tissue_sim", 1, {"tools": ["left"]})
+    recorder = Recorder("/tissue_sim", 0, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
     write = Writer.write

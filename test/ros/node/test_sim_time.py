@@ -156,11 +156,11 @@ def test_a_clock_that_stands_leaves_no_force_and_holds_tools_off(client, simulat
 
 def test_a_jump_back_resets(client, simulator, node):
     away = poke_path(shipped())[0] + np.array([0.05, 0.0, 0.0])
-    simulator.run(0.3, away)
-    position = simulator.press()
 
-    def is_pressed():
-        simulator.run(0.1, position)
+    def is_pressed():  # a clock that was held up has the tool held off: it comes from outside again
+        simulator.run(0.3, away)
+        position = simulator.press()
+        simulator.run(0.3, position)
         return client.moved() > 1e-3
 
     assert client.spin_until(is_pressed)

@@ -168,8 +168,21 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         position, inward = beside(shipped().surface_positions, 0, RADIUS)
         start = position + 0.022 * inward  # on the arrow that points into the organ
         browsers.wait_for(lambda: shows_an_arrow(page.picture(), pixel(start)), "no arrow to drag")
-        page.drag(pixel(start), pixel(start + 0.02 * inward))
-        assert client.spin_until(lambda: force() > 0.1), page.text()
+
+        def is_pressed():  # a page that has no time loses moves of the mouse, or the node for a moment
+            poses.clear()
+            client.spin(1.0)
+            if not poses:
+                page.click(page.run(CENTRES)[0])
+            elif force() <= 0.1:
+                at = poses[-1].pose.position
+                arrow = np.array([at.x, at.y, at.z]) + 0.022 * inward
+                page.mouse("Released", pixel(arrow))
+                page.drag(pixel(arrow), pixel(arrow + 0.02 * inward))
+                client.spin_until(lambda: force() > 0.1, 5.0)
+            return force() > 0.1
+
+        browsers.wait_for(is_pressed, page.text)
         browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
         plotted = "Math.max(...Object.values(window.__viserTestpoints.uplots)[0].chart.data[1].filter(isFinite))"
         browsers.wait_for(lambda: page.run(plotted) > 0.1, "no curve")
