@@ -244,7 +244,7 @@ def test_results_are_those_of_the_newest_tick():
         assert loop.box.shape.sequence[0] > 10
     state, found = loop.simulation.state, loop.results()
     np.testing.assert_array_equal(found.wrench, state.wrench)
-    for name in ("status", "count", "tools"):
+    for name in ("status", "count", "bodies"):
         assert getattr(found, name).tobytes() == getattr(state, name).tobytes(), name
     tick, positions = loop.shape()
     np.testing.assert_array_equal(positions, state.position)

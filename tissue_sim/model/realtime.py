@@ -86,8 +86,8 @@ def is_idle(world: Any, box: Any) -> bool:
     state, settings = world.state, world.settings
     idle = state.status.asleep and box.control.resets == box.row.resets
     for body in range(len(state.bodies)):
-        body, taken = state.bodies[body], box.inputs[body]
-        idle = idle and freshness(body.age, settings) == 0.0 and freshness(body.force_age, settings) == 0.0
+        status, taken = state.bodies[body], box.inputs[body]
+        idle = idle and freshness(status.age, settings) == 0.0 and freshness(status.force_age, settings) == 0.0
         idle = idle and box.pose.sequence[body] == taken.pose and box.force.sequence[body] == taken.force
     return idle
 
