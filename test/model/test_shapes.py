@@ -115,6 +115,6 @@ def test_grid_far_away_is_far():
     assert signed_distance(SHAPES, 5, 1.0, 0.0, 0.0)[0] > 0.9
 
 
-def test_bodies_belong_to_a_hand_each_unless_said():
-    np.testing.assert_array_equal(SHAPES.hand, np.arange(6))
+def test_bodies_belong_to_a_tool_each_unless_said():
+    np.testing.assert_array_equal(SHAPES.tool, np.arange(6))
     np.testing.assert_array_equal(make_shapes([SPHERE, SPHERE], np.ones((2, 2)), tool=[0, 0]).tool, [0, 0])
