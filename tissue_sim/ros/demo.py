@@ -178,7 +178,7 @@ class Watch:
                     elif (waited := round(now - started)) == 2 or (waited > 0 and waited % 10 == 0):
                         print(
                             f"waiting for the node, {waited} s"
-                            " (its kernels compile when it runs here for the first time, a minute or so)",
+                            " (its kernels compile when it runs here for the first time, half a minute)",
                             flush=True,
                         )
                 wait_a_little(min(next_line, end))

@@ -61,7 +61,7 @@ class TissueNode(Node):
         self._organ_bytes = self.organ_path.read_bytes()
         tools = ToolSet([tool_of(values, name) for name in values.tools])
         if not is_compiled():
-            self.get_logger().info("compiling the kernels, once for this machine: a minute or so")
+            self.get_logger().info("compiling the kernels, once for this machine: half a minute")
             self._beside = compile_beside(self.organ_path)
         self.simulation = Simulation(
             self.organ,
