@@ -77,6 +77,18 @@ def test_kernels_that_call_the_models_are_compiled_again_when_those_change(monke
     assert changed == set(layers) - {"organ"}
 
 
+@pytest.mark.parametrize("source", ["class Settings(Record):", "class Integrator(IntEnum):"])
+def test_a_change_of_records_and_enumerations_compiles_kernels_again(monkeypatch, tmp_path, source):
+    """An enumeration is a constant in the kernels that name it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("tissue_sim.jit.__file__", str(tmp_path / "jit.py"))
+    (tmp_path / "jit.py").write_text("")
+    (tmp_path / "model").mkdir()
+    before = cache_folder("model")
+    (tmp_path / "model" / "settings.py").write_text(source)
+    assert cache_folder("model") != before
+
+
 class Inner(NamedTuple):
     table: Any
 

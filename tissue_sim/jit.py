@@ -37,7 +37,8 @@ def cache_folder(layer: str) -> Path:
     called = [layer] if layer in ("organ", "model") else [layer, "model"]
     for source in (path for one in called for path in sorted((Path(__file__).parent / one).rglob("*.py"))):
         content = source.read_bytes()
-        if any(word in content for word in (b"@kernel", b"@part", b"NamedTuple")):  # kernels and what they are given
+        # Kernels, what they are given, and the enumerations that are constants in them.
+        if any(word in content for word in (b"@kernel", b"@part", b"NamedTuple", b"(Record)", b"(IntEnum)")):
             digest.update(content)
     name = f"{layer}-numba-{numba.__version__}-{digest.hexdigest()[:16]}"
     for base in (user_cache(), Path(tempfile.gettempdir()) / f"tissue_sim-{os.getuid()}"):

@@ -25,7 +25,7 @@ class Record:
         """Work out the dtype."""
         hints = get_type_hints(cls)
         fields = [(name, _KINDS[hints[name]]) for name in cls.__annotations__]
-        cls.dtype = np.dtype({"names": [], "formats": []}) if not fields else _padded(np.dtype(fields, align=True))
+        cls.dtype = _padded(np.dtype(fields, align=True))
 
     @classmethod
     def words(cls) -> int:
@@ -60,8 +60,7 @@ def array_of(value: Any) -> NDArray[Any]:
 
 def words_of(record: Any) -> Longs:
     """The words that a record views."""
-    words: Longs = record.base.view(np.ndarray).view(np.int64)
-    return words
+    return array_of(record).reshape(1).view(np.int64)
 
 
 def copy_of[R](record: R) -> R:
