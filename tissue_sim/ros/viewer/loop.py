@@ -25,10 +25,12 @@ from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 class Viewer:
     """Takes the newest of everything and draws what has changed; `update` is called for each picture.
 
-    tools: their names, or None for those of the node.
+    tools: their names, or None for those of the node; patience s as in `Poke`.
     """
 
-    def __init__(self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...] | None) -> None:
+    def __init__(
+        self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...] | None, patience: float
+    ) -> None:
         self._server, self._target = server, target
         self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
         self._surface = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
@@ -38,7 +40,7 @@ class Viewer:
         self._parameters = NodeParameters(target)
         self._panel = Panel(server)
         self._tool_markers = client.Inbox(node, MarkerArray, f"/{target}/tools", client.stream_qos())
-        self.tools = ToolsView(server, node, target, tools)
+        self.tools = ToolsView(server, node, target, tools, patience)
         self._organ: OrganView | None = None
         self._positions: Any = None  # not drawn yet
         self._points: Any = None  # where the surface was last

@@ -23,7 +23,6 @@ CLEAR = 0.008  # m between a tool that is taken and the organ
 GIZMO = 0.03  # m, length of its arrows
 LOOK_EVERY = 0.5  # s between two looks at who else publishes
 PROBE_EVERY = 1.0  # s between two questions to the browser that holds a tool
-PATIENCE = 5.0  # s that it may take to answer
 
 
 def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
@@ -50,10 +49,13 @@ def pointing(inward: Floats) -> Floats:
 
 
 class Poke:
-    """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses."""
+    """A tool that one browser at a time may hold: its checkbox, its gizmo, its poses.
 
-    def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int) -> None:
-        self._server, self._view, self._index = server, view, index
+    patience s: a page that has not answered for longer loses the tool.
+    """
+
+    def __init__(self, server: viser.ViserServer, node: Node, view: ToolView, index: int, patience: float) -> None:
+        self._server, self._view, self._index, self._patience = server, view, index, patience
         self.name = view.name
         self._tool = HeldTool(node, self.name)
         self._ready = False  # it is known how to speak to the tool
@@ -171,7 +173,7 @@ class Poke:
         """Lets go when the page no longer answers: a page that was left, or lies behind others, stays connected."""
         while not gone.wait(PROBE_EVERY):
             try:
-                holder.local_storage.get_item("hand", timeout=PATIENCE)
+                holder.local_storage.get_item("hand", timeout=self._patience)
             except TimeoutError:
                 if not gone.is_set():
                     self._asked.put((False, None))

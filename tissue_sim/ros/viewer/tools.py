@@ -22,12 +22,15 @@ SILENT_AFTER = 3.0  # s without markers, or without diagnostics
 class ToolsView:
     """The tools of the node `target`: those named, or else all that its markers show.
 
-    views and pokes have one for each tool.
+    views and pokes have one for each tool; patience s as in `Poke`.
     """
 
-    def __init__(self, server: viser.ViserServer, node: Node, target: str, names: tuple[str, ...] | None) -> None:
+    def __init__(
+        self, server: viser.ViserServer, node: Node, target: str, names: tuple[str, ...] | None, patience: float
+    ) -> None:
         self._server, self._node, self._target, self._follows = server, node, target, names is None
         self._names: tuple[str, ...] = ()
+        self._patience = patience
         self.views: list[ToolView] = []
         self.pokes: list[Poke] = []
         self._plot: ForcePlot | None = None
@@ -77,7 +80,9 @@ class ToolsView:
             part.remove()
         self._names = names
         self.views = [ToolView(self._server, name, index) for index, name in enumerate(names)]
-        self.pokes = [Poke(self._server, self._node, view, index) for index, view in enumerate(self.views)]
+        self.pokes = [
+            Poke(self._server, self._node, view, index, self._patience) for index, view in enumerate(self.views)
+        ]
         self._plot = ForcePlot(self._server, names) if names else None
         if self._told is not None:
             self.use(self._told)

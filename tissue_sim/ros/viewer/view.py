@@ -31,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=client.port_number, default=8080, help="port to serve at")
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
     parser.add_argument("--tools", type=client.names, help="names of the tools (default: the node's)")
+    parser.add_argument(
+        "--patience",
+        type=client.number(0.1, 3600.0, "s"),
+        default=5.0,
+        help="seconds after which a page that holds a tool and doesn't answer loses it (default %(default)s)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         from tissue_sim.ros.viewer.loop import Viewer
 
         print(f"open http://{shown_host(args.host)}:{args.port}", flush=True)
-        viewer = Viewer(server, node, args.node, args.tools)
+        viewer = Viewer(server, node, args.node, args.tools, args.patience)
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.
         sys.setswitchinterval(0.001)
         try:
