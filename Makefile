@@ -4,8 +4,6 @@
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
-FIRST_TICK := from tissue_sim.model import Simulation; from tissue_sim.organ.organ import Organ; \
-	from tissue_sim.organ.shipped import shipped_organ; Simulation(Organ.load(shipped_organ())).step()
 DEMO_EXTRAS := ros,viewer
 # Loaded once after installing: its bytecode would be compiled by three programs at once when the demo first starts.
 LOADED := import tissue_sim.ros.node.serve, tissue_sim.ros.viewer.loop
@@ -30,7 +28,7 @@ demo: .venv/.installed-demo ## node, scripted haptic bridge and viewer (http://1
 # loadfile: a file's nodes and organs are made once. What shares cores has no threads of its own, that would only wait.
 # 5: none was selected.
 test: lint ## checks and tests; PYTEST="-k node" for some of them
-	@$(PY) -c '$(FIRST_TICK)'
+	@$(PY) .ci/compile
 	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist loadfile $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
