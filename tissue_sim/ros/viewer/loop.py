@@ -29,7 +29,12 @@ class Viewer:
     """
 
     def __init__(
-        self, server: viser.ViserServer, node: Node, target: str, tools: tuple[str, ...] | None, patience: float
+        self,
+        server: viser.ViserServer,
+        node: Node,
+        target: str,
+        tools: tuple[str, ...] | None,
+        patience: float = PATIENCE,
     ) -> None:
         self._server, self._target = server, target
         self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())

@@ -26,7 +26,12 @@ class ToolsView:
     """
 
     def __init__(
-        self, server: viser.ViserServer, node: Node, target: str, names: tuple[str, ...] | None, patience: float
+        self,
+        server: viser.ViserServer,
+        node: Node,
+        target: str,
+        names: tuple[str, ...] | None,
+        patience: float = PATIENCE,
     ) -> None:
         self._server, self._node, self._target, self._follows = server, node, target, names is None
         self._names: tuple[str, ...] = ()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import viser
 
 FRAME_TIME = 1.0 / 30.0  # s, at least, between two pictures
+PATIENCE = 5.0  # s that a page which holds a tool may take to answer
 IDLE_TIME = 0.2  # s between two looks while no browser is connected
 
 
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--patience",
         type=client.number(0.1, 3600.0, "s"),
-        default=5.0,
+        default=PATIENCE,
         help="seconds after which a page that holds a tool and doesn't answer loses it (default %(default)s)",
     )
 
