@@ -20,6 +20,7 @@ from tissue_sim.ros.viewer.panel import Panel, headline
 from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, OrganView, SkeletonView, camera_for, light
 from tissue_sim.ros.viewer.services import Services
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
+from tissue_sim.ros.viewer.view import PATIENCE
 
 
 class Viewer:

@@ -15,6 +15,7 @@ from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.plot import ForcePlot
 from tissue_sim.ros.viewer.poke import Poke
 from tissue_sim.ros.viewer.tool_view import ToolView
+from tissue_sim.ros.viewer.view import PATIENCE
 
 SILENT_AFTER = 3.0  # s without markers, or without diagnostics
 
