@@ -5,8 +5,6 @@
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
 DEMO_EXTRAS := ros,viewer
-# Loaded once after installing: its bytecode would be compiled by three programs at once when the demo first starts.
-LOADED := import tissue_sim.ros.node.serve, tissue_sim.ros.viewer.loop
 EXTRAS := $(DEMO_EXTRAS),image,calibration,bench,test
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
@@ -64,7 +62,6 @@ STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.in
 .venv/.installed-demo: setup.py setup.cfg constraints.txt tissue_sim/__init__.py .ci/venv $(if $(STALE),FORCE)
 	$(if $(shell .ci/venv --python),,$(error $(NO_PYTHON)))
 	.ci/venv $(DEMO_EXTRAS)
-	@env -u PYTHONDONTWRITEBYTECODE $(PY) -c '$(LOADED)'
 	@printf %s '$(CURDIR)' > $@
 
 .venv/.installed: .venv/.installed-demo
