@@ -180,7 +180,7 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         browsers.wait_for(is_pressed, page.text)
         browsers.wait_for(lambda: share_of_yellow(page.picture(tmp_path / "poked.png")) > 0.03, "no colour")
         plotted = "Math.max(...Object.values(window.__viserTestpoints.uplots)[0].chart.data[1].filter(isFinite))"
-        browsers.wait_for(lambda: page.run(plotted) > 0.1, "no curve")
+        browsers.wait_for(lambda: (page.run(plotted) or 0.0) > 0.1, "no curve")
 
         page.open("about:blank")  # the hand leaves without letting go: the browser keeps the connection open
         assert client.spin_until(is_let_go)
