@@ -37,6 +37,28 @@ def test_each_lies_on_the_spoke_of_a_boundary_point():
     assert np.all(inside(placed.positions, surface, triangles))
 
 
+def test_a_layer_lies_a_mean_edge_under_the_boundary_and_the_others_deeper():
+    surface, triangles, atoms = parts(kidney())
+    placed = place_interior_atoms(surface, triangles, atoms, 300, layer=0.7)
+    mesh = trimesh.Trimesh(surface, triangles, process=False)
+    samples = trimesh.sample.sample_surface(mesh, 200_000, seed=0)[0]
+    depth = cKDTree(samples).query(placed.positions)[0] / mesh.edges_unique_length.mean()
+    layer, core = depth[:210], depth[210:]
+    assert np.median(layer) == pytest.approx(0.85, abs=0.15)
+    assert np.percentile(layer, 95) < 1.2 < core.min()
+    spacing = cKDTree(placed.positions[:210]).query(placed.positions[:210], 2)[0][:, 1]
+    assert spacing.min() > 0.4 * np.median(spacing), "some crowd"
+    assert np.all(inside(placed.positions, surface, triangles))
+
+
+def test_an_organ_too_thin_for_a_core_has_them_all_where_there_is_room():
+    organ = ball()
+    placed = place_interior_atoms(*parts(organ), 20, layer=0.7)
+    assert len(placed.positions) == 20
+    with pytest.raises(UserError, match="--interior 100000 is too many"):
+        place_interior_atoms(*parts(organ), 100_000, layer=0.7)
+
+
 def test_they_spread_through_the_volume():
     """No place inside is far from all inner nodes, none crowd, and more atoms fill closer."""
     surface, triangles, atoms = parts(kidney())

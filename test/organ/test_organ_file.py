@@ -59,7 +59,7 @@ def test_hardening_out_of_range_is_refused(hardening):
 
 def test_a_file_of_version_2_has_springs_of_equation_1(path):
     with np.load(path) as stored:
-        content = {key: stored[key] for key in stored.files if key != "sha256"}
+        content = {key: stored[key] for key in stored.files if key != "sha256" and not key.startswith("cell_")}
     header = json.loads(str(content.pop("header"))) | {"schema_version": 2}
     del header["hardening"]
     text = json.dumps(header, sort_keys=True)
@@ -161,6 +161,7 @@ def test_a_file_of_version_1_is_read_and_its_checksum_held(path):
     """Before interior atoms: no interior_spoke."""
     with np.load(path) as stored:
         content = {key: stored[key] for key in stored.files if key not in ("interior_spoke", "sha256")}
+    content = {key: array for key, array in content.items() if not key.startswith("cell_")}
     header = json.loads(str(content.pop("header"))) | {"schema_version": 1}
     text = json.dumps(header, sort_keys=True)
     np.savez_compressed(path, header=np.array(text), sha256=np.array(_digest(text, content)), **content)

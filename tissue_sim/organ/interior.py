@@ -19,6 +19,7 @@ from tissue_sim.organ.winding import inside
 
 _SHARES = np.linspace(0.1, 0.9, 17)  # of a spoke's length, from the medial atom
 _WALL = 2.0  # atoms keep half as far from the boundary as from each other
+_LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, half of how thick it is, what is deeper
 _PROBES = np.linspace(0.04, 1.0, 24)  # of the way from the medial atom to an interior atom, looked at from inside
 
 
@@ -41,12 +42,15 @@ def check_interior(count: int) -> None:
         raise UserError(f"--interior {count} is negative; use 0 or more")
 
 
-def place_interior_atoms(surface: Floats, triangles: Ints, atoms: Floats, count: int) -> InteriorAtoms:
+def place_interior_atoms(
+    surface: Floats, triangles: Ints, atoms: Floats, count: int, layer: float = 0.0
+) -> InteriorAtoms:
     """`count` interior atoms on the spokes of boundary points (n, 3) m and medial atoms (a, 3) m.
 
     One after another each takes the place on a spoke that is farthest from all atoms so far and from the
     boundary, whose distance counts double (farthest point sampling, Gonzalez 1985). Places whose
-    spoke leaves the organ on the way don't count.
+    spoke leaves the organ on the way don't count. layer: the share of them that is spread a mean edge under the
+    boundary, where cells change most; the others lie deeper then.
     Raises UserError for a negative count or more atoms than there are places.
     """
     check_interior(count)
@@ -54,20 +58,33 @@ def place_interior_atoms(surface: Floats, triangles: Ints, atoms: Floats, count:
     spoke = np.repeat(np.stack([owner, np.arange(len(surface))], axis=1), len(_SHARES), axis=0)
     share = np.tile(_SHARES, len(surface))
     places = atoms[spoke[:, 0]] + share[:, None] * (surface[spoke[:, 1]] - atoms[spoke[:, 0]])
-    room = np.minimum(cKDTree(atoms).query(places)[0], _WALL * cKDTree(surface).query(places)[0])
+    apart, depth = cKDTree(atoms).query(places)[0], cKDTree(surface).query(places)[0]
     chosen: list[int] = []
-    while len(chosen) < count:
-        best = int(room.argmax())
-        if room[best] <= 0.0:
-            raise UserError(f"--interior {count} is too many for this organ; it has room for {len(chosen)}")
-        start = atoms[spoke[best, 0]]
-        way = start + _PROBES[:, None] * (places[best] - start)
-        if np.all(inside(way, surface, triangles)):
-            chosen.append(best)
-            room = np.minimum(room, np.linalg.norm(places - places[best], axis=1))
-            room[best] = 0.0
-        else:
-            last = (best // len(_SHARES) + 1) * len(_SHARES)
-            room[best:last] = 0.0  # beyond it on its spoke is no better
+
+    def choose(until: int, room: Floats) -> None:
+        """Take the places with the most room, until there are so many; room (p,) m is spent."""
+        while len(chosen) < until:
+            best = int(room.argmax())
+            if room[best] <= 0.0:
+                return
+            start = atoms[spoke[best, 0]]
+            way = start + _PROBES[:, None] * (places[best] - start)
+            if np.all(inside(way, surface, triangles)):
+                chosen.append(best)
+                room[:] = np.minimum(room, np.linalg.norm(places - places[best], axis=1))
+                room[best] = 0.0
+            else:
+                last = (best // len(_SHARES) + 1) * len(_SHARES)
+                room[best:last] = 0.0  # beyond it on its spoke is no better
+
+    if layer > 0.0:
+        edge = float(np.linalg.norm(surface[triangles] - surface[np.roll(triangles, 1, axis=1)], axis=2).mean())
+        choose(round(layer * count), np.where(np.abs(depth - _LAYER * edge) < _THICK * edge, apart, 0.0))
+        apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0]) if chosen else apart
+        choose(count, np.where(depth > _DEEP * edge, apart, 0.0))
+        apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0]) if chosen else apart
+    choose(count, np.minimum(apart, _WALL * depth))
+    if len(chosen) < count:
+        raise UserError(f"--interior {count} is too many for this organ; it has room for {len(chosen)}")
     index = np.array(chosen, dtype=np.int64)
     return InteriorAtoms(places[index], spoke[index].astype(np.int32), share[index])

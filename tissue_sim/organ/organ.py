@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 
-SCHEMA_VERSION = 3  # 2: interior_spoke; 3: hardening
+SCHEMA_VERSION = 4  # 2: interior_spoke; 3: hardening; 4: cells
 MOST_HARDENING = 3.0  # beyond it a spring's force would fall while it is pulled
 
 
@@ -32,12 +32,20 @@ class SpringKind(IntEnum):
     SKELETON = 3  # two neighbouring medial atoms
 
 
-def _floats(*shape: int | str) -> Any:
-    return field(metadata={"dtype": np.float64, "shape": shape})
+def _floats(*shape: int | str, empty: tuple[int, ...] | None = None) -> Any:
+    return _array(np.float64, shape, empty)
 
 
-def _ints(*shape: int | str) -> Any:
-    return field(metadata={"dtype": np.int32, "shape": shape})
+def _ints(*shape: int | str, empty: tuple[int, ...] | None = None) -> Any:
+    return _array(np.int32, shape, empty)
+
+
+def _array(dtype: type, shape: tuple[int | str, ...], empty: tuple[int, ...] | None) -> Any:
+    """A field of an array; empty: its shape where there is none, or None where there must be."""
+    metadata = {"dtype": dtype, "shape": shape}
+    if empty is None:
+        return field(metadata=metadata)
+    return field(default_factory=lambda: np.zeros(empty, dtype=dtype), metadata=metadata)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +82,10 @@ class Organ:
     density: float = 0.0  # kg/m^3
     hardening: float = 0.0  # of axial springs: secant stiffness 1 + h s (s - 1), s = strain / 0.4; 0: equation (1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    # Of calibrated tissue: tetrahedra between the nodes, det(b - a, c - a, d - a) > 0. None where springs are all.
+    cell_nodes: Ints = _ints("n_cells", 4, empty=(0, 4))
+    cell_mu: Floats = _floats("n_cells", empty=(0,))  # Pa, shear modulus
+    cell_lambda: Floats = _floats("n_cells", empty=(0,))  # Pa, Lame's first
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -116,6 +128,12 @@ class Organ:
         """Volume enclosed by the rest surface, m^3 (divergence theorem)."""
         return signed_volume(self.surface_positions, self.surface_triangles)
 
+    @property
+    def lame_moduli(self) -> tuple[float, float]:
+        """Lame's moduli of the tissue, Pa: mu, the shear modulus, and lambda."""
+        e, nu = self.youngs_modulus, self.poisson_ratio
+        return e / (2.0 * (1.0 + nu)), e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+
     # checks ------------------------------------------------------------------------------------
     def _check(self, sizes: dict[str, int]) -> None:
         n = sizes["n_surface"] + sizes["n_atoms"] + sizes["n_interior"]
@@ -126,6 +144,7 @@ class Organ:
             "fixed": sizes["n_surface"],
             "spring_nodes": n,
             "angular_nodes": n,
+            "cell_nodes": n,
         }
         for key, limit in limits.items():
             array = getattr(self, key)
@@ -137,16 +156,19 @@ class Organ:
         parent = self.atom_parent
         if parent.size and (parent.min() < -1 or np.any(parent >= np.arange(len(parent)))):
             raise UserError(f"organ '{self.name}': atom_parent must name an earlier atom, or -1 for the root")
-        for key in ("mass", "spring_rest_length", "atom_radius"):
+        for key in ("mass", "spring_rest_length", "atom_radius", "cell_mu"):
             if np.any(getattr(self, key) <= 0.0):
                 raise UserError(f"organ '{self.name}': {key} must be greater than 0 everywhere")
-        for key in ("damping", "return_stiffness", "spring_stiffness", "angular_stiffness"):
+        for key in ("damping", "return_stiffness", "spring_stiffness", "angular_stiffness", "cell_lambda"):
             if np.any(getattr(self, key) < 0.0):
                 raise UserError(f"organ '{self.name}': {key} must not be negative")
         if not 0.0 <= self.hardening <= MOST_HARDENING:
             raise UserError(
                 f"organ '{self.name}': hardening must be from 0 to {MOST_HARDENING:g}, is {self.hardening:g}"
             )
+        corner = self.rest_positions[self.cell_nodes]
+        if np.any(np.linalg.det(corner[:, 1:] - corner[:, :1]) <= 0.0):
+            raise UserError(f"organ '{self.name}': cell_nodes holds cells without volume or inside out")
         check_surface(self.surface_positions, self.surface_triangles, f"organ '{self.name}'")
 
     # files -------------------------------------------------------------------------------------
@@ -212,6 +234,8 @@ class Organ:
         expected = {item.name for item in fields(cls) if "dtype" in item.metadata}
         if version < 2:
             expected -= {"interior_spoke"}
+        if version < 4:
+            expected -= {"cell_nodes", "cell_mu", "cell_lambda"}
         if set(content) != expected:
             odd = ", ".join(sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
@@ -224,6 +248,8 @@ class Organ:
     def digest(self) -> str:
         """SHA-256 (hex) of the arrays and the springs' law: two organs with the same digest simulate alike."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
+        if not len(self.cell_nodes):  # as it was before there were cells
+            arrays = {name: array for name, array in arrays.items() if not name.startswith("cell_")}
         return _digest(f"hardening {self.hardening!r}" if self.hardening else "", arrays)
 
 

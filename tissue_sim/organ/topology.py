@@ -7,14 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
+from tissue_sim.organ.cell_mesh import tetrahedra
 from tissue_sim.organ.interior import place_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volume
-from tissue_sim.organ.winding import inside
 
 NEAREST_ATOMS = 4  # section 3.3: each boundary point is joined with the four nearest medial atoms
 # Of the organ's mass. The skeleton's springs are the stiffest: with less mass on its atoms it alone would set the step.
@@ -34,6 +33,7 @@ def assemble_organ(
     atom_parent: ArrayLike,
     fixed: ArrayLike = (),
     interior_atoms: int = 0,
+    interior_layer: float = 0.0,
     youngs_modulus: float = 10_000.0,
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
@@ -45,7 +45,8 @@ def assemble_organ(
     surface_positions (n_surface, 3) m, surface_triangles (n_triangles, 3) outward,
     atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
     root, fixed (n_fixed,) surface nodes, interior_atoms: how many further atoms to spread along the
-    spokes, youngs_modulus Pa, density kg/m^3, hardening of the axial springs, 0 for those of equation (1).
+    spokes, interior_layer: the share of them that lies a mean edge under the surface, youngs_modulus Pa,
+    density kg/m^3, hardening of the axial springs, 0 for those of equation (1).
 
     Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
     0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
@@ -78,7 +79,7 @@ def assemble_organ(
     thickness = SHELL_THICKNESS * float(edge_length.mean())
     share = node_area(surface, triangles)
 
-    interior = place_interior_atoms(surface, triangles, atoms, interior_atoms)
+    interior = place_interior_atoms(surface, triangles, atoms, interior_atoms, interior_layer)
     inner = np.concatenate([atoms, interior.positions])
     # A column of tissue is neither free to bulge (E) nor confined (oedometric modulus): between them.
     confined = (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
@@ -228,11 +229,7 @@ def tetrahedral_edges(points: Floats, surface: Floats, triangles: Ints) -> Tetra
 
     None where all points lie in a plane.
     """
-    try:
-        cells = Delaunay(points).simplices.astype(np.int64)
-    except QhullError:
-        return NO_TETRAHEDRA
-    cells = cells[inside(points[cells].mean(axis=1), surface, triangles)]
+    cells = tetrahedra(points, surface, triangles)
     corner = points[cells]
     volume = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])) / 6.0
     pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])

@@ -5,6 +5,8 @@ import pytest
 import trimesh
 
 from helpers.eggs import forked_egg
+from helpers.scenes import ball
+from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.reporting.description import describe, label, shown, text_lines
 from tissue_sim.organ.topology import assemble_organ
 
@@ -64,6 +66,16 @@ def test_one_atom_and_interior_atoms():
     assert found["mass_g"]["interior"] > 0.0
     assert (found["skeleton"]["branches"], found["skeleton"]["length_mm"]) == (0, 0.0)
     assert "spacing_mm" not in found["skeleton"]
+
+
+def test_cells_of_an_organ_that_has_them():
+    assert "cells" not in describe(ball())
+    organ = with_cells(ball(), (1.0, 0.5))
+    cells = describe(organ)["cells"]
+    assert cells["count"] == len(organ.cell_nodes)
+    assert cells["filled_percent"] == pytest.approx(100.0, abs=5.0)
+    assert cells["mu_pa"]["median"] == pytest.approx(organ.lame_moduli[0])
+    assert cells["lambda_pa"]["largest"] == pytest.approx(0.5 * organ.lame_moduli[1])
 
 
 def test_words_and_numbers():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.organ.cell_mesh import quality_of
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, SpringKind
 from tissue_sim.organ.surfaces.surface_quality import measure
 
@@ -48,6 +49,7 @@ def describe(organ: Organ) -> dict[str, Any]:
         "skeleton": _skeleton(organ),
         "interior_points": len(organ.interior_positions),
         "springs": _springs(organ),
+        **({"cells": _cells(organ)} if len(organ.cell_nodes) else {}),
         "mass_g": _masses(organ),
         "tissue": {
             "youngs_modulus_pa": organ.youngs_modulus,
@@ -103,6 +105,17 @@ def _springs(organ: Organ) -> dict[str, Any]:
             "stiffness_n_per_m": _range(organ.return_stiffness[held_back]),
         }
     return found
+
+
+def _cells(organ: Organ) -> dict[str, Any]:
+    volume, quality = quality_of(organ.rest_positions, organ.cell_nodes)
+    return {
+        "count": len(organ.cell_nodes),
+        "filled_percent": 100.0 * float(volume.sum()) / organ.volume,
+        "quality": _range(quality),
+        "mu_pa": _range(organ.cell_mu),
+        "lambda_pa": _range(organ.cell_lambda),
+    }
 
 
 def _masses(organ: Organ) -> dict[str, Any]:

@@ -1,0 +1,96 @@
+"""Cells between an organ's nodes: what they fill, how flat they may be, what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.scenes import ball, kidney
+from tissue_sim.errors import UserError
+from tissue_sim.organ.cell_mesh import LEAST_QUALITY, quality_of, tetrahedra, tissue_cells, with_cells
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.organ.topology import assemble_like
+
+
+def calibrated():
+    """The kidney that ships, with its interior atoms."""
+    return Organ.load(shipped_organ())
+
+
+CORNERS = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
+
+
+def faces_of(cells):
+    return {tuple(sorted(face)) for corner in CORNERS for face in cells[:, corner].tolist()}
+
+
+def test_a_regular_cell_has_quality_1_and_a_flat_one_0():
+    regular = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, 1], [-1, 1, -1]], dtype=float)
+    volume, quality = quality_of(regular, np.array([[0, 1, 2, 3], [1, 0, 2, 3]]))
+    assert np.abs(volume) == pytest.approx(8.0 / 3.0)
+    np.testing.assert_allclose(quality[0], -quality[1])
+    assert abs(quality[0]) == pytest.approx(1.0)
+    flat = regular * [1.0, 1.0, 0.0]
+    assert quality_of(flat, np.array([[0, 1, 2, 3]]))[1] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("organ", [ball(2), assemble_like(ball(3), interior_atoms=100), calibrated()])
+def test_cells_fill_the_organ_join_every_node_and_none_is_a_sliver(organ):
+    made = with_cells(organ)
+    volume, quality = quality_of(made.rest_positions, made.cell_nodes)
+    assert volume.min() > 0.0
+    assert 0.97 < volume.sum() / organ.volume < 1.0 + 1e-9
+    assert np.array_equal(np.unique(made.cell_nodes), np.arange(organ.n_nodes))
+    assert (quality > LEAST_QUALITY).mean() > 0.999
+    triangles = {tuple(sorted(corner)) for corner in organ.surface_triangles.tolist()}
+    on_surface = sum(len(triangles & faces_of(made.cell_nodes[k : k + 1])) == 2 for k in range(len(volume)))
+    assert on_surface <= 2, "a dent must turn such a cell inside out"
+    missed = triangles - faces_of(tetrahedra(organ.rest_positions, organ.surface_positions, organ.surface_triangles))
+    assert len(missed) < 0.01 * len(triangles)
+
+
+def test_moduli_are_those_of_the_tissue():
+    organ = with_cells(ball(), (1.0, 0.5))
+    e, nu = organ.youngs_modulus, organ.poisson_ratio
+    np.testing.assert_allclose(organ.cell_mu, e / (2.0 * (1.0 + nu)))
+    np.testing.assert_allclose(organ.cell_lambda, 0.5 * e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)))
+
+
+def test_too_few_nodes_inside_are_told_of():
+    with pytest.raises(UserError, match=r"cells fill 7\d % of organ 'kidney'; build it with more --interior"):
+        with_cells(kidney())
+
+
+def test_a_node_that_no_cell_joins_is_told_of():
+    organ = ball()
+    outside = np.concatenate([organ.rest_positions, [[0.0, 0.0, 1.0]]])
+    with pytest.raises(UserError, match="no cell joins 1 nodes"):
+        tissue_cells(outside, organ.surface_positions, organ.surface_triangles, "ball")
+
+
+def test_a_file_keeps_cells_and_one_without_is_what_it_was(tmp_path):
+    organ = with_cells(ball())
+    organ.save(tmp_path / "cells.npz")
+    read = Organ.load(tmp_path / "cells.npz")
+    for name in ("cell_nodes", "cell_mu", "cell_lambda"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(organ, name))
+    assert read.digest() == organ.digest() != ball().digest()
+    assert replace(organ, cell_mu=2.0 * organ.cell_mu).digest() != organ.digest()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"cell_nodes": lambda cells: cells[:, [1, 0, 2, 3]]}, "without volume or inside out"),
+        ({"cell_nodes": lambda cells: cells + 10_000}, "cell_nodes names a node outside"),
+        ({"cell_mu": lambda mu: 0.0 * mu}, "cell_mu must be greater than 0"),
+        ({"cell_lambda": lambda lam: -lam}, "cell_lambda must not be negative"),
+        ({"cell_mu": lambda mu: mu[1:]}, "cell_mu has shape"),
+    ],
+)
+def test_cells_that_make_no_sense_are_refused_by_name(change, words):
+    organ = with_cells(ball())
+    changed = {name: how(getattr(organ, name)) for name, how in change.items()}
+    with pytest.raises(UserError, match=words):
+        replace(organ, **changed)

@@ -1,0 +1,88 @@
+"""Tetrahedra between the nodes of an organ: the cells of its tissue."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ, signed_volume
+from tissue_sim.organ.winding import inside
+
+# Of a regular tetrahedron's volume, for edges as long in the quadratic mean: flatter ones are left out. They carry
+# nothing, and would set the critical step.
+LEAST_QUALITY = 0.1
+LEAST_SHARE = 0.9  # of the volume
+_FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
+
+
+def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
+    """Delaunay tetrahedra (c, 4) of points (n, 3) m whose middle lies inside the closed surface.
+
+    None where all points lie in a plane.
+    """
+    try:
+        cells = Delaunay(points).simplices.astype(np.int64)
+    except QhullError:
+        return np.zeros((0, 4), dtype=np.int64)
+    return cells[inside(points[cells].mean(axis=1), surface, triangles)]
+
+
+def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) -> Ints:
+    """Cells (c, 4) of positive volume that fill a closed surface, between points (n, 3) m.
+
+    The points begin with those of the surface. Left out are slivers, and cells with two faces on the surface, which a
+    dent must turn inside out; not where that would leave a node without any cell. Raises UserError for a node that has
+    none all the same, or where cells fill too little.
+    """
+    cells = tetrahedra(points, surface, triangles)
+    volume, quality = quality_of(points, cells)
+    cells[volume < 0.0] = cells[volume < 0.0][:, [1, 0, 2, 3]]
+    order = np.argsort(-np.abs(quality), kind="stable")
+    sound = (np.abs(quality) > LEAST_QUALITY) & (_faces_on(cells, triangles) < 2)
+    missed = np.ones(len(points), dtype=bool)
+    missed[cells[sound]] = False
+    for cell in order[~sound[order]]:  # the best ones first
+        if abs(quality[cell]) > 1e-3 and missed[cells[cell]].any():
+            sound[cell] = True
+            missed[cells[cell]] = False
+    if missed.any():
+        raise UserError(f"organ '{name}': no cell joins {missed.sum()} nodes; build it with other --atoms")
+    share = float(np.abs(volume[sound]).sum()) / signed_volume(surface, triangles)
+    if share < LEAST_SHARE:
+        raise UserError(f"cells fill {100.0 * share:.0f} % of organ '{name}'; build it with more --interior atoms")
+    return cells[sound].astype(np.int32)
+
+
+def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
+    """The organ with cells between all its nodes, of so much of its tissue's mu and lambda.
+
+    Raises UserError for a node that no cell joins, or where cells fill too little.
+    """
+    cells = tissue_cells(organ.rest_positions, organ.surface_positions, organ.surface_triangles, organ.name)
+    mu, lam = np.outer(np.multiply(shares, organ.lame_moduli), np.ones(len(cells)))
+    return replace(organ, cell_nodes=cells, cell_mu=mu, cell_lambda=lam)
+
+
+def quality_of(points: Floats, cells: Longs | Ints) -> tuple[Floats, Floats]:
+    """Signed volumes (c,) m^3 of cells (c, 4), and those over that of a regular one with edges as long."""
+    corner = points[cells]
+    volume = np.linalg.det(corner[:, 1:] - corner[:, :1]) / 6.0
+    pairs = [(a, b) for a in range(4) for b in range(a + 1, 4)]
+    square = sum(np.sum((corner[:, a] - corner[:, b]) ** 2, axis=1) for a, b in pairs) / len(pairs)
+    return volume, 6.0 * np.sqrt(2.0) * volume / square**1.5
+
+
+def _faces_on(cells: Longs, triangles: Ints) -> Longs:
+    """How many faces of each cell are triangles of the surface, (c,)."""
+    size = int(cells.max(initial=0)) + 1
+
+    def keys(faces: Longs | Ints) -> Longs:
+        corner = np.sort(faces.astype(np.int64), axis=-1)
+        return (corner[..., 0] * size + corner[..., 1]) * size + corner[..., 2]
+
+    faces = keys(np.stack([cells[:, face] for face in _FACES], axis=1))
+    return np.isin(faces, keys(triangles)).sum(axis=1)
