@@ -42,6 +42,7 @@ DISTRIBUTION_OF = {
     "netgen": "netgen-mesher",
     "skfem": "scikit-fem",
     "SimpleITK": "simpleitk",
+    "llvmlite": "numba",  # which brings it, in the version that it was made with
 }
 ROS_PACKAGES_OF = re.compile(r"rclpy|rpyutils|tf2_ros|rcl_interfaces|ament_index_python|(\w+_(msgs|srvs|interfaces))")
 

@@ -117,7 +117,9 @@ def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[
 
 
 def has(values: Any, name: str) -> bool:
-    """True when a field of a NamedTuple, or of the compiled type of one, isn't None."""
+    """True when a field of a NamedTuple, of a handle, or of the compiled type of one, isn't None."""
+    if isinstance(values, HandleProxy):
+        values = numba.typeof(values)
     if isinstance(values, Handle):
         return values.field_dict[name] != types.none
     if isinstance(values, types.Type):

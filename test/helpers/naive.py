@@ -4,6 +4,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 
+from tissue_sim.model.cells import SQUEEZED, STEEPEST, cells_of
 from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST
 from tissue_sim.organ.organ import SpringKind
 
@@ -99,3 +100,22 @@ def hops_from(organ, sources):
     edges = organ.spring_nodes[organ.spring_kind == SpringKind.EDGE]
     graph = coo_array((np.ones(len(edges)), edges.T), shape=(organ.n_surface, organ.n_surface))
     return shortest_path(graph.tocsr(), directed=False, unweighted=True, indices=sources).min(axis=0)
+
+
+def naive_cells(x, model):
+    """Forces of cells, N: the first Piola-Kirchhoff stress of each on its faces, one cell after the other."""
+    force = np.zeros_like(x)
+    cells, (mu, lam), penalty = cells_of(model.tissue)
+    for c, nodes in enumerate(cells):
+        rest = (model.rest[nodes[1:]] - model.rest[nodes[0]]).T
+        gradient = (x[nodes[1:]] - x[nodes[0]]).T @ np.linalg.inv(rest)
+        swollen = np.linalg.det(gradient)
+        cofactor = np.stack([np.cross(gradient[(i + 1) % 3], gradient[(i + 2) % 3]) for i in range(3)])
+        bounded = max(swollen, STEEPEST)
+        pressure = 0.5 * lam[c] * (bounded - 1.0 / bounded) - mu[c] / bounded
+        pressure += (swollen - bounded) * (0.5 * lam[c] + (0.5 * lam[c] + mu[c]) / STEEPEST**2)
+        pressure += penalty[c] * min(swollen - SQUEEZED, 0.0)
+        push = np.linalg.det(rest) / 6.0 * (mu[c] * gradient + pressure * cofactor) @ np.linalg.inv(rest).T
+        force[nodes[1:]] -= push.T
+        force[nodes[0]] += push.sum(axis=1)
+    return force

@@ -1,4 +1,4 @@
-"""The three variants of the paper, and the geometry they are assembled with."""
+"""The three variants of the paper, cells, and the geometry they are assembled with."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,10 @@ import trimesh
 
 from helpers.scenes import RADIUS, assembled, ball, kidney
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import MODEL_NAMES, assemble, curvature_at_edges
+from tissue_sim.model.assembly import MODEL_NAMES, assemble, curvature_at_edges, model_of
+from tissue_sim.model.cells import cells_of
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ, SpringKind
 
 
@@ -17,14 +19,14 @@ def mass_of(model):
 
 @pytest.mark.parametrize("variant", MODEL_NAMES)
 def test_every_variant_weighs_the_whole_organ(variant):
-    organ = ball(held=False)
+    organ = with_cells(ball(held=False))
     assert mass_of(assemble(organ, variant)) == pytest.approx(organ.mass.sum(), rel=1e-12)
     assert organ.mass.sum() == pytest.approx(organ.density * organ.volume, rel=1e-12)
 
 
 @pytest.mark.parametrize("variant", MODEL_NAMES)
 def test_every_variant_decays_at_the_same_rate(variant):
-    organ = ball()
+    organ = with_cells(ball())
     model = assemble(organ, variant)
     rate = (model.damping * model.inverse_mass)[model.moving]
     np.testing.assert_allclose(rate, organ.damping[0] / organ.mass[0], rtol=1e-12)
@@ -101,7 +103,7 @@ def test_unknown_model_is_refused_by_name():
 
 @pytest.mark.parametrize("variant", MODEL_NAMES)
 def test_fixed_nodes_do_not_move_and_the_others_do(variant):
-    organ = ball()
+    organ = with_cells(ball())
     simulation = Simulation(organ, model=variant)
     top = int(np.argmax(organ.surface_positions[:, 2]))
     for _ in range(50):
@@ -112,6 +114,27 @@ def test_fixed_nodes_do_not_move_and_the_others_do(variant):
     assert np.all(moved[organ.fixed] == 0.0)
     assert moved[top] > 1e-4
     assert np.all(moved[assemble(organ, variant).moving] > 0.0)
+
+
+def test_cells_are_those_of_the_organ_and_the_only_thing_that_resists():
+    organ = with_cells(ball(2))
+    model = assemble(organ, "cells")
+    assert model_of(organ) == "cells"
+    assert model_of(ball(2)) == "hybrid"
+    assert len(model.spring_first) == len(model.angular_nodes) == len(model.return_nodes) == 0
+    assert model.cell_volume.sum() == pytest.approx(organ.volume, rel=0.03)
+    cells, moduli, _ = cells_of(model.tissue)
+    np.testing.assert_array_equal(cells, organ.cell_nodes)
+    np.testing.assert_allclose(moduli, [organ.cell_mu, organ.cell_lambda], rtol=1e-14)
+
+
+def test_cells_are_refused_where_there_are_none_or_with_what_they_do_not_have():
+    with pytest.raises(UserError, match=r"organ 'ball' has no cells; make them with tissue_sim calibrate"):
+        assemble(ball(), "cells")
+    with pytest.raises(UserError, match="use return target rest"):
+        assemble(with_cells(ball()), "cells", "implied")
+    with pytest.raises(UserError, match="cells move as a whole; use local region off, not modal"):
+        Simulation(with_cells(ball()), model="cells", local_region="modal")
 
 
 def test_surface_variant_leaves_the_atoms_at_rest():

@@ -11,12 +11,14 @@ from scipy.sparse import coo_array
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks, pack
+from tissue_sim.model.cells import Tissue, shapes_of, tissue_of, with_penalty
+from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import tetrahedral_edges
 
-ModelName = Literal["surface", "volume", "hybrid"]
+ModelName = Literal["auto", "surface", "volume", "hybrid", "cells"]
 ReturnTarget = Literal["rest", "implied"]
 RETURN_TARGETS: tuple[str, ...] = get_args(ReturnTarget)
 LEAST_CELL = 0.05  # of the mean cell's volume, below which a cell tells nothing
@@ -82,7 +84,7 @@ class Model(NamedTuple):
     return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
     spokes: Spokes  # of the M-rep; empty when nothing is implied
     damping_rate: float  # 1/s, nodal damping over mass, the mean
-    cells: Ints  # (c, 4) tetrahedra of a triangle and its nearest medial atom: what is inside
+    cells: Ints  # (c, 4) what is inside: the tissue's cells, or tetrahedra of a triangle and its nearest medial atom
     cell_volume: Floats  # (c,) m^3 at rest
     neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
     neighbours: Ints
@@ -90,6 +92,7 @@ class Model(NamedTuple):
     adjacency: Adjacency | None  # None: without a local region
     reduction: Reduction
     factor: Factor | None  # None: never stepped implicitly
+    tissue: Tissue | None  # of cells; None: springs
     work: Floats  # (9 BLOCK,) room for the force kernels
 
 
@@ -104,40 +107,46 @@ NO_REDUCTION = Reduction(
 )
 
 
-def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -> Model:
-    """Arrays of one of the paper's three variants.
+def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> Model:
+    """Arrays of one of the paper's three variants, or of cells; `auto`: the one that the organ was made for.
 
     `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a
     spring on every edge of a tetrahedral mesh of the surface nodes and interior points;
-    `hybrid` the surface with spokes, virtual springs and skeleton (section 3.3). Nodes that a
-    variant doesn't use stay at rest.
+    `hybrid` the surface with spokes, virtual springs and skeleton (section 3.3). `cells` has linear tetrahedra between
+    the nodes in place of springs. Nodes that a variant doesn't use stay at rest.
 
     return_target: where return springs pull to, the `rest` position or the boundary that the skeleton has
     `implied`; medial atoms return to rest in both.
 
-    Raises UserError for an unknown variant or target, `volume` on an organ without interior points, or
-    `implied` on a variant without a skeleton.
+    Raises UserError for an unknown variant or target, `volume` on an organ without interior points, `cells` on one
+    without cells, or `implied` on a variant without a skeleton or return springs.
     """
     if model not in MODEL_NAMES:
         raise UserError(f"unknown model '{model}'; choose one of {', '.join(MODEL_NAMES)}")
+    model = model_of(organ) if model == "auto" else model
     if return_target not in RETURN_TARGETS:
         raise UserError(f"unknown return target '{return_target}'; choose one of {', '.join(RETURN_TARGETS)}")
     implied = return_target == "implied"
     if implied and model == "surface":
         raise UserError("the surface model has no skeleton that could imply a boundary; use return target rest")
+    by_cells = model == "cells"
+    if implied and by_cells:
+        raise UserError("cells have no return springs that could pull to an implied boundary; use return target rest")
+    if by_cells and not len(organ.cell_nodes):
+        raise UserError(f"organ '{organ.name}' has no cells; make them with tissue_sim calibrate")
     n, n_surface = organ.n_nodes, organ.n_surface
     rest = np.ascontiguousarray(organ.rest_positions)
     mass, damping = organ.mass.copy(), organ.damping.copy()
     if model == "volume":
         nodes, length, stiffness = _volume_springs(organ, rest)
     else:
-        kept = np.ones(len(organ.spring_nodes), dtype=bool)
+        kept = np.full(len(organ.spring_nodes), not by_cells)
         if model == "surface":
             kept = organ.spring_kind == SpringKind.EDGE
         nodes = organ.spring_nodes[kept]
         length, stiffness = organ.spring_rest_length[kept], organ.spring_stiffness[kept]
     used = np.zeros(n, dtype=bool)
-    used[nodes.ravel()] = True
+    used[(organ.cell_nodes if by_cells else nodes).ravel()] = True
     # The mass of nodes that a variant leaves out goes to those that it keeps.
     scale = mass.sum() / mass[used].sum()
     moving = used.copy()
@@ -147,16 +156,16 @@ def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -
     # A part without stiffness is off, and costs nothing.
     on = stiffness > 0.0
     nodes, length, stiffness = nodes[on], length[on], stiffness[on]
-    bending = organ.angular_stiffness > 0.0 if model != "volume" else np.zeros(len(organ.angular_nodes), dtype=bool)
+    bending = (organ.angular_stiffness > 0.0) & (model in ("surface", "hybrid"))
     hinges = organ.angular_nodes[bending]
     weight, bent, normal = curvature_at_edges(rest, hinges)
     edges = organ.spring_nodes[organ.spring_kind == SpringKind.EDGE]
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
     graph = (graph + graph.T).tocsr()
     graph.sort_indices()
-    returning = np.flatnonzero(moving & (organ.return_stiffness > 0.0))
-    cells, cell_volume = _cells(organ)
-    return packed(
+    returning = np.flatnonzero(moving & (organ.return_stiffness > 0.0) & (not by_cells))
+    cells, cell_volume = _real_cells(organ) if by_cells else _cells(organ)
+    made = packed(
         Model(
             n_surface=n_surface,
             rest=rest,
@@ -188,9 +197,19 @@ def assemble(organ: Organ, model: str = "hybrid", return_target: str = "rest") -
             adjacency=None,
             reduction=NO_REDUCTION,
             factor=None,
+            tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
             work=np.zeros(9 * BLOCK),
         )
     )
+    if made.tissue is None:
+        return made
+    frequency = largest_frequency(made)
+    return made._replace(tissue=with_penalty(made.tissue, rest, organ.cell_nodes, inverse_mass, frequency))
+
+
+def model_of(organ: Organ) -> ModelName:
+    """The variant that an organ was made for: cells where it has them, or else hybrid."""
+    return "cells" if len(organ.cell_nodes) else "hybrid"
 
 
 def packed(model: Model) -> Model:
@@ -220,6 +239,11 @@ def packed(model: Model) -> Model:
         edges=pack(model.angular_nodes, values, filling),
         links=pack(pair[others], law[others], np.array([1.0, 0.0])),
     )
+
+
+def _real_cells(organ: Organ) -> tuple[Ints, Floats]:
+    """Cells (c, 4) of the tissue, turned as the guard takes them, and their volumes (c,) m^3 at rest."""
+    return _ints(organ.cell_nodes[:, [1, 0, 2, 3]]), _floats(shapes_of(organ.rest_positions, organ.cell_nodes)[2])
 
 
 def _cells(organ: Organ) -> tuple[Ints, Floats]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import handle
-from tissue_sim.model.assembly import Model
 from tissue_sim.model.forces import elastic_forces
+
+if TYPE_CHECKING:
+    from tissue_sim.model.assembly import Model
 
 SAFETY = 0.9
 MOST_SUBSTEPS = 10_000  # in a tick; where the critical step is shorter, the guard has to hold

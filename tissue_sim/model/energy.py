@@ -10,6 +10,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Model
+from tissue_sim.model.cells import cell_energy
 from tissue_sim.model.forces import stored
 
 
@@ -17,7 +18,7 @@ class Energy(NamedTuple):
     """J."""
 
     kinetic: float
-    elastic: float  # of springs, angular springs and return springs; 0 at rest
+    elastic: float  # of springs, angular springs and return springs, or of cells; 0 at rest
 
     @property
     def total(self) -> float:
@@ -29,6 +30,8 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
     """Energy of nodes at position (n, 3) m moving at velocity (n, 3) m/s, with the stiffness as assembled."""
     moving = model.moving
     kinetic = 0.5 * float(np.sum(velocity[moving] ** 2 / model.inverse_mass[moving, None]))
+    if model.tissue is not None:
+        return Energy(kinetic, cell_energy(position, model.rest, model.tissue))
     ends, law = (model.spring_first, model.spring_second), (model.spring_rest_length, model.spring_stiffness)
     axial = float(_axial_energy(position, *ends, *law, model.hardening))
     pulled = model.return_nodes

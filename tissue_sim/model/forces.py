@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model.blocks import BLOCK
+from tissue_sim.model.cells import cell_forces
 
 # Of its rest length, below which a spring's push fades to nothing where its ends meet. Equation (1) alone turns around
 # there by twice its largest force: no step is short enough for that, and energy comes from nothing.
@@ -259,8 +260,17 @@ def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: A
 
 
 @kernel
-def elastic_forces(model: Any, position: Any, force: Any) -> None:
-    """Add the forces of every spring of the model to force (n, 3) N."""
+def _by_cells(model: Any, position: Any, force: Any) -> None:
+    cell_forces(position, model.tissue, model.work, force)
+
+
+@kernel
+def _by_springs(model: Any, position: Any, force: Any) -> None:
     edge_forces(position, model.edges.nodes, model.edges.constants, model.hardening, model.work, force)
     spring_forces(position, model.links.nodes, model.links.constants, model.hardening, model.work, force)
     return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)
+
+
+@chosen(lambda model, *_: _by_cells if has(model, "tissue") else _by_springs)
+def elastic_forces(model: Any, position: Any, force: Any) -> None:
+    """Add the forces of the model's springs, or of its cells, to force (n, 3) N."""

@@ -12,6 +12,7 @@ from scipy.sparse.linalg import eigsh
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model
+from tissue_sim.model.cells import cells_of, strain_rows
 
 N_MODES = 144  # a third of that triples the error of the region's surroundings
 _RIGID = 1e-9  # square of a frequency, over the largest diagonal, that is taken for 0
@@ -33,9 +34,13 @@ def stiffness_matrix(model: Model) -> csc_array:
     """Tangent stiffness (3n, 3n) N/m at rest.
 
     Springs and hinges are free of force there, so each adds k g g' with g the gradient of its
-    length or curvature; return springs add to the diagonal.
+    length or curvature; return springs add to the diagonal. Cells are those of linear elasticity.
     """
     n = len(model.rest)
+    if model.tissue is not None:
+        cells, moduli, _ = cells_of(model.tissue)
+        strains, owner = strain_rows(model.rest, cells)
+        return (strains.T @ diags_array(moduli.ravel()[owner]) @ strains).tocsc()
     rows, columns, values = [], [], []
 
     def add(nodes: np.ndarray, gradient: Floats, stiffness: Floats) -> None:

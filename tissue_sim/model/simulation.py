@@ -13,7 +13,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle
 from tissue_sim.model.adjacency import adjacency_of
-from tissue_sim.model.assembly import Model, assemble
+from tissue_sim.model.assembly import Model, assemble, model_of
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.energy import Energy, energy_of
@@ -51,7 +51,8 @@ NO_TOOLS = make_shapes([], [])
 class Simulation:
     """A deformable organ stepped at a fixed rate. `step()` allocates nothing and takes no lock.
 
-    organ: the organ; model: surface, volume or hybrid; rate: ticks a second, Hz;
+    organ: the organ; model: surface, volume or hybrid, as in the paper, or cells; auto: cells
+    where the organ has them, or else hybrid; rate: ticks a second, Hz;
     local_region: off; frozen (the paper's: two layers around a small load move alone); modal (one layer moves by its
     springs, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal while the load is small,
     else the whole model);
@@ -68,7 +69,7 @@ class Simulation:
         self,
         organ: Organ,
         *,
-        model: str = "hybrid",
+        model: str = "auto",
         rate: float = 1000.0,
         local_region: str = "off",
         shapes: Shapes = NO_TOOLS,
@@ -86,7 +87,11 @@ class Simulation:
             raise UserError(f"{substeps} substeps are outside 1..10000")
         if return_target != "rest" and local_region in ("modal", "auto"):
             raise UserError(f"return target {return_target} goes with local region off or frozen, not {local_region}")
+        model = model_of(organ) if model == "auto" else model
+        if model == "cells" and local_region != "off":
+            raise UserError(f"cells move as a whole; use local region off, not {local_region}")
         self.organ = organ
+        self.variant = model
         self.rate = float(rate)
         self.shapes = shapes
         self.integrator = integrator

@@ -1,0 +1,172 @@
+"""Cells: linear tetrahedra of a compressible neo-Hookean solid, each with a stiffness of its own.
+
+Energy of a cell of volume V at rest, F its deformation gradient, J = det F (Simo & Pister 1984's volumetric part):
+V (mu/2 (F:F - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)), whose pressure needs no logarithm. A cell that is nearly flat
+would take any step, however short, too far: under STEEPEST of its volume the pressure goes on in a straight line, and
+under SQUEEZED a penalty is added, as stiff as the masses of its nodes allow.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array
+
+from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.blocks import BLOCK, pack
+from tissue_sim.model.vectors import WIDTH, gather_arms, scatter_arms
+
+STEEPEST = 0.4  # of the volume at rest; the pressure's slope grows as 1 / J^2
+SQUEEZED = 0.5  # of the volume at rest, from which on the penalty pushes
+# Of the largest squared frequency at rest, that the penalty of one cell has. With 1 the step is too long for what a few
+# squeezed cells do together, with 0.1 cells are turned inside out (measured under a pinch).
+PENALTY = 0.3
+CONSTANTS = 10
+
+
+class Tissue(NamedTuple):
+    """Cells as the kernels read them, in blocks, and room to work in."""
+
+    nodes: Ints  # (b, BLOCK, 4)
+    constants: Floats  # (b, CONSTANTS BLOCK)
+    position: Floats  # (n, WIDTH) m
+    force: Floats  # (n, WIDTH) N
+
+
+def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
+    """Cells (c, 4) of nodes at rest (n, 3) m, of positive volume, with Lame's moduli mu and lambda (c,) Pa.
+
+    The penalty is left out; see `with_penalty`.
+    """
+    _, inverse, volume = shapes_of(rest, cells)
+    metric = np.einsum("cax,cbx->cab", inverse, inverse) * (mu * volume)[:, None, None]
+    constants = np.zeros((len(cells), CONSTANTS))
+    for row, (a, b) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        constants[:, row] = metric[:, a, b]
+    constants[:, 6] = 1.0 / (6.0 * volume)
+    constants[:, 7], constants[:, 8] = lam / 12.0, mu / 6.0
+    packed = pack(np.asarray(cells, dtype=np.int32), constants, np.zeros(CONSTANTS))
+    room = np.zeros((2, len(rest), WIDTH))
+    return Tissue(packed.nodes, packed.constants, room[0], room[1])
+
+
+def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats, Floats]:
+    """Edges from the first node as columns (c, 3, 3) m, their inverse 1/m, and volumes (c,) m^3."""
+    corner = rest[cells]
+    edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
+    return edges, np.linalg.inv(edges), np.linalg.det(edges) / 6.0
+
+
+def with_penalty(tissue: Tissue, rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Tissue:
+    """The same with a penalty on squeezed cells: inverse_mass (n,) 1/kg, frequency rad/s the largest about rest."""
+    _, inverse, volume = shapes_of(rest, cells)
+    slope = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # of J by each node, 1/m
+    give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J, to an impulse along that, 1/(m^2 kg)
+    stiffness = np.zeros(len(cells))
+    free = give > 0.0
+    stiffness[free] = PENALTY * frequency**2 / give[free] / (6.0 * volume[free])
+    constants = tissue.constants.copy()
+    rows = np.zeros(len(tissue.nodes) * BLOCK)
+    rows[: len(cells)] = stiffness
+    constants[:, 9 * BLOCK :] = rows.reshape(-1, BLOCK)
+    return tissue._replace(constants=constants)
+
+
+@kernel
+def cell_forces(position: Any, tissue: Any, work: Any, force: Any) -> None:
+    """Add the forces of cells at position (n, 3) m to force (n, 3) N; work (9 BLOCK,)."""
+    wide, push = tissue.position, tissue.force
+    for node in range(len(position)):
+        for axis in range(3):
+            wide[node, axis] = position[node, axis]
+            push[node, axis] = 0.0
+    for block in range(len(tissue.nodes)):
+        gather_arms(wide, tissue.nodes[block], work)
+        _resist(work, tissue.constants[block])
+        scatter_arms(push, tissue.nodes[block], work)
+    for node in range(len(force)):
+        for axis in range(3):
+            force[node, axis] += push[node, axis]
+
+
+@kernel
+def _resist(work: Any, constant: Any) -> None:
+    """Turn the arms of a block into the forces on its last three nodes."""
+    for c in range(BLOCK):
+        jx, jy, jz = work[c], work[BLOCK + c], work[2 * BLOCK + c]
+        kx, ky, kz = work[3 * BLOCK + c], work[4 * BLOCK + c], work[5 * BLOCK + c]
+        mx, my, mz = work[6 * BLOCK + c], work[7 * BLOCK + c], work[8 * BLOCK + c]
+        ax, ay, az = ky * mz - kz * my, kz * mx - kx * mz, kx * my - ky * mx
+        bx, by, bz = my * jz - mz * jy, mz * jx - mx * jz, mx * jy - my * jx
+        dx, dy, dz = jy * kz - jz * ky, jz * kx - jx * kz, jx * ky - jy * kx
+        volume = (jx * ax + jy * ay + jz * az) * constant[6 * BLOCK + c]
+        bounded = volume if volume > STEEPEST else STEEPEST
+        inverse = 1.0 / bounded
+        bulk, shear = constant[7 * BLOCK + c], constant[8 * BLOCK + c]
+        under = volume - SQUEEZED
+        under = under if under < 0.0 else 0.0
+        pressure = bulk * (bounded - inverse) - shear * inverse
+        pressure += (volume - bounded) * (bulk + (bulk + shear) * (1.0 / STEEPEST**2))
+        pressure += under * constant[9 * BLOCK + c]
+        s11, s12, s13 = constant[c], constant[BLOCK + c], constant[2 * BLOCK + c]
+        s22, s23, s33 = constant[3 * BLOCK + c], constant[4 * BLOCK + c], constant[5 * BLOCK + c]
+        work[c] = -(s11 * jx + s12 * kx + s13 * mx + pressure * ax)
+        work[BLOCK + c] = -(s11 * jy + s12 * ky + s13 * my + pressure * ay)
+        work[2 * BLOCK + c] = -(s11 * jz + s12 * kz + s13 * mz + pressure * az)
+        work[3 * BLOCK + c] = -(s12 * jx + s22 * kx + s23 * mx + pressure * bx)
+        work[4 * BLOCK + c] = -(s12 * jy + s22 * ky + s23 * my + pressure * by)
+        work[5 * BLOCK + c] = -(s12 * jz + s22 * kz + s23 * mz + pressure * bz)
+        work[6 * BLOCK + c] = -(s13 * jx + s23 * kx + s33 * mx + pressure * dx)
+        work[7 * BLOCK + c] = -(s13 * jy + s23 * ky + s33 * my + pressure * dy)
+        work[8 * BLOCK + c] = -(s13 * jz + s23 * kz + s33 * mz + pressure * dz)
+
+
+def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
+    """The cells (c, 4) again, their moduli mu and lambda (2, c) Pa, and the penalty of each, J/m^3."""
+    rows = tissue.constants.reshape(-1, CONSTANTS, BLOCK).transpose(0, 2, 1).reshape(-1, CONSTANTS)
+    real = rows[:, 6] > 0.0  # the others only fill up
+    rows = rows[real]
+    return tissue.nodes.reshape(-1, 4)[real], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
+
+
+def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
+    """Strains of cells (c, 4) about rest (n, 3) m as a matrix (7c, 3n), of which each modulus weighs the squares.
+
+    In the root of m^3: of mu the strains times the root of two and the shear angles, of lambda the swelling. The second
+    part names each row's modulus: mu of every cell, then lambda.
+    """
+    _, inverse, volume = shapes_of(rest, cells)
+    slope = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    count, root = len(cells), np.sqrt(volume)[:, None]
+    terms = [[(axis, axis, np.sqrt(2.0))] for axis in range(3)]
+    terms += [[(a, b, 1.0), (b, a, 1.0)] for a, b in ((0, 1), (0, 2), (1, 2))]
+    terms += [[(axis, axis, 1.0) for axis in range(3)]]
+    rows, columns, values = [], [], []
+    for kind, parts in enumerate(terms):
+        for axis, by, factor in parts:
+            rows.append(np.repeat(kind * count + np.arange(count), 4))
+            columns.append((3 * cells.astype(np.int64) + axis).ravel())
+            values.append((factor * root * slope[:, :, by]).ravel())
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    owner = np.concatenate([np.tile(np.arange(count), 6), count + np.arange(count)])
+    return coo_array(entries, shape=(7 * count, 3 * len(rest))).tocsc(), owner
+
+
+def cell_energy(position: Floats, rest: Floats, tissue: Tissue) -> float:
+    """Elastic energy of cells at position (n, 3) m, J; 0 at rest (n, 3) m."""
+    cells, (mu, lam), penalty = cells_of(tissue)
+    _, inverse, volume = shapes_of(rest, cells)
+    corner = position[cells]
+    gradient = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1) @ inverse
+    swollen = np.linalg.det(gradient)
+    square = np.einsum("cij,cij->c", gradient, gradient)
+    bounded = np.maximum(swollen, STEEPEST)
+    under = swollen - bounded
+    slope = 0.5 * lam * (bounded - 1.0 / bounded) - mu / bounded
+    steep = 0.5 * lam + (0.5 * lam + mu) / STEEPEST**2
+    density = 0.5 * mu * (square - 3.0 - 2.0 * np.log(bounded))
+    density += 0.25 * lam * (bounded**2 - 1.0 - 2.0 * np.log(bounded)) + slope * under + 0.5 * steep * under**2
+    pushed = np.minimum(swollen - SQUEEZED, 0.0)
+    return float(volume @ (density + 0.5 * penalty * pushed**2))
