@@ -8,6 +8,7 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.calibration import calibrate as pipeline
 from tissue_sim.cli import main
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
 SMALL = ("--cases=30", "--steps=25", "--nonlinear=4", "--nonlinear-steps=3", "--smooth=4", "--sharp=2", "--interior=12")
@@ -78,6 +79,20 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(calibrated, folder, mon
     assert "going on from" in capsys.readouterr().out
     assert Organ.load(out).digest() == Organ.load(calibrated).digest()
     assert Organ.load(out).provenance == Organ.load(calibrated).provenance
+
+
+@pytest.mark.slow
+@needs_finite_elements
+def test_cells_take_the_place_of_springs_and_are_nearer_to_the_solid(calibrated, folder, capsys):
+    out = folder / "cells.npz"
+    assert main(["calibrate", str(folder / "ball.npz"), "--out", str(out), "--method", "cells", *SMALL]) == 0
+    assert "nonlinear" not in capsys.readouterr().out
+    made, figures = Organ.load(out), [Organ.load(path).provenance["calibration"] for path in (calibrated, out)]
+    assert Simulation(made).variant == "cells"
+    assert figures[1]["held_out"]["smooth"]["settled"] == 4
+    for kind in ("smooth", "sharp"):
+        assert figures[1]["held_out"][kind]["mean_percent"] < figures[0]["held_out"][kind]["mean_percent"]
+    assert figures[1]["motion"]["release_percent"] < 15.0
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration import fit as fitting
 from tissue_sim.calibration.background import Reference, Task
 from tissue_sim.calibration.cases import DEEP, DEPTH, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
+from tissue_sim.calibration.cells import Cells
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.fe_mesh import Grading
@@ -26,18 +27,22 @@ from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model, assemble
 from tissue_sim.model.critical_step import largest_frequency, model_step, substeps_for
+from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_like
 
-METHODS = ("springs", "groups")
+METHODS = ("springs", "groups", "cells")
 RETURN_START = 0.01  # of the organ's return springs, where the fit begins: the clamp holds the organ
 # Of the springs, as tissue has it. Linear cases don't tell it; without it the model dents too deep under large loads
 # and snaps (held out, fitted to linear cases alone: 7.3 % mean, and 4.0 % with it).
 HARDENING = 1.6
-INTERIOR_SHARE = 0.15  # interior atoms for each surface node, where the organ has none
+INTERIOR_SHARE = {"springs": 0.15, "groups": 0.0, "cells": 0.6}  # interior atoms for each surface node
+CELL_LAYER = 0.7  # of them, in a layer under the surface
 GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
 COARSE = Grading(clamp=0)  # of the mesh on which the fit's nonlinear cases are settled
 NONLINEAR_SHARE = 0.5  # of the misfit, of the large loads; the rest is that of the linear ones
+CELL_START = (1.0, 0.5)  # of the tissue's mu and lambda: where the fit of cells begins
+CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over those: without, some cells are all but void
 POKE = 0.005  # m, of the release
 TICK = 1e-3  # s
 
@@ -47,7 +52,8 @@ class Settings:
     """What a calibration is made with.
 
     cases: linear ones, nonlinear: settled ones of the fit; smooth and sharp: held-out ones; interior: atoms in the
-    result, None for those that the organ has or else 15 for 100 surface nodes (none for groups, as in the paper);
+    result, None for those that the organ has or else 15 for 100 surface nodes (none for groups, as in the paper; for
+    cells always 60, most of them in a layer under the surface);
     hardening: of the springs in the result, None for HARDENING (the organ's own for groups);
     steps and nonlinear_steps: evaluations of the fit before and after nonlinear cases come in.
     """
@@ -85,7 +91,7 @@ class Calibrated(NamedTuple):
 
 
 def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
-    """Fit the organ's springs and masses to a finite-element body of its shape and tissue, and judge the result.
+    """Fit the organ's springs or cells, and its masses, to a finite-element body of its shape and tissue; judge them.
 
     The finite-element body settles the nonlinear cases in a process of its own meanwhile.
     Raises UserError when the organ has no clamp or can't be filled, or a library is missing.
@@ -111,12 +117,19 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     judged, judged_linear = _scaled(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
     tasks = {"nonlinear": Task(nonlinear, COARSE, nonlinear_linear), "held-out": Task(judged)}
     model = assemble(start)
-    springs = Springs(model)
-    prior = first_stiffness(model, springs)
+    springs: Springs | Cells
+    if settings.method == "cells":
+        springs = Cells(model)
+        prior = np.concatenate([start.cell_mu, start.cell_lambda])
+    else:
+        springs = Springs(model)
+        prior = first_stiffness(model, springs)
     misfit = LinearMisfit(springs, linear_cases.force, linear["fit"])
     reference = Reference(start, checkpoint, tasks)
     try:
-        if settings.method == "groups":
+        if isinstance(springs, Cells):
+            stiffness, fitted = _by_cells(springs, prior, misfit, settings, checkpoint, progress)
+        elif settings.method == "groups":
             stiffness, fitted = _by_groups(start, springs, prior, misfit, settings, progress)
         else:
             stiffness, fitted = _by_springs(
@@ -129,7 +142,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
             done()
         rate = damping_rate(linear["frequencies"])
         made = replace(
-            with_stiffness(start, springs, stiffness),
+            with_moduli(start, stiffness) if isinstance(springs, Cells) else with_stiffness(start, springs, stiffness),
             mass=mass,
             damping=rate * mass,
         )
@@ -228,17 +241,34 @@ def prepared(organ: Organ, settings: Settings) -> Organ:
     """The organ with the interior atoms and hardening wanted, its springs as they are built when the atoms change."""
     if settings.method not in METHODS:
         raise UserError(f"unknown method '{settings.method}'; choose one of {', '.join(METHODS)}")
-    by_springs = settings.method == "springs"
+    by_cells = settings.method == "cells"
     interior, hardening = settings.interior, settings.hardening
     if interior is None:
-        interior = organ.n_interior or (round(INTERIOR_SHARE * organ.n_surface) if by_springs else 0)
+        interior = 0 if by_cells else organ.n_interior
+        interior = interior or round(INTERIOR_SHARE[settings.method] * organ.n_surface)
     if hardening is None:
-        hardening = HARDENING if by_springs else organ.hardening
+        hardening = HARDENING if settings.method == "springs" else organ.hardening
     organ = replace(organ, hardening=hardening)
-    if interior == organ.n_interior:
-        return organ
-    provenance = {key: value for key, value in organ.provenance.items() if key != "calibration"}
-    return assemble_like(organ, interior_atoms=interior, provenance={**provenance, "interior_atoms": interior})
+    if interior != organ.n_interior or by_cells:
+        provenance = {key: value for key, value in organ.provenance.items() if key != "calibration"}
+        organ = assemble_like(
+            organ,
+            interior_atoms=interior,
+            interior_layer=CELL_LAYER if by_cells else 0.0,
+            provenance={**provenance, "interior_atoms": interior},
+        )
+    return with_cells(organ, CELL_START) if by_cells else without_cells(organ)
+
+
+def without_cells(organ: Organ) -> Organ:
+    """The organ with springs alone."""
+    return replace(organ, cell_nodes=organ.cell_nodes[:0], cell_mu=organ.cell_mu[:0], cell_lambda=organ.cell_lambda[:0])
+
+
+def with_moduli(organ: Organ, moduli: Floats) -> Organ:
+    """The organ with moduli (2c,) Pa of its cells: mu, then lambda."""
+    mu, lam = moduli.reshape(2, -1)
+    return replace(organ, cell_mu=mu, cell_lambda=lam)
 
 
 def first_stiffness(model: Model, springs: Springs) -> Floats:
@@ -308,6 +338,23 @@ def _by_springs(
         last = {**both[0].last, "nonlinear_" + "mean_percent": both[1].last["mean_percent"]}
         last["nonlinear_worst_percent"] = both[1].last["worst_percent"]
     return stiffness, last
+
+
+def _by_cells(
+    cells: Cells,
+    prior: Floats,
+    misfit: LinearMisfit,
+    settings: Settings,
+    checkpoint: Checkpoint,
+    progress: Progress,
+) -> tuple[Floats, dict[str, Any]]:
+    """Both moduli of every cell, on the linear cases: their law tells the rest."""
+    logged = _Logged(misfit, "linear", checkpoint)
+    with progress.stage("fit", settings.steps) as done:
+        moduli = fitting.fit(
+            prior, cells.trace(), [(1.0, logged)], settings.steps, watch=_remark(done), bounds=CELL_BOUNDS
+        )
+    return moduli, logged.last
 
 
 def _by_groups(

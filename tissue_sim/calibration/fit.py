@@ -14,9 +14,10 @@ import numpy as np
 from scipy.optimize import minimize
 
 from tissue_sim.array_types import Floats
+from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
 from tissue_sim.calibration.remote import Remote
-from tissue_sim.calibration.static import Springs, settle
+from tissue_sim.calibration.static import settle
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
 SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
@@ -54,7 +55,7 @@ class LinearMisfit:
     force (c, n_surface, 3) N, wanted (c, n_surface, 3) m.
     """
 
-    def __init__(self, springs: Springs, force: Floats, wanted: Floats) -> None:
+    def __init__(self, springs: Elastic, force: Floats, wanted: Floats) -> None:
         self._springs = springs
         rows, self._owner = springs.strain_rows()
         self._rows = rows.tocsr()
@@ -98,7 +99,7 @@ class NonlinearMisfit:
     force (c, n_surface, 3) N, wanted (c, n_surface, 3) m; tolerance: residual force over load that counts as settled.
     """
 
-    def __init__(self, springs: Springs, force: Floats, wanted: Floats, tolerance: float = LOOSE) -> None:
+    def __init__(self, springs: Elastic, force: Floats, wanted: Floats, tolerance: float = LOOSE) -> None:
         self._springs, self._force, self._wanted = springs, force, wanted
         self._tolerance = tolerance
         self._weight = 1.0 / np.sum(wanted**2, axis=(1, 2))
@@ -153,7 +154,7 @@ class NonlinearMisfit:
 class SharedMisfit:
     """A NonlinearMisfit whose cases are shared out among processes."""
 
-    def __init__(self, springs: Springs, force: Floats, wanted: Floats, processes: int = PROCESSES) -> None:
+    def __init__(self, springs: Elastic, force: Floats, wanted: Floats, processes: int = PROCESSES) -> None:
         self._parts = [slice(k, None, processes) for k in range(min(processes, len(force)))]
         self._remotes = [Remote(NonlinearMisfit, springs, force[part], wanted[part]) for part in self._parts]
         self._threads = ThreadPoolExecutor(len(self._parts))
@@ -199,12 +200,13 @@ def fit(
     watch: Callable[[int, list[Evaluation]], None] | None = None,
     shrink: float = SHRINK,
     soften: float = SOFTEN,
+    bounds: tuple[float, float] = BOUNDS,
 ) -> Floats:
     """Stiffnesses (p,) N/m of the least weighted misfit, from those at the start, by L-BFGS on their logarithms.
 
     trace (p,): what each unit of stiffness adds to the trace of the stiffness matrix; misfits: each with its weight;
     iterations: evaluations at the most; prior: stiffness towards which what isn't told is drawn, the start by default;
-    watch: told the number of every evaluation and what it found.
+    watch: told the number of every evaluation and what it found; bounds: of the logarithm of stiffness over the prior.
     """
     prior = start if prior is None else prior
     total = float(trace @ prior)
@@ -226,10 +228,10 @@ def fit(
 
     best = minimize(
         objective,
-        np.clip(np.log(start / prior), *BOUNDS),
+        np.clip(np.log(start / prior), *bounds),
         jac=True,
         method="L-BFGS-B",
-        bounds=[BOUNDS] * len(start),
+        bounds=[bounds] * len(start),
         options={"maxfun": iterations, "maxiter": iterations, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10},
     )
     stiffness: Floats = prior * np.exp(best.x)

@@ -13,8 +13,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats
+from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
-from tissue_sim.calibration.static import Springs
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
@@ -42,7 +42,7 @@ def tissue_mass(organ: Organ) -> Floats:
     return organ.density * organ.volume * count / count.sum()
 
 
-def least_mass(springs: Springs, tangent: csc_array, total: float, step: float = STEP) -> Floats:
+def least_mass(springs: Elastic, tangent: csc_array, total: float, step: float = STEP) -> Floats:
     """Mass (n,) kg under which no node may fall for a critical step of s; of `total` kg no more than a half.
 
     The largest squared frequency is at most the largest sum of a row of |K| over the row's mass (Gershgorin).
@@ -53,7 +53,7 @@ def least_mass(springs: Springs, tangent: csc_array, total: float, step: float =
     return needed * min(1.0, MOST_SHARE * total / max(float(needed.sum()), 1e-300))
 
 
-def fit_mass(organ: Organ, springs: Springs, stiffness: Floats, frequencies: Floats) -> Floats:
+def fit_mass(organ: Organ, springs: Elastic, stiffness: Floats, frequencies: Floats) -> Floats:
     """Masses (n,) kg, in all as much as the organ's volume weighs, with which the lowest modes have these Hz.
 
     Raises UserError when the springs leave something free to move without any force.
@@ -102,7 +102,7 @@ def fit_mass(organ: Organ, springs: Springs, stiffness: Floats, frequencies: Flo
     return mass
 
 
-def frequencies_of(springs: Springs, stiffness: Floats, mass: Floats, count: int = MODES) -> Floats:
+def frequencies_of(springs: Elastic, stiffness: Floats, mass: Floats, count: int = MODES) -> Floats:
     """The lowest frequencies (count,) Hz of springs of stiffness (p,) N/m between masses (n,) kg."""
     tangent = springs.rest_tangent(stiffness)
     start = np.random.default_rng(0).standard_normal(len(springs.free))

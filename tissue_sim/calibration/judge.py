@@ -31,7 +31,7 @@ class Answer(NamedTuple):
 
 
 def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None = None) -> Answer:
-    """Where the real-time hybrid model comes to rest under each case; a fault or a snap on the way is no rest."""
+    """Where the real-time model comes to rest under each case; a fault or a snap on the way is no rest."""
     simulation = Simulation(organ)
     count = simulation.state.count
     displacement, volume = np.zeros_like(cases.force), np.zeros(len(cases))

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array, csc_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration import spring_kernels as kernels
+from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.modes import free_axes
@@ -209,7 +210,7 @@ class _Bending(NamedTuple):
 
 
 def settle(
-    springs: Springs,
+    springs: Elastic,
     stiffness: Floats,
     force: Floats,
     start: Floats | None = None,

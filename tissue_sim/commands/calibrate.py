@@ -34,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--method",
         choices=METHODS,
         default="springs",
-        help="what is fitted: every spring, or a factor for each group of springs, as in the paper",
+        help="what is fitted: every spring, a factor for each group of springs, as in the paper, or the moduli of"
+        " every cell between the nodes",
     )
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="of the loads that are fitted")
     parser.add_argument("--cases", type=int, default=_DEFAULT.cases, metavar="N", help="linear loads to fit")
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="interior atoms of the result, which is then built"
-        " anew (default: those of the organ, or else 15 for 100 surface points; none for groups)",
+        " anew (default: those of the organ, or else 15 for 100 surface points; none for groups, 60 for cells)",
     )
     parser.add_argument(
         "--hardening",

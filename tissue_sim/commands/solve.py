@@ -29,7 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="U.npz",
         help="displacements (L, n_surface, 3) m, seconds (L,) of computing, converged (L,)",
     )
-    parser.add_argument("--model", choices=MODEL_NAMES, default="hybrid", help="the paper's model variant")
+    parser.add_argument(
+        "--model",
+        choices=MODEL_NAMES,
+        default="auto",
+        help="model variant (default: %(default)s, that which the organ was made for)",
+    )
     parser.add_argument("--local-region", choices=LOCAL_REGIONS, default="off", help="what moves under a small load")
     parser.add_argument("--integrator", choices=INTEGRATORS, default="symplectic", help="how nodes are stepped")
     parser.add_argument("--rate", type=float, default=1000.0, help="ticks a second, Hz")

@@ -1,0 +1,150 @@
+"""Energy, forces and tangents of cells whose moduli are arguments; model.cells has the law, without its penalty."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.calibration.factor import Elimination, Factor
+from tissue_sim.model.assembly import Model
+from tissue_sim.model.cells import STEEPEST, shapes_of, strain_rows
+from tissue_sim.model.modes import free_axes
+
+_AXES = np.arange(3)
+
+
+class Cells:
+    """The cells of a model as functions of position and moduli: what a fit asks of `static.Springs`, too.
+
+    Moduli (2c,) Pa stand in one array: mu of every cell, then lambda. Of the model only topology and rest shape count.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.rest, self.n_surface, self.free = model.rest, model.n_surface, free_axes(model)
+        self.nodes = model.cells[:, [1, 0, 2, 3]].astype(np.int64)
+        _, inverse, self.volume = shapes_of(self.rest, self.nodes)
+        self.counts = (len(self.nodes), len(self.nodes))
+        # Of the shape function of each node, (c, 4, 3) 1/m.
+        self._slope = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        self._along = np.einsum("cax,cbx->cab", self._slope, self._slope)
+        self._across = np.cross(self._slope[:, :, None], self._slope[:, None, :])
+        self._index()
+
+    def trace(self) -> Floats:
+        """What a unit of each modulus (2c,) adds to the trace of the tangent at rest."""
+        size = self.volume * np.einsum("caa->c", self._along)
+        return np.concatenate([4.0 * size, size])
+
+    # energy and forces -------------------------------------------------------------------------
+    def energy_and_gradient(self, position: Floats, moduli: Floats) -> tuple[float, Floats]:
+        """Elastic energy, J, and its gradient (n, 3) N: the force that must be applied to hold the shape."""
+        mu, lam = self._split(moduli)
+        at = self._look(position)
+        square = np.einsum("cij,cij->c", at.gradient, at.gradient)
+        bounded, under, logarithm = at.bounded, at.under, np.log(at.bounded)
+        by_mu = 0.5 * (square - 3.0) - logarithm - under / bounded + 0.5 * (under / STEEPEST) ** 2
+        by_lam = 0.25 * (bounded**2 - 1.0) - 0.5 * logarithm + 0.5 * (bounded - 1.0 / bounded) * under
+        by_lam += 0.25 * (1.0 + 1.0 / STEEPEST**2) * under**2
+        stress = mu[:, None, None] * at.gradient + (mu * at.by_mu + lam * at.by_lam)[:, None, None] * at.cofactor
+        push = np.einsum("c,cij,caj->cai", self.volume, stress, self._slope)
+        gradient = np.zeros_like(position)
+        for axis in range(3):
+            gradient[:, axis] = np.bincount(self.nodes.ravel(), push[:, :, axis].ravel(), len(position))
+        return float(self.volume @ (mu * by_mu + lam * by_lam)), gradient
+
+    def sensitivity(self, position: Floats, direction: Floats) -> Floats:
+        """What each modulus adds to the energy gradient along a direction (n, 3): (2c,)."""
+        at = self._look(position)
+        change = np.einsum("cai,caj->cij", direction[self.nodes], self._slope)
+        swelling = np.einsum("cij,cij->c", at.cofactor, change)
+        by_mu = np.einsum("cij,cij->c", at.gradient, change) + at.by_mu * swelling
+        return np.concatenate([self.volume * by_mu, self.volume * at.by_lam * swelling])
+
+    # tangents ----------------------------------------------------------------------------------
+    def tangent(self, position: Floats, moduli: Floats, convex: bool = False) -> csc_array:
+        """Second derivative of the energy over the free axes, (a, a) N/m.
+
+        convex: without what the pressure's turning takes from it, so that the matrix is positive definite.
+        """
+        mu, lam = self._split(moduli)
+        at = self._look(position)
+        normal = np.einsum("cij,caj->cai", at.cofactor, self._slope)  # of J by each node, 1/m
+        steep = mu / at.bounded**2 + 0.5 * lam * (1.0 + 1.0 / at.bounded**2)
+        block = np.einsum("c,cai,cbj->cabij", steep, normal, normal, optimize=True)
+        block[:, :, :, _AXES, _AXES] += (mu[:, None, None] * self._along)[..., None]
+        if not convex:
+            turned = np.einsum("c,cij,cabj->cabi", mu * at.by_mu + lam * at.by_lam, at.gradient, self._across)
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                block[:, :, :, j, k] += turned[..., i]
+                block[:, :, :, k, j] -= turned[..., i]
+        block *= self.volume[:, None, None, None, None]
+        data = np.bincount(self._target, block.ravel(), len(self._rows) + 1)[:-1]
+        size = len(self.free)
+        return csc_array((data, self._rows, self._starts), shape=(size, size))
+
+    def factor(self, tangent: csc_array) -> Factor:
+        """A factored tangent."""
+        return Factor(self._elimination, tangent)
+
+    @cached_property
+    def _elimination(self) -> Elimination:
+        return Elimination(self.rest, self.free, self._rows, self._starts)
+
+    def rest_tangent(self, moduli: Floats) -> csc_array:
+        """The tangent at rest: that of linear elasticity."""
+        return self.tangent(self.rest, moduli)
+
+    def strain_rows(self) -> tuple[csc_array, Longs]:
+        """Strains about rest over the free axes (7c, a), and each row's modulus; see model.cells."""
+        rows, owner = strain_rows(self.rest, self.nodes)
+        return rows[:, self.free], owner
+
+    def least_volume(self, position: Floats) -> float:
+        """Least J of a cell: its volume over that at rest."""
+        return float(np.linalg.det(self._gradient(position)).min())
+
+    def _split(self, moduli: Floats) -> tuple[Floats, Floats]:
+        return moduli[: len(self.nodes)], moduli[len(self.nodes) :]
+
+    def _gradient(self, position: Floats) -> Floats:
+        return np.einsum("cai,caj->cij", position[self.nodes], self._slope)
+
+    def _look(self, position: Floats) -> _Shape:
+        gradient = self._gradient(position)
+        rows = [np.cross(gradient[:, (i + 1) % 3], gradient[:, (i + 2) % 3]) for i in range(3)]
+        cofactor = np.stack(rows, axis=1)
+        swollen = np.einsum("cj,cj->c", gradient[:, 0], rows[0])
+        bounded = np.maximum(swollen, STEEPEST)
+        under = swollen - bounded
+        by_mu = under / STEEPEST**2 - 1.0 / bounded
+        by_lam = 0.5 * (bounded - 1.0 / bounded) + 0.5 * (1.0 + 1.0 / STEEPEST**2) * under
+        return _Shape(gradient, cofactor, bounded, under, by_mu, by_lam)
+
+    def _index(self) -> None:
+        """The tangent's pattern, and where in it the entries of every cell go; past its end those of held nodes."""
+        size = len(self.free)
+        place = np.full(3 * len(self.rest), -1)
+        place[self.free] = np.arange(size)
+        at = place[3 * self.nodes[:, :, None] + _AXES]
+        row, column = at[:, :, None, :, None], at[:, None, :, None, :]
+        keys = np.where((row >= 0) & (column >= 0), column * size + row, -1).ravel()
+        unique = np.unique(keys[keys >= 0])
+        self._rows = (unique % size).astype(np.int32)
+        self._starts = np.searchsorted(unique, size * np.arange(size + 1)).astype(np.int32)
+        self._target = np.where(keys >= 0, np.searchsorted(unique, keys), len(unique))
+
+
+class _Shape(NamedTuple):
+    """Of every cell."""
+
+    gradient: Floats  # (c, 3, 3) of the deformation
+    cofactor: Floats  # (c, 3, 3)
+    bounded: Floats  # (c,) J, STEEPEST at the least
+    under: Floats  # (c,) by how much J is less
+    by_mu: Floats  # (c,) slope of the energy density by J over mu, without that of F:F
+    by_lam: Floats  # (c,) and over lambda
