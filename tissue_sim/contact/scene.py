@@ -24,7 +24,7 @@ class Scene:
         self,
         organ: Organ,
         tools: list[Tool],
-        model: str = "hybrid",
+        model: str = "auto",
         rate: float = 1000.0,
         local_region: str = "off",
         ticks_a_set: int = 1,

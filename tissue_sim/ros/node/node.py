@@ -138,7 +138,7 @@ class TissueNode(Node):
         organ = self.organ
         self.get_logger().info(
             f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
-            f" model {self.parameters['model']}, {self.simulation.rate:g} Hz,"
+            f" model {self.simulation.variant}, {self.simulation.rate:g} Hz,"
             f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)}"
         )
 

@@ -59,7 +59,7 @@ NODE_SPECS = (
     Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
     Spec("marker_colour", "none", "what colours the markers", live=True, choices=MARKER_COLOURS),
     Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
-    Spec("model", "hybrid", "model variant", choices=MODEL_NAMES),
+    Spec("model", "auto", "model variant; auto: cells where the organ has them, or else hybrid", choices=MODEL_NAMES),
     Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
     Spec("return_target", "rest", "where return springs pull to", choices=RETURN_TARGETS),
     Spec("local_region", "off", "what moves under a small load", choices=LOCAL_REGIONS),
