@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.calibration.factor import Elimination, Factor
+from tissue_sim.calibration.factor import Factor
+from tissue_sim.calibration.pattern import Pattern
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.cells import STEEPEST, shapes_of, strain_rows
 from tissue_sim.model.modes import free_axes
@@ -26,13 +26,14 @@ class Cells:
     def __init__(self, model: Model) -> None:
         self.rest, self.n_surface, self.free = model.rest, model.n_surface, free_axes(model)
         self.nodes = model.cells[:, [1, 0, 2, 3]].astype(np.int64)
-        _, inverse, self.volume = shapes_of(self.rest, self.nodes)
-        self.counts = (len(self.nodes), len(self.nodes))
         # Of the shape function of each node, (c, 4, 3) 1/m.
-        self._slope = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        self._slope, self.volume = shapes_of(self.rest, self.nodes)
+        self.counts = (len(self.nodes), len(self.nodes))
         self._along = np.einsum("cax,cbx->cab", self._slope, self._slope)
         self._across = np.cross(self._slope[:, :, None], self._slope[:, None, :])
-        self._index()
+        self._pattern = Pattern(self.rest, self.free, (self.nodes,))
+        target = self._pattern.targets[0].ravel()
+        self._target = np.where(target >= 0, target, self._pattern.entries)  # past the end: of held nodes
 
     def trace(self) -> Floats:
         """What a unit of each modulus (2c,) adds to the trace of the tangent at rest."""
@@ -83,17 +84,11 @@ class Cells:
                 block[:, :, :, j, k] += turned[..., i]
                 block[:, :, :, k, j] -= turned[..., i]
         block *= self.volume[:, None, None, None, None]
-        data = np.bincount(self._target, block.ravel(), len(self._rows) + 1)[:-1]
-        size = len(self.free)
-        return csc_array((data, self._rows, self._starts), shape=(size, size))
+        return self._pattern.matrix(np.bincount(self._target, block.ravel(), self._pattern.entries + 1)[:-1])
 
     def factor(self, tangent: csc_array) -> Factor:
         """A factored tangent."""
-        return Factor(self._elimination, tangent)
-
-    @cached_property
-    def _elimination(self) -> Elimination:
-        return Elimination(self.rest, self.free, self._rows, self._starts)
+        return self._pattern.factor(tangent)
 
     def rest_tangent(self, moduli: Floats) -> csc_array:
         """The tangent at rest: that of linear elasticity."""
@@ -124,19 +119,6 @@ class Cells:
         by_mu = under / STEEPEST**2 - 1.0 / bounded
         by_lam = 0.5 * (bounded - 1.0 / bounded) + 0.5 * (1.0 + 1.0 / STEEPEST**2) * under
         return _Shape(gradient, cofactor, bounded, under, by_mu, by_lam)
-
-    def _index(self) -> None:
-        """The tangent's pattern, and where in it the entries of every cell go; past its end those of held nodes."""
-        size = len(self.free)
-        place = np.full(3 * len(self.rest), -1)
-        place[self.free] = np.arange(size)
-        at = place[3 * self.nodes[:, :, None] + _AXES]
-        row, column = at[:, :, None, :, None], at[:, None, :, None, :]
-        keys = np.where((row >= 0) & (column >= 0), column * size + row, -1).ravel()
-        unique = np.unique(keys[keys >= 0])
-        self._rows = (unique % size).astype(np.int32)
-        self._starts = np.searchsorted(unique, size * np.arange(size + 1)).astype(np.int32)
-        self._target = np.where(keys >= 0, np.searchsorted(unique, keys), len(unique))
 
 
 class _Shape(NamedTuple):

@@ -6,7 +6,6 @@ stiffnesses as arguments, so that a fit can change them without an organ being a
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +14,8 @@ from scipy.sparse import coo_array, csc_array
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration import spring_kernels as kernels
 from tissue_sim.calibration.elastic import Elastic
-from tissue_sim.calibration.factor import Elimination, Factor
+from tissue_sim.calibration.factor import Factor
+from tissue_sim.calibration.pattern import Pattern
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.modes import free_axes
 
@@ -56,7 +56,7 @@ class Springs:
         self.least = model.angular_least_area
         self.pulled = model.return_nodes.astype(np.int64)
         self.counts = (len(self.ends), len(self.hinges), len(self.pulled))
-        self._index()
+        self._pattern = Pattern(self.rest, self.free, (self.ends, self.hinges, self.pulled[:, None]))
 
     def stiffness_of(self, model: Model) -> Floats:
         """The stiffnesses (p,) N/m of a model of this topology."""
@@ -117,22 +117,18 @@ class Springs:
         convex: without what a pushed spring's turning takes from it, so that the matrix is positive definite.
         """
         axial, angular, pulls = self.split(stiffness)
-        data = np.zeros(len(self._rows))
-        targets = self._targets
+        data = np.zeros(self._pattern.entries)
+        targets = self._pattern.targets
         kernels.axial_tangent(position, self.ends, self.length, self.hardening, axial, convex, targets[0], data)
         kernels.hinge_tangent(position, *self._hinge_arguments(), angular, convex, targets[1], data, self._work())
-        free = targets[2] >= 0
-        data[targets[2][free]] += np.repeat(pulls, 3)[free]
-        size = len(self.free)
-        return csc_array((data, self._rows, self._starts), shape=(size, size))
+        pulled = np.einsum("rcc->rc", targets[2][:, 0, 0]).ravel()
+        free = pulled >= 0
+        data[pulled[free]] += np.repeat(pulls, 3)[free]
+        return self._pattern.matrix(data)
 
     def factor(self, tangent: csc_array) -> Factor:
         """A factored tangent."""
-        return Factor(self._elimination, tangent)
-
-    @cached_property
-    def _elimination(self) -> Elimination:
-        return Elimination(self.rest, self.free, self._rows, self._starts)
+        return self._pattern.factor(tangent)
 
     def rest_tangent(self, stiffness: Floats) -> csc_array:
         """The tangent at rest, where springs carry no force."""
@@ -159,28 +155,6 @@ class Springs:
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
         owner = np.concatenate([np.arange(s + h), s + h + np.repeat(np.arange(r), 3)])
         return coo_array(entries, shape=shape).tocsc()[:, self.free], owner
-
-    def _index(self) -> None:
-        """The tangent's pattern, and where in it the entries of every spring's second derivative go; -1 for none."""
-        size = len(self.free)
-        place = np.full(3 * len(self.rest), -1)
-        place[self.free] = np.arange(size)
-        axes = np.arange(3)
-
-        def keys(nodes: Longs) -> Longs:
-            """column * size + row of (k, m) nodes' blocks, (k, m, m, 3, 3)."""
-            at = place[3 * nodes[:, :, None] + axes]
-            row, column = at[:, :, None, :, None], at[:, None, :, None, :]
-            found: Longs = np.where((row >= 0) & (column >= 0), column * size + row, -1)
-            return found
-
-        pulls = place[(3 * self.pulled[:, None] + axes).ravel()]
-        found = [keys(self.ends), keys(self.hinges), np.where(pulls >= 0, pulls * (size + 1), -1)]
-        unique = np.unique(np.concatenate([part.ravel() for part in found]))
-        unique = unique[unique >= 0]
-        self._rows = (unique % size).astype(np.int32)
-        self._starts = np.searchsorted(unique, size * np.arange(size + 1)).astype(np.int32)
-        self._targets = [np.where(part >= 0, np.searchsorted(unique, part), -1) for part in found]
 
     # hinges ------------------------------------------------------------------------------------
     def _bending(self, position: Floats) -> _Bending:

@@ -243,7 +243,7 @@ def packed(model: Model) -> Model:
 
 def _real_cells(organ: Organ) -> tuple[Ints, Floats]:
     """Cells (c, 4) of the tissue, turned as the guard takes them, and their volumes (c,) m^3 at rest."""
-    return _ints(organ.cell_nodes[:, [1, 0, 2, 3]]), _floats(shapes_of(organ.rest_positions, organ.cell_nodes)[2])
+    return _ints(organ.cell_nodes[:, [1, 0, 2, 3]]), _floats(shapes_of(organ.rest_positions, organ.cell_nodes)[1])
 
 
 def _cells(organ: Organ) -> tuple[Ints, Floats]:

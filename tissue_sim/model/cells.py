@@ -40,8 +40,8 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
 
     The penalty is left out; see `with_penalty`.
     """
-    _, inverse, volume = shapes_of(rest, cells)
-    metric = np.einsum("cax,cbx->cab", inverse, inverse) * (mu * volume)[:, None, None]
+    slope, volume = shapes_of(rest, cells)
+    metric = np.einsum("cax,cbx->cab", slope[:, 1:], slope[:, 1:]) * (mu * volume)[:, None, None]
     constants = np.zeros((len(cells), CONSTANTS))
     for row, (a, b) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
         constants[:, row] = metric[:, a, b]
@@ -52,17 +52,17 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
     return Tissue(packed.nodes, packed.constants, room[0], room[1])
 
 
-def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats, Floats]:
-    """Edges from the first node as columns (c, 3, 3) m, their inverse 1/m, and volumes (c,) m^3."""
+def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
+    """Slopes of the nodes' shape functions (c, 4, 3) 1/m of cells (c, 4) at rest (n, 3) m, and volumes (c,) m^3."""
     corner = rest[cells]
     edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
-    return edges, np.linalg.inv(edges), np.linalg.det(edges) / 6.0
+    inverse = np.linalg.inv(edges)
+    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), np.linalg.det(edges) / 6.0
 
 
 def with_penalty(tissue: Tissue, rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Tissue:
     """The same with a penalty on squeezed cells: inverse_mass (n,) 1/kg, frequency rad/s the largest about rest."""
-    _, inverse, volume = shapes_of(rest, cells)
-    slope = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # of J by each node, 1/m
+    slope, volume = shapes_of(rest, cells)  # slopes of J by each node, too
     give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J, to an impulse along that, 1/(m^2 kg)
     stiffness = np.zeros(len(cells))
     free = give > 0.0
@@ -137,8 +137,7 @@ def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
     In the root of m^3: of mu the strains times the root of two and the shear angles, of lambda the swelling. The second
     part names each row's modulus: mu of every cell, then lambda.
     """
-    _, inverse, volume = shapes_of(rest, cells)
-    slope = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    slope, volume = shapes_of(rest, cells)
     count, root = len(cells), np.sqrt(volume)[:, None]
     terms = [[(axis, axis, np.sqrt(2.0))] for axis in range(3)]
     terms += [[(a, b, 1.0), (b, a, 1.0)] for a, b in ((0, 1), (0, 2), (1, 2))]
@@ -157,16 +156,15 @@ def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
 def cell_energy(position: Floats, rest: Floats, tissue: Tissue) -> float:
     """Elastic energy of cells at position (n, 3) m, J; 0 at rest (n, 3) m."""
     cells, (mu, lam), penalty = cells_of(tissue)
-    _, inverse, volume = shapes_of(rest, cells)
-    corner = position[cells]
-    gradient = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1) @ inverse
+    slope, volume = shapes_of(rest, cells)
+    gradient = np.einsum("cai,caj->cij", position[cells], slope)
     swollen = np.linalg.det(gradient)
     square = np.einsum("cij,cij->c", gradient, gradient)
     bounded = np.maximum(swollen, STEEPEST)
     under = swollen - bounded
-    slope = 0.5 * lam * (bounded - 1.0 / bounded) - mu / bounded
+    pressure = 0.5 * lam * (bounded - 1.0 / bounded) - mu / bounded
     steep = 0.5 * lam + (0.5 * lam + mu) / STEEPEST**2
     density = 0.5 * mu * (square - 3.0 - 2.0 * np.log(bounded))
-    density += 0.25 * lam * (bounded**2 - 1.0 - 2.0 * np.log(bounded)) + slope * under + 0.5 * steep * under**2
+    density += 0.25 * lam * (bounded**2 - 1.0 - 2.0 * np.log(bounded)) + pressure * under + 0.5 * steep * under**2
     pushed = np.minimum(swollen - SQUEEZED, 0.0)
     return float(volume @ (density + 0.5 * penalty * pushed**2))
