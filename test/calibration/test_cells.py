@@ -13,7 +13,7 @@ from tissue_sim.calibration.fit import LinearMisfit, fit
 from tissue_sim.calibration.static import settle
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.cells import CONSTANTS, STEEPEST, cell_energy, cell_forces
+from tissue_sim.model.cells import CONSTANTS, STEEPEST, cell_energy, cell_forces, strain_rows
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
@@ -83,14 +83,20 @@ def test_the_convex_tangent_is_positive_definite_where_the_other_is_not():
     assert np.linalg.eigvalsh(CELLS.tangent(x, MODULI).toarray()).min() < 0.0
 
 
-def test_at_rest_strains_moduli_and_the_models_own_matrix_agree():
+def test_at_rest_moduli_and_the_models_own_matrix_agree():
     model = assemble(with_moduli(ORGAN, MODULI), "cells")
     wanted = stiffness_matrix(model)[CELLS.free][:, CELLS.free].toarray()
     found = CELLS.rest_tangent(MODULI).toarray()
     assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
-    rows, owner = CELLS.strain_rows()
+    rows, owner = strain_rows(CELLS.rest, CELLS.nodes)
+    rows = rows[:, CELLS.free]
     by_rows = (rows.T @ rows.multiply(MODULI[owner][:, None])).toarray()
     assert np.abs(by_rows - wanted).max() < 1e-12 * np.abs(wanted).max()
+    answer, adjoint = np.random.default_rng(2).standard_normal((2, len(CELLS.free), 5))
+    work = np.bincount(owner, np.einsum("rc,rc->r", rows @ answer, rows @ adjoint))
+    np.testing.assert_allclose(
+        CELLS.rest_sensitivity(answer, adjoint), work, rtol=1e-9, atol=1e-12 * np.abs(work).max()
+    )
     free = Cells(assemble(replace(ORGAN, fixed=ORGAN.fixed[:0]), "cells"))
     assert free.trace() @ MODULI == pytest.approx(free.rest_tangent(MODULI).trace(), rel=1e-12)
 

@@ -78,6 +78,9 @@ def test_strain_rows_make_the_stiffness_matrix():
     rows, owner = springs.strain_rows()
     made = rows.T @ (rows * stiffness[owner][:, None]).tocsc()
     assert abs(made - springs.rest_tangent(stiffness)).max() < 1e-12 * abs(made).max()
+    answer, adjoint = np.random.default_rng(2).standard_normal((2, made.shape[0], 5))
+    work = springs.rest_sensitivity(answer, adjoint) @ stiffness
+    assert work == pytest.approx(float(np.vdot(adjoint, made @ answer)), rel=1e-9)
 
 
 def test_convex_tangent_is_positive_definite_where_the_tangent_is_not():

@@ -11,7 +11,7 @@ from helpers.scenes import RADIUS, ball
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.cells import PENALTY, SQUEEZED, STEEPEST, cell_energy, cell_forces, cells_of, tissue_of
+from tissue_sim.model.cells import PENALTY, SQUEEZED, STEEPEST, STIFF, cell_energy, cell_forces, cells_of, tissue_of
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
@@ -179,9 +179,9 @@ def test_vectors_read_and_add_as_one_after_the_other_would_to_the_last_bit():
     wanted = force.copy()
     for lane in range(BLOCK):
         j, k, m = arms[lane]
-        wanted[nodes[lane, 0], :3] -= j + k + m
-        for corner, push in zip(nodes[lane, 1:], (j, k, m), strict=True):
-            wanted[corner, :3] += push
+        wanted[nodes[lane, 0], :3] += j + k + m
+        for corner, pull in zip(nodes[lane, 1:], (j, k, m), strict=True):
+            wanted[corner, :3] -= pull
     scattered(force, nodes, work)
     np.testing.assert_array_equal(force, wanted)
 
@@ -217,6 +217,20 @@ def test_energy_falls_after_a_release_and_no_cell_stays_inside_out():
     assert max(energies[200:]) < 1e-3 * energies[0]
     assert simulation.state.count.faults == 0
     assert swelling(simulation.positions).min() > 0.9
+
+
+@pytest.mark.parametrize(("share", "factor"), [(0.95, 1), (0.6, 2)])
+def test_the_tick_that_finds_squeezed_cells_takes_more_substeps(share, factor):
+    simulation = Simulation(ORGAN, model="cells", substeps=3)
+    simulation.positions[MODEL.moving] *= share
+    simulation.state.status.asleep = False
+    stiff = np.count_nonzero(swelling(simulation.positions) < STIFF)
+    assert (stiff > 0) == (factor > 1)
+    simulation.step()
+    assert simulation.state.status.substeps == 3 * factor
+    assert simulation.state.count.faults == 0
+    forces(MODEL.rest * share)
+    assert (MODEL.tissue.stiff[0] > 0) == (factor > 1)
 
 
 def test_cells_can_be_stepped_implicitly():

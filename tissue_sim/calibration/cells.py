@@ -7,14 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from tissue_sim.array_types import Floats, Longs
+from tissue_sim.array_types import Floats
 from tissue_sim.calibration.factor import Factor
 from tissue_sim.calibration.pattern import Pattern
 from tissue_sim.model.assembly import Model
-from tissue_sim.model.cells import STEEPEST, shapes_of, strain_rows
+from tissue_sim.model.cells import STEEPEST, shapes_of
 from tissue_sim.model.modes import free_axes
 
 _AXES = np.arange(3)
+_AT_A_TIME = 64
 
 
 class Cells:
@@ -32,6 +33,8 @@ class Cells:
         self._along = np.einsum("cax,cbx->cab", self._slope, self._slope)
         self._across = np.cross(self._slope[:, :, None], self._slope[:, None, :])
         self._pattern = Pattern(self.rest, self.free, (self.nodes,))
+        self._place = np.full(3 * len(self.rest), -1)  # the last row, without anything, of what is held
+        self._place[self.free] = np.arange(len(self.free))
         target = self._pattern.targets[0].ravel()
         self._target = np.where(target >= 0, target, self._pattern.entries)  # past the end: of held nodes
 
@@ -94,10 +97,23 @@ class Cells:
         """The tangent at rest: that of linear elasticity."""
         return self.tangent(self.rest, moduli)
 
-    def strain_rows(self) -> tuple[csc_array, Longs]:
-        """Strains about rest over the free axes (7c, a), and each row's modulus; see model.cells."""
-        rows, owner = strain_rows(self.rest, self.nodes)
-        return rows[:, self.free], owner
+    def rest_sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
+        """What each modulus (2c,) adds to the work that rest_tangent answer does along adjoint; both (a, r).
+
+        A few cells at a time, so that what is gathered for them stays in the processor.
+        """
+        axes = self._place[3 * self.nodes[:, :, None] + _AXES].reshape(len(self.nodes), 12)
+        by_mu, by_lam = np.empty(len(axes)), np.empty(len(axes))
+        here, there = (np.concatenate([part, np.zeros((1, part.shape[1]))]) for part in (answer, adjoint))
+        for first in range(0, len(axes), _AT_A_TIME):
+            some = slice(first, first + _AT_A_TIME)
+            work = there[axes[some]] @ here[axes[some]].transpose(0, 2, 1)
+            work = work.reshape(-1, 4, 3, 4, 3)
+            slope = self._slope[some]
+            by_mu[some] = np.einsum("cab,caibi->c", self._along[some], work)
+            by_mu[some] += np.einsum("caibj,caj,cbi->c", work, slope, slope, optimize=True)
+            by_lam[some] = np.einsum("caibj,cai,cbj->c", work, slope, slope, optimize=True)
+        return np.concatenate([self.volume * by_mu, self.volume * by_lam])
 
     def least_volume(self, position: Floats) -> float:
         """Least J of a cell: its volume over that at rest."""

@@ -46,6 +46,6 @@ class Elastic(Protocol):
         """The tangent at rest."""
         ...
 
-    def strain_rows(self) -> tuple[csc_array, Longs]:
-        """Strains about rest over the free axes, and the stiffness that weighs the square of each row."""
+    def rest_sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
+        """What each stiffness (p,) adds to the work that rest_tangent answer does along adjoint; both (a, r)."""
         ...

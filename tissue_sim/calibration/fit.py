@@ -57,8 +57,6 @@ class LinearMisfit:
 
     def __init__(self, springs: Elastic, force: Floats, wanted: Floats) -> None:
         self._springs = springs
-        rows, self._owner = springs.strain_rows()
-        self._rows = rows.tocsr()
         free, inside = springs.free, springs.free < 3 * springs.n_surface
         self._inside = inside
         answers = wanted.reshape(len(wanted), -1)[:, free[inside]]
@@ -78,10 +76,8 @@ class LinearMisfit:
         pull = np.zeros_like(answer)
         pull[self._inside] = 2.0 / len(square) * off
         adjoint = factor.solve(pull)
-        slope = -np.einsum("rc,rc->r", self._rows @ adjoint, self._rows @ answer)
-        return Evaluation(
-            float(square.mean()), np.bincount(self._owner, slope, len(stiffness)), np.sqrt(np.maximum(square, 0.0))
-        )
+        slope = -self._springs.rest_sensitivity(answer, adjoint)
+        return Evaluation(float(square.mean()), slope, np.sqrt(np.maximum(square, 0.0)))
 
 
 def _combinations(answers: Floats) -> Floats:

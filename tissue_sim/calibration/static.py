@@ -6,10 +6,11 @@ stiffnesses as arguments, so that a fit can change them without an organ being a
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import coo_array, csc_array, csr_array
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration import spring_kernels as kernels
@@ -155,6 +156,16 @@ class Springs:
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
         owner = np.concatenate([np.arange(s + h), s + h + np.repeat(np.arange(r), 3)])
         return coo_array(entries, shape=shape).tocsc()[:, self.free], owner
+
+    def rest_sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
+        """What each stiffness (p,) adds to the work that rest_tangent answer does along adjoint; both (a, r)."""
+        rows, owner = self._strains
+        return np.bincount(owner, np.einsum("rc,rc->r", rows @ adjoint, rows @ answer), sum(self.counts))
+
+    @cached_property
+    def _strains(self) -> tuple[csr_array, Longs]:
+        rows, owner = self.strain_rows()
+        return rows.tocsr(), owner
 
     # hinges ------------------------------------------------------------------------------------
     def _bending(self, position: Floats) -> _Bending:

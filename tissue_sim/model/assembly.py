@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
-from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks, pack
+from tissue_sim.model.blocks import BLOCK, Blocks, aligned, empty_blocks, pack
 from tissue_sim.model.cells import Tissue, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
@@ -198,7 +198,7 @@ def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> 
             reduction=NO_REDUCTION,
             factor=None,
             tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
-            work=np.zeros(9 * BLOCK),
+            work=aligned(np.zeros(9 * BLOCK)),
         )
     )
     if made.tissue is None:

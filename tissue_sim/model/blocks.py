@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Ints
 
 BLOCK = 16  # springs in a block: a few vectors of the processor; more only pads small regions
+LINE = 64  # bytes of the processor's cache
 
 
 class Blocks(NamedTuple):
@@ -28,7 +30,16 @@ def pack(nodes: Ints, constants: Floats, filling: Floats) -> Blocks:
     values[: len(nodes)] = constants
     kinds = constants.shape[1]
     rows = np.ascontiguousarray(values.reshape(blocks, BLOCK, kinds).transpose(0, 2, 1))
-    return Blocks(ends.reshape(blocks, BLOCK, nodes.shape[1]), rows.reshape(blocks, kinds * BLOCK))
+    return Blocks(aligned(ends.reshape(blocks, BLOCK, nodes.shape[1])), aligned(rows.reshape(blocks, kinds * BLOCK)))
+
+
+def aligned(values: NDArray[Any]) -> NDArray[Any]:
+    """A copy that begins with a line of the cache: vectors that lie across two lines take a sixth longer to read."""
+    room = np.empty(values.nbytes + LINE, dtype=np.uint8)
+    first = -room.ctypes.data % LINE
+    copy: NDArray[Any] = room[first : first + values.nbytes].view(values.dtype).reshape(values.shape)
+    copy[...] = values
+    return copy
 
 
 def empty_blocks(count: int, nodes: int, constants: int) -> Blocks:

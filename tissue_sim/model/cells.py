@@ -15,11 +15,12 @@ from scipy.sparse import coo_array, csc_array
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.blocks import BLOCK, pack
-from tissue_sim.model.vectors import WIDTH, gather_arms, scatter_arms
+from tissue_sim.model.blocks import BLOCK, aligned, pack
+from tissue_sim.model.vectors import WIDTH, fused, gather_arms, scatter_arms
 
 STEEPEST = 0.4  # of the volume at rest; the pressure's slope grows as 1 / J^2
 SQUEEZED = 0.5  # of the volume at rest, from which on the penalty pushes
+STIFF = 0.35  # of the volume at rest, from which on a cell asks for shorter substeps than at rest
 # Of the largest squared frequency at rest, that the penalty of one cell has. With 1 the step is too long for what a few
 # squeezed cells do together, with 0.1 cells are turned inside out (measured under a pinch).
 PENALTY = 0.3
@@ -33,6 +34,7 @@ class Tissue(NamedTuple):
     constants: Floats  # (b, CONSTANTS BLOCK)
     position: Floats  # (n, WIDTH) m
     force: Floats  # (n, WIDTH) N
+    stiff: Longs  # (1,) not 0 where the last forces found cells under STIFF
 
 
 def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
@@ -47,9 +49,19 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
         constants[:, row] = metric[:, a, b]
     constants[:, 6] = 1.0 / (6.0 * volume)
     constants[:, 7], constants[:, 8] = lam / 12.0, mu / 6.0
-    packed = pack(np.asarray(cells, dtype=np.int32), constants, np.zeros(CONSTANTS))
-    room = np.zeros((2, len(rest), WIDTH))
-    return Tissue(packed.nodes, packed.constants, room[0], room[1])
+    # What only fills up is the first cell without stiffness: with a volume, so that it isn't taken for a squeezed one.
+    spare = -len(cells) % BLOCK
+    constants = np.concatenate([constants, np.zeros((spare, CONSTANTS))])
+    constants[len(cells) :, 6] = constants[0, 6]
+    order = _apart(len(constants))
+    packed = pack(np.concatenate([cells, cells[:1].repeat(spare, axis=0)])[order], constants[order], constants[0])
+    room = np.zeros((len(rest), WIDTH))
+    return Tissue(packed.nodes, packed.constants, aligned(room), aligned(room), np.zeros(1, dtype=np.int64))
+
+
+def _apart(count: int) -> Longs:
+    """An order in which cells that follow each other share no nodes: a processor waits for a sum to go on with it."""
+    return np.arange(count).reshape(BLOCK, -1).T.ravel()
 
 
 def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
@@ -67,68 +79,86 @@ def with_penalty(tissue: Tissue, rest: Floats, cells: Ints, inverse_mass: Floats
     stiffness = np.zeros(len(cells))
     free = give > 0.0
     stiffness[free] = PENALTY * frequency**2 / give[free] / (6.0 * volume[free])
-    constants = tissue.constants.copy()
+    constants = aligned(tissue.constants)
     rows = np.zeros(len(tissue.nodes) * BLOCK)
     rows[: len(cells)] = stiffness
-    constants[:, 9 * BLOCK :] = rows.reshape(-1, BLOCK)
+    constants[:, 9 * BLOCK :] = rows[_apart(len(rows))].reshape(-1, BLOCK)
     return tissue._replace(constants=constants)
 
 
 @kernel
 def cell_forces(position: Any, tissue: Any, work: Any, force: Any) -> None:
-    """Add the forces of cells at position (n, 3) m to force (n, 3) N; work (9 BLOCK,)."""
+    """Add the forces of cells at position (n, 3) m to force (n, 3) N, and note stiff ones; work (9 BLOCK,)."""
     wide, push = tissue.position, tissue.force
+    stiff = 0
     for node in range(len(position)):
-        for axis in range(3):
-            wide[node, axis] = position[node, axis]
-            push[node, axis] = 0.0
+        x, y, z = position[node, 0], position[node, 1], position[node, 2]
+        wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
+        push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
     for block in range(len(tissue.nodes)):
         gather_arms(wide, tissue.nodes[block], work)
-        _resist(work, tissue.constants[block])
+        stiff += _resist(work, tissue.constants[block])
         scatter_arms(push, tissue.nodes[block], work)
     for node in range(len(force)):
         for axis in range(3):
             force[node, axis] += push[node, axis]
+    tissue.stiff[0] = stiff
 
 
 @kernel
-def _resist(work: Any, constant: Any) -> None:
-    """Turn the arms of a block into the forces on its last three nodes."""
+def _minor(a: float, d: float, b: float, c: float) -> float:
+    """a d - b c."""
+    return fused(a, d, -(b * c))
+
+
+@kernel
+def _pull(s: float, j: float, t: float, k: float, u: float, m: float, pressure: float, normal: float) -> float:
+    """s j + t k + u m + pressure normal."""
+    return fused(s, j, fused(t, k, fused(u, m, pressure * normal)))
+
+
+@kernel
+def _resist(work: Any, constant: Any) -> int:
+    """Turn the arms of a block into the pulls of its last three nodes on the first; returns how many are stiff."""
+    stiff = 0
     for c in range(BLOCK):
         jx, jy, jz = work[c], work[BLOCK + c], work[2 * BLOCK + c]
         kx, ky, kz = work[3 * BLOCK + c], work[4 * BLOCK + c], work[5 * BLOCK + c]
         mx, my, mz = work[6 * BLOCK + c], work[7 * BLOCK + c], work[8 * BLOCK + c]
-        ax, ay, az = ky * mz - kz * my, kz * mx - kx * mz, kx * my - ky * mx
-        bx, by, bz = my * jz - mz * jy, mz * jx - mx * jz, mx * jy - my * jx
-        dx, dy, dz = jy * kz - jz * ky, jz * kx - jx * kz, jx * ky - jy * kx
-        volume = (jx * ax + jy * ay + jz * az) * constant[6 * BLOCK + c]
+        ax, ay, az = _minor(ky, mz, kz, my), _minor(kz, mx, kx, mz), _minor(kx, my, ky, mx)
+        bx, by, bz = _minor(my, jz, mz, jy), _minor(mz, jx, mx, jz), _minor(mx, jy, my, jx)
+        dx, dy, dz = _minor(jy, kz, jz, ky), _minor(jz, kx, jx, kz), _minor(jx, ky, jy, kx)
+        volume = fused(jx, ax, fused(jy, ay, jz * az)) * constant[6 * BLOCK + c]
+        stiff += volume < STIFF
         bounded = volume if volume > STEEPEST else STEEPEST
         inverse = 1.0 / bounded
         bulk, shear = constant[7 * BLOCK + c], constant[8 * BLOCK + c]
         under = volume - SQUEEZED
         under = under if under < 0.0 else 0.0
         pressure = bulk * (bounded - inverse) - shear * inverse
-        pressure += (volume - bounded) * (bulk + (bulk + shear) * (1.0 / STEEPEST**2))
-        pressure += under * constant[9 * BLOCK + c]
+        pressure = fused(volume - bounded, fused(bulk + shear, 1.0 / STEEPEST**2, bulk), pressure)
+        pressure = fused(under, constant[9 * BLOCK + c], pressure)
         s11, s12, s13 = constant[c], constant[BLOCK + c], constant[2 * BLOCK + c]
         s22, s23, s33 = constant[3 * BLOCK + c], constant[4 * BLOCK + c], constant[5 * BLOCK + c]
-        work[c] = -(s11 * jx + s12 * kx + s13 * mx + pressure * ax)
-        work[BLOCK + c] = -(s11 * jy + s12 * ky + s13 * my + pressure * ay)
-        work[2 * BLOCK + c] = -(s11 * jz + s12 * kz + s13 * mz + pressure * az)
-        work[3 * BLOCK + c] = -(s12 * jx + s22 * kx + s23 * mx + pressure * bx)
-        work[4 * BLOCK + c] = -(s12 * jy + s22 * ky + s23 * my + pressure * by)
-        work[5 * BLOCK + c] = -(s12 * jz + s22 * kz + s23 * mz + pressure * bz)
-        work[6 * BLOCK + c] = -(s13 * jx + s23 * kx + s33 * mx + pressure * dx)
-        work[7 * BLOCK + c] = -(s13 * jy + s23 * ky + s33 * my + pressure * dy)
-        work[8 * BLOCK + c] = -(s13 * jz + s23 * kz + s33 * mz + pressure * dz)
+        work[c] = _pull(s11, jx, s12, kx, s13, mx, pressure, ax)
+        work[BLOCK + c] = _pull(s11, jy, s12, ky, s13, my, pressure, ay)
+        work[2 * BLOCK + c] = _pull(s11, jz, s12, kz, s13, mz, pressure, az)
+        work[3 * BLOCK + c] = _pull(s12, jx, s22, kx, s23, mx, pressure, bx)
+        work[4 * BLOCK + c] = _pull(s12, jy, s22, ky, s23, my, pressure, by)
+        work[5 * BLOCK + c] = _pull(s12, jz, s22, kz, s23, mz, pressure, bz)
+        work[6 * BLOCK + c] = _pull(s13, jx, s23, kx, s33, mx, pressure, dx)
+        work[7 * BLOCK + c] = _pull(s13, jy, s23, ky, s33, my, pressure, dy)
+        work[8 * BLOCK + c] = _pull(s13, jz, s23, kz, s33, mz, pressure, dz)
+    return stiff
 
 
 def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
     """The cells (c, 4) again, their moduli mu and lambda (2, c) Pa, and the penalty of each, J/m^3."""
     rows = tissue.constants.reshape(-1, CONSTANTS, BLOCK).transpose(0, 2, 1).reshape(-1, CONSTANTS)
-    real = rows[:, 6] > 0.0  # the others only fill up
-    rows = rows[real]
-    return tissue.nodes.reshape(-1, 4)[real], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
+    order = np.argsort(_apart(len(rows)))
+    order = order[rows[order, 8] > 0.0]  # the others only fill up
+    rows = rows[order]
+    return tissue.nodes.reshape(-1, 4)[order], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
 
 
 def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:

@@ -18,7 +18,9 @@ class Scratch(NamedTuple):
     force: Any  # (n, 3) N
     impulse: Any  # (T, 6) N s on the tissue
     mobility: Any  # (n,) 1/kg
-    mobility_key: Any  # (5,) settings that it was worked out for
+    push: Any  # (3n,) s/kg, and
+    shrink: Any  # (3n,), of integrators.symplectic_euler_whole
+    mobility_key: Any  # (5,) settings that they were worked out for
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
@@ -89,6 +91,8 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         force=empty(n, 3),
         impulse=empty(n_bodies, 6),
         mobility=empty(n),
+        push=empty(3 * n),
+        shrink=empty(3 * n),
         mobility_key=empty(5),
         predicted=model.rest.copy(),
         change=empty(0 if model.factor is None else len(model.moving), 3),

@@ -16,7 +16,13 @@ from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import unload_nodes
-from tissue_sim.model.integrators import explicit_euler, implicit_euler, predict, symplectic_euler
+from tissue_sim.model.integrators import (
+    explicit_euler,
+    implicit_euler,
+    predict,
+    symplectic_euler,
+    symplectic_euler_whole,
+)
 from tissue_sim.model.regions import (
     absorb_load,
     change_region,
@@ -73,13 +79,17 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     scratch.impulse[:] = 0.0
     implicit = settings.integrator == Integrator.IMPLICIT
     whole = status.region == Region.WHOLE and (not implicit or steps_implicitly(model, state, settings))
+    begun = status.region == Region.WHOLE and not steps_implicitly(model, state, settings)
+    if begun:
+        whole_forces(model, state.position, settings, scratch)  # these tell how stiff the cells are
     wanted = settings.substeps if whole else settings.region_substeps
-    substeps = wanted * status.backoff * caution(model, state)
+    substeps = wanted * status.backoff * caution(model, state, begun)
     eased = substeps < status.substeps
     status.substeps = substeps
     set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
     for substep in range(substeps):
-        advance_substep(model, state, shapes, settings, scratch, substep, substeps, eased and substep == 0)
+        first = substep == 0
+        advance_substep(model, state, shapes, settings, scratch, substep, substeps, begun and first, eased and first)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
     check_cells(model, state)
@@ -116,35 +126,57 @@ def steps_implicitly(model: Any, state: Any, settings: Any) -> Any:
 
 
 @kernel
-def caution(model: Any, state: Any) -> int:
-    """Factor on the substeps while cells are inside out: crumpled triangles are stiffer than sound ones.
+def _has_stiff_cells(model: Any) -> bool:
+    return model.tissue.stiff[0] > 0
 
-    Springs that harden are so by up to 1 + 2 h there.
+
+@kernel
+def _has_none(model: Any) -> bool:
+    return False
+
+
+@chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_none)
+def has_stiff_cells(model: Any) -> Any:
+    """True when the last forces found cells that are squeezed so much that they ask for shorter substeps."""
+
+
+@kernel
+def caution(model: Any, state: Any, begun: bool) -> int:
+    """Factor on the substeps while cells are squeezed or inside out: crumpled tissue is stiffer than sound one.
+
+    Springs that harden are so by up to 1 + 2 h there. begun: the forces of this tick's first substep are known.
     """
     if state.status.turned == 0:
-        return 1
+        return 2 if begun and has_stiff_cells(model) else 1
     harder = round(math.sqrt(1.0 + 2.0 * model.hardening))
     return harder * (4 if state.status.turned > CRUMPLED * len(model.cells) else 2)
 
 
 @kernel
 def advance_substep(
-    model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int, substeps: int, eased: bool
+    model: Any,
+    state: Any,
+    shapes: Any,
+    settings: Any,
+    scratch: Any,
+    substep: int,
+    substeps: int,
+    begun: bool,
+    eased: bool,
 ) -> None:
-    """Forces, integration and contact of one substep; eased: the first of a longer step than the last."""
+    """Forces, integration and contact of one substep.
+
+    begun: its elastic forces are known; eased: it is the first of a longer step than the last.
+    """
     step = settings.tick_time / substeps
     couple_bodies(state, settings, scratch, step, 1.0 / (substeps - substep))
     implicit = steps_implicitly(model, state, settings)
     if state.status.region == Region.WHOLE:
-        scratch.force[:] = 0.0
-        if implicit and eased:
-            elastic_forces(model, state.position, scratch.force)
-        elif implicit:
+        if implicit and not eased:
             predict(state.position, state.velocity, model.moving, step, scratch.predicted)
-            elastic_forces(model, scratch.predicted, scratch.force)
-        else:
-            elastic_forces(model, state.position, scratch.force)
-        scale_force(settings, scratch.force)
+            whole_forces(model, scratch.predicted, settings, scratch)
+        elif not begun:
+            whole_forces(model, state.position, settings, scratch)
     else:
         region_forces(model, state, settings, scratch, substep == substeps - 1)
     add_loads(state, settings, scratch.force)
@@ -155,6 +187,14 @@ def advance_substep(
         state, shapes, scratch.mobility, scratch, settings.friction, step, implicit
     )
     keep_bodies(state, scratch)
+
+
+@kernel
+def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None:
+    """Elastic forces of the whole organ at position (n, 3) m into scratch.force (n, 3) N."""
+    scratch.force[:] = 0.0
+    elastic_forces(model, position, scratch.force)
+    scale_force(settings, scratch.force)
 
 
 @kernel
@@ -218,6 +258,11 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
         integrate_implicitly(model, state, shapes, settings, scratch, step)
         return
     scale, inertia = damping_of(state, settings), inertia_of(state, settings)
+    if settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE:
+        size = state.position.size
+        x, v, f = state.position.reshape(size), state.velocity.reshape(size), scratch.force.reshape(size)
+        symplectic_euler_whole(x, v, f, scratch.push, scratch.shrink, step)
+        return
     nodes = integrated_nodes(model, state, scratch)
     if settings.integrator == Integrator.EXPLICIT:
         explicit_euler(
@@ -246,10 +291,10 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
 
 @kernel
 def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any) -> None:
-    """Velocity that an impulse gives each node within a substep, (n,) 1/kg, when settings have changed.
+    """Velocity that an impulse gives each node within a substep, (n,) 1/kg, and what integration takes of its mass.
 
-    The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With 1/m alone
-    a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
+    Only when settings have changed. The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With
+    1/m alone a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
     implicit = steps_implicitly(model, state, settings)
     slot = float(settings.factor_slot) if implicit else -1.0
@@ -268,6 +313,10 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
             mobility[node] = inverse
         else:
             mobility[node] = inverse / inertia / (1.0 + step * inverse * damping * model.damping[node])
+        push = step / inertia * inverse
+        shrink = 1.0 / (1.0 + push * (damping * inertia) * model.damping[node])
+        for axis in range(3):
+            scratch.push[3 * node + axis], scratch.shrink[3 * node + axis] = push, shrink
 
 
 @kernel

@@ -22,6 +22,16 @@ _BYTES = 8
 
 
 @intrinsic
+def fused(typing_context, a, b, c):  # type: ignore[no-untyped-def]
+    """a b + c, rounded once: one step of the processor in place of two, with the same bits on those that lack it."""
+
+    def make(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.fma(*arguments)
+
+    return types.double(types.double, types.double, types.double), make
+
+
+@intrinsic
 def gather_arms(typing_context, position, nodes, work):  # type: ignore[no-untyped-def]
     """From the first of a block's four nodes to the others, in nine rows of a block.
 
@@ -44,7 +54,7 @@ def gather_arms(typing_context, position, nodes, work):  # type: ignore[no-untyp
 
 @intrinsic
 def scatter_arms(typing_context, force, nodes, work):  # type: ignore[no-untyped-def]
-    """Add what nine rows of a block hold to its last three nodes, and take it from the first: the sum stays zero.
+    """Take what nine rows of a block hold from its last three nodes, and add it to the first: the sum stays zero.
 
     force (n, WIDTH) N, nodes (BLOCK, 4), work (9 BLOCK,).
     """
@@ -53,16 +63,16 @@ def scatter_arms(typing_context, force, nodes, work):  # type: ignore[no-untyped
         target, corners, room = _pointers(context, builder, signature, arguments)
         zero = ir.Constant(_VECTOR, [0.0] * WIDTH)
         for first in range(0, BLOCK, WIDTH):
-            pushes = []
+            pulls = []
             for corner in range(3):
                 axes = [_load(builder, room, _at((3 * corner + axis) * BLOCK + first)) for axis in range(3)]
-                pushes.append(_transposed(builder, [*axes, zero]))
+                pulls.append(_transposed(builder, [*axes, zero]))
             for lane in range(WIDTH):
                 row = _rows(builder, corners, first + lane)
-                total = builder.fadd(builder.fadd(pushes[0][lane], pushes[1][lane]), pushes[2][lane])
-                _store(builder, builder.fsub(_load(builder, target, row[0]), total), target, row[0])
+                total = builder.fadd(builder.fadd(pulls[0][lane], pulls[1][lane]), pulls[2][lane])
+                _store(builder, builder.fadd(_load(builder, target, row[0]), total), target, row[0])
                 for corner in range(3):
-                    moved = builder.fadd(_load(builder, target, row[corner + 1]), pushes[corner][lane])
+                    moved = builder.fsub(_load(builder, target, row[corner + 1]), pulls[corner][lane])
                     _store(builder, moved, target, row[corner + 1])
         return context.get_dummy_value()
 
