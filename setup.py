@@ -54,7 +54,7 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "image": ["SimpleITK", "scikit-image", "matplotlib"],
         "viewer": ["viser"],
-        "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib"],
+        "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         # `colcon test` runs pytest because this extra names it.
         "test": ["pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],

@@ -118,7 +118,12 @@ def test_every_model_and_peer_has_a_row():
     names = [row.name for row in rows_of(NONE, [], thorough=True)]
     assert len(set(names)) == len(names)
     wanted = ("surface", "volume", "hybrid, uncalibrated", "hybrid, by groups", CALIBRATED, f"{CALIBRATED}, implicit")
-    wanted += ("local region, frozen", "local region, modal", "linear FEM, linear tetrahedra", "ChainMail")
+    wanted += (
+        "hybrid, by groups, frozen region",
+        "hybrid, by groups, modal region",
+        "linear FEM, linear tetrahedra",
+        "ChainMail",
+    )
     wanted += ("linear FEM, quadratic tetrahedra", "compliance, all points", "compliance, one patch", "pypbd, XPBD")
     wanted += ("MuJoCo flex, 20 ms step",)
     assert set(wanted) <= set(names)

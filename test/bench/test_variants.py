@@ -1,4 +1,4 @@
-"""The organs of one size: uncalibrated, calibrated by groups, calibrated spring by spring."""
+"""The organs of one size: uncalibrated, calibrated by groups, calibrated cell by cell."""
 
 from dataclasses import replace
 
@@ -15,36 +15,37 @@ from tissue_sim.bench import variants
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.sizes import assembled_anew
 from tissue_sim.bench.variants import Effort, effort_at, fitted, is_calibrated, variants_of
-from tissue_sim.calibration.calibrate import HARDENING, Settings, prepared
 from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.stiffness import INTERIOR_SHARE, Settings, prepared
 
 ORGAN = filled(ball(1), 8)
+FILLED = {"groups": ORGAN, "cells": prepared(ORGAN, Settings())}
 
 
 @pytest.fixture(scope="module")
 def fits():
-    return {method: fitted(ORGAN, method, Effort(15, 20)) for method in ("groups", "springs")}
+    return {method: fitted(organ, method, Effort(15, 20)) for method, organ in FILLED.items()}
 
 
-def test_every_spring_fits_better_than_groups_and_groups_better_than_none(fits):
+def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
     """Under a load that no fit has seen, small enough for linear elasticity."""
     nodes, forces = patch_load(ORGAN, 1e-3)
     force = np.zeros((ORGAN.n_surface, 3))
     force[nodes] = forces
     wanted = Body(ORGAN).settle_linear(force[None])[0]
-    organs = {"none": ORGAN} | {method: replace(ORGAN, **made) for method, made in fits.items()}
+    organs = {"none": ORGAN} | {method: replace(FILLED[method], **made) for method, made in fits.items()}
     error = {
         name: np.linalg.norm(Simulation(organ).settle(force, 1e-5)[0] - wanted) / np.linalg.norm(wanted)
         for name, organ in organs.items()
     }
-    assert error["springs"] < 0.5 * error["groups"]
+    assert error["cells"] < 0.5 * error["groups"]
     assert error["groups"] < 0.8 * error["none"]
 
 
 def test_fit_keeps_the_mass_and_the_step(fits):
-    for made in fits.values():
+    for method, made in fits.items():
         assert made["mass"].sum() == pytest.approx(ORGAN.mass.sum(), rel=0.02)
-        simulation = Simulation(replace(ORGAN, **made))
+        simulation = Simulation(replace(FILLED[method], **made))
         assert simulation.critical_step > 2e-4
 
 
@@ -54,30 +55,26 @@ def test_fits_are_kept(monkeypatch, tmp_path, fits):
     monkeypatch.setattr(variants, "fitted", lambda _organ, method, _effort: made.append(method) or fits[method])
     for _ in range(2):
         found = variants_of(ORGAN, ORGAN.n_surface, fits=True)
-        assert made == ["groups", "springs"]
-        np.testing.assert_array_equal(found.springs.spring_stiffness, fits["springs"]["spring_stiffness"])
-        assert "linear loads" in found.springs.provenance["fit"]
+        assert made == ["groups", "cells"]
+        np.testing.assert_array_equal(found.cells.cell_mu, fits["cells"]["cell_mu"])
+        assert "linear loads" in found.cells.provenance["fit"]
     np.testing.assert_array_equal(found.plain.spring_stiffness, ORGAN.spring_stiffness)
 
 
 def test_calibrated_organ_is_taken_as_it_is_at_its_own_size():
-    own = replace(ORGAN, provenance={"calibration": {"method": "springs"}})
+    own = replace(ORGAN, provenance={"calibration": {"method": "cells"}})
     assert is_calibrated(own)
     assert not is_calibrated(replace(ORGAN, provenance={"calibration": {"method": "groups"}}))
     quick = variants_of(own, own.n_surface, fits=False)
-    assert quick.springs is own
+    assert quick.cells is own
     assert isinstance(quick.groups, str)
-    assert "tissue_sim calibrate" in str(variants_of(ORGAN, ORGAN.n_surface, fits=False).springs)
+    assert "tissue_sim calibrate" in str(variants_of(ORGAN, ORGAN.n_surface, fits=False).cells)
 
 
-def test_organ_without_interior_atoms_gets_those_that_calibrate_would_add():
+def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
     hollow = ball(2)
-    wanted = round(0.15 * hollow.n_surface)
-    assert assembled_anew(hollow, hollow.surface_positions, hollow.surface_triangles, wanted).n_interior == wanted
-    assert prepared(hollow, Settings()).n_interior == wanted
-    filled_one = prepared(ORGAN, Settings())
-    np.testing.assert_array_equal(filled_one.spring_nodes, ORGAN.spring_nodes)
-    assert filled_one.hardening == HARDENING
+    assert assembled_anew(hollow, hollow.surface_positions, hollow.surface_triangles, 24).n_interior == 24
+    assert FILLED["cells"].n_interior == round(INTERIOR_SHARE * ORGAN.n_surface)
 
 
 def test_larger_organs_get_fewer_cases():

@@ -6,57 +6,61 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball
-from tissue_sim.calibration.background import Reference, Task
+from tissue_sim.calibration.background import Reference
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.checkpoint import Checkpoint
-from tissue_sim.calibration.fe_mesh import Grading
+from tissue_sim.calibration.dynamics import release
 from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.judge import RELEASE_STEP, RELEASE_TIME
 from tissue_sim.errors import UserError
 
-COARSE = Grading(clamp=0)
+RATE = 40.0  # 1/s
 
 for library in ("skfem", "netgen", "joblib"):
     pytest.importorskip(library)
 
 
+def reference_of(organ, folder, cases):
+    return Reference(organ, Checkpoint(folder, {}), cases, lambda _: (cases.force[0], 5), RATE)
+
+
 def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
     organ = ball(2)
     cases = fit_cases(organ, 2, 0).scaled(np.array([0.1, 0.2]))
-    reference = Reference(
-        organ, Checkpoint(tmp_path, {}), {"some": Task(cases, COARSE), "none": Task(cases.chosen([]))}
-    )
+    reference = reference_of(organ, tmp_path, cases)
     told = []
     try:
-        found = reference.answer("some", lambda: told.append(1))
-        assert len(reference.answer("none", lambda: told.append(1)).converged) == 0
+        found, motion = reference.answer(lambda: told.append(1)), reference.motion()
     finally:
         reference.stop()
     assert len(told) == 2
-    settled = list(Body(organ, grading=COARSE).settle_many(cases.force))
+    body = Body(organ)
+    settled = list(body.settle_many(cases.force))
     np.testing.assert_allclose(found.displacement, [one.displacement for one in settled], atol=1e-9)
     np.testing.assert_allclose(found.volume, [one.volume_change for one in settled], atol=1e-9)
     np.testing.assert_array_equal(found.converged, 1.0)
-    again = Reference(replace(organ, poisson_ratio=0.5), Checkpoint(tmp_path, {}), {"some": Task(cases, COARSE)})
-    np.testing.assert_array_equal(again.answer("some", lambda: None).displacement, found.displacement)
+    wanted = release(body, cases.force[0], RELEASE_TIME, RELEASE_STEP, RATE, [5])
+    np.testing.assert_allclose(motion["displacement"], wanted.displacement[:, 0], atol=1e-9)
+    again = reference_of(replace(organ, poisson_ratio=0.5), tmp_path, cases)  # which would fail
+    np.testing.assert_array_equal(again.answer(lambda: None).displacement, found.displacement)
+    np.testing.assert_array_equal(again.motion()["displacement"], motion["displacement"])
     again.stop()
 
 
 def test_what_goes_wrong_there_is_raised_here(tmp_path):
     organ = ball(2)
-    cases = fit_cases(organ, 2, 0)
-    reference = Reference(replace(organ, poisson_ratio=0.5), Checkpoint(tmp_path, {}), {"some": Task(cases, COARSE)})
+    reference = reference_of(replace(organ, poisson_ratio=0.5), tmp_path, fit_cases(organ, 2, 0))
     try:
         with pytest.raises(UserError, match="Poisson's ratio"):
-            reference.answer("some", lambda: None)
+            reference.answer(lambda: None)
     finally:
         reference.stop()
 
 
 def test_stop_ends_what_is_under_way_and_keeps_nothing_of_it(tmp_path):
     organ = ball(2)
-    cases = fit_cases(organ, 2, 0)
-    reference = Reference(organ, Checkpoint(tmp_path, {}), {"some": Task(cases), "more": Task(cases)})
+    reference = reference_of(organ, tmp_path, fit_cases(organ, 2000, 0))
     reference.stop()
     kept = Checkpoint(tmp_path, {})
-    for name in ("some", "more"):
+    for name in ("held-out", "release"):
         assert "x" in kept.remember(name, lambda: {"x": np.zeros(1)})

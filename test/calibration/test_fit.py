@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 
+from helpers.scenes import ball
 from helpers.springs_of_ball import MODEL, ORGAN, SPRINGS, START, linear_answers
+from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, held_out_cases
-from tissue_sim.calibration.fit import BOUNDS, LinearMisfit, NonlinearMisfit, SharedMisfit, fit
+from tissue_sim.calibration.elastic import Elastic
+from tissue_sim.calibration.fit import BOUNDS, Misfit, fit
 from tissue_sim.calibration.judge import errors
-from tissue_sim.calibration.static import settle
+from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared
+from tissue_sim.model.assembly import assemble
 
 TRUTH = START * np.exp(0.5 * np.random.default_rng(7).standard_normal(len(START)))
-
-
-def settled_answers(stiffness, force):
-    shapes = [settle(SPRINGS, stiffness, one)[0].position for one in force]
-    return np.array(shapes)[:, : ORGAN.n_surface] - MODEL.rest[: ORGAN.n_surface]
 
 
 def slope_by_differences(misfit, stiffness, chosen, step):
@@ -29,14 +28,14 @@ def slope_by_differences(misfit, stiffness, chosen, step):
 def springs_that_count(slope, stiffness):
     """Springs of each kind whose stiffness makes a difference."""
     weight = np.abs(slope * stiffness)
-    first, second = SPRINGS.counts[0], sum(SPRINGS.counts[:2])
+    first, second = np.cumsum([len(MODEL.spring_first), len(MODEL.angular_nodes)])
     kinds = (range(first), range(first, second), range(second, len(slope)))
     return [int(kind[int(np.argsort(-weight[kind.start : kind.stop])[k])]) for kind in kinds for k in (0, 5)]
 
 
 def test_linear_slope_is_that_by_finite_differences():
     force = fit_cases(ORGAN, 12, 0).force
-    misfit = LinearMisfit(SPRINGS, force, linear_answers(TRUTH, force))
+    misfit = Misfit(SPRINGS, force, linear_answers(TRUTH, force))
     slope = misfit.evaluate(START).slope
     chosen = springs_that_count(slope, START)
     np.testing.assert_allclose(slope[chosen], list(slope_by_differences(misfit, START, chosen, 1e-4)), rtol=1e-4)
@@ -45,7 +44,7 @@ def test_linear_slope_is_that_by_finite_differences():
 def test_overlapping_linear_cases_are_combined_and_tell_what_they_told_apart():
     force = fit_cases(ORGAN, 600, 0).force
     wanted = linear_answers(TRUTH, force)
-    misfit, found = LinearMisfit(SPRINGS, force, wanted), linear_answers(START, force)
+    misfit, found = Misfit(SPRINGS, force, wanted), linear_answers(START, force)
     assert misfit.combinations.shape[1] < 0.5 * len(force)
     evaluation = misfit.evaluate(START)
     apart = errors(found, wanted)
@@ -56,41 +55,21 @@ def test_overlapping_linear_cases_are_combined_and_tell_what_they_told_apart():
     np.testing.assert_allclose(evaluation.slope[chosen], list(slopes), rtol=1e-4)
 
 
-def test_nonlinear_slope_is_that_by_finite_differences():
-    force = 0.6 * fit_cases(ORGAN, 3, 0).force
-    wanted = settled_answers(TRUTH, force)
-    assert np.abs(wanted).max() > 2e-3
-    misfit = NonlinearMisfit(SPRINGS, force, wanted, tolerance=1e-10)
-    found = misfit.evaluate(START)
-    np.testing.assert_allclose(found.error, errors(settled_answers(START, force), wanted), rtol=1e-6)
-    chosen = springs_that_count(found.slope, START)
-    np.testing.assert_allclose(found.slope[chosen], list(slope_by_differences(misfit, START, chosen, 1e-3)), rtol=1e-3)
-
-
 def test_a_known_model_is_recovered_in_what_it_does():
     force, judged = fit_cases(ORGAN, 60, 0).force, held_out_cases(ORGAN, 10, 4).force
-    misfit = LinearMisfit(SPRINGS, force, linear_answers(TRUTH, force))
+    misfit = Misfit(SPRINGS, force, linear_answers(TRUTH, force))
     wanted = linear_answers(TRUTH, judged)
     before = errors(linear_answers(START, judged), wanted).mean()
-    found = fit(START, SPRINGS.trace(), [(1.0, misfit)], 90, shrink=1e-7, soften=0.0)
+    found = fit(misfit, START, 90, shrink=1e-7, soften=0.0)
     after = errors(linear_answers(found, judged), wanted).mean()
     assert before > 0.08
     assert after < 0.1 * before
 
 
-def test_nonlinear_cases_correct_what_linear_ones_cannot_tell():
-    force = 0.4 * fit_cases(ORGAN, 4, 0).force
-    wanted = settled_answers(TRUTH, force)
-    misfit = NonlinearMisfit(SPRINGS, force, wanted)
-    before = misfit.evaluate(START).error.mean()
-    found = fit(START, SPRINGS.trace(), [(1.0, misfit)], 15, shrink=1e-6, soften=0.0)
-    assert errors(settled_answers(found, force), wanted).mean() < 0.5 * before
-
-
 def test_the_same_fit_gives_the_same_bits_and_stays_within_its_bounds():
     force = fit_cases(ORGAN, 20, 0).force
     wanted = linear_answers(TRUTH, force)
-    first, again = (fit(START, SPRINGS.trace(), [(1.0, LinearMisfit(SPRINGS, force, wanted))], 12) for _ in range(2))
+    first, again = (fit(Misfit(SPRINGS, force, wanted), START, 12) for _ in range(2))
     np.testing.assert_array_equal(first, again)
     assert np.all(np.abs(np.log(first / START)) <= np.abs(BOUNDS[0]) + 1e-12)
     assert np.all(np.log(first / START) <= BOUNDS[1] + 1e-12)
@@ -98,40 +77,25 @@ def test_the_same_fit_gives_the_same_bits_and_stays_within_its_bounds():
 
 def test_softening_lowers_the_trace():
     force = fit_cases(ORGAN, 20, 0).force
-    misfit = LinearMisfit(SPRINGS, force, linear_answers(TRUTH, force))
-    hard, soft = (fit(START, SPRINGS.trace(), [(1.0, misfit)], 25, soften=soften) for soften in (0.0, 0.01))
+    misfit = Misfit(SPRINGS, force, linear_answers(TRUTH, force))
+    hard, soft = (fit(misfit, START, 25, soften=soften) for soften in (0.0, 0.01))
     assert SPRINGS.trace() @ soft < 0.95 * (SPRINGS.trace() @ hard)
 
 
-def test_a_case_without_rest_keeps_the_search_away():
-    force = np.zeros((1, ORGAN.n_surface, 3))
-    force[0, np.argmax(ORGAN.surface_positions[:, 2])] = [0.0, 0.0, -1e4]
-    found = NonlinearMisfit(SPRINGS, force, np.full((1, ORGAN.n_surface, 3), 1e-3)).evaluate(START)
-    assert found.loss == 1.0  # more than any case that comes to rest, however far off
-    assert not np.any(found.slope)
-
-
-def test_restored_shapes_give_the_same_evaluation():
-    force = 0.4 * fit_cases(ORGAN, 3, 0).force
-    wanted = settled_answers(TRUTH, force)
-    straight, resumed = (NonlinearMisfit(SPRINGS, force, wanted) for _ in range(2))
-    straight.evaluate(START)
-    resumed.restore(straight.position, straight.stiffness)
-    a, b = (misfit.evaluate(1.02 * START) for misfit in (straight, resumed))
-    assert a.loss == b.loss
-    np.testing.assert_array_equal(a.slope, b.slope)
-
-
-def test_cases_shared_out_among_processes_say_the_same():
-    force = 0.4 * fit_cases(ORGAN, 5, 0).force
-    wanted = settled_answers(TRUTH, force)
-    shared, alone = SharedMisfit(SPRINGS, force, wanted), NonlinearMisfit(SPRINGS, force, wanted)
-    try:
-        for stiffness in (START, 1.05 * START):
-            a, b = shared.evaluate(stiffness), alone.evaluate(stiffness)
-            assert a.loss == pytest.approx(b.loss, rel=1e-9)
-            np.testing.assert_allclose(a.slope, b.slope, rtol=1e-9, atol=1e-12 * np.abs(b.slope).max())
-            np.testing.assert_allclose(a.error, b.error, rtol=1e-9)
-            np.testing.assert_allclose(shared.position, alone.position, atol=1e-12)
-    finally:
-        shared.close()
+def test_cells_are_found_by_the_same_fit_within_their_bounds():
+    organ = prepared(ball(2), Settings(interior=20))
+    model = assemble(organ)
+    elastic, even = Elastic(model), first_stiffness(organ, model)
+    moduli = even * np.exp(0.5 * np.random.default_rng(0).normal(size=len(even)))
+    load = np.zeros((40, elastic.n_nodes, 3))
+    load[:, : organ.n_surface] = fit_cases(organ, 40, 0).force
+    factor = elastic.factor(elastic.tangent(moduli))
+    wanted = np.zeros((40, load[0].size))
+    wanted[:, elastic.free] = factor.solve(np.ascontiguousarray(load.reshape(40, -1)[:, elastic.free].T)).T
+    wanted = wanted.reshape(load.shape)[:, : organ.n_surface]
+    misfit = Misfit(elastic, load[:, : organ.n_surface], wanted)
+    assert misfit.evaluate(moduli).error.max() < 0.02
+    found = fit(misfit, even, 60, bounds=CELL_BOUNDS)
+    assert misfit.evaluate(found).error.mean() < 0.25 * misfit.evaluate(even).error.mean()
+    logarithm = np.log(found / even)
+    assert CELL_BOUNDS[0] - 1e-12 <= logarithm.min() < logarithm.max() <= CELL_BOUNDS[1] + 1e-12

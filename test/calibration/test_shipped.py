@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from helpers.scenes import assembled
+from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.judge import errors
-from tissue_sim.calibration.static import Springs
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
@@ -18,7 +18,7 @@ def organ():
     return Organ.load(shipped_organ())
 
 
-def test_it_is_the_organ_as_built_with_other_springs_and_says_how_good_they_are(organ):
+def test_it_is_the_organ_as_built_with_cells_and_says_how_good_they_are(organ):
     built = Organ.load(shipped_organ(AS_BUILT))
     np.testing.assert_array_equal(organ.surface_positions, built.surface_positions)
     np.testing.assert_array_equal(organ.surface_triangles, built.surface_triangles)
@@ -34,13 +34,13 @@ def test_it_sags_under_gravity_as_finite_elements_do(organ):
     for module in ("skfem", "netgen"):
         pytest.importorskip(module)
     model = assembled(organ)
-    springs = Springs(model)
-    factor = springs.factor(springs.rest_tangent(springs.stiffness_of(model)))
+    elastic = Elastic(model)
+    factor = elastic.factor(elastic.tangent(elastic.stiffness))
     body = Body(organ)
     for direction in np.eye(3):
         wanted = body.settle_linear(np.zeros((1, organ.n_surface, 3)), GRAVITY * direction)
         found = np.zeros(model.rest.size)
-        found[springs.free] = factor.solve((GRAVITY * organ.mass[:, None] * direction).ravel()[springs.free])
+        found[elastic.free] = factor.solve((GRAVITY * organ.mass[:, None] * direction).ravel()[elastic.free])
         found = found.reshape(-1, 3)[: organ.n_surface]
         assert found.mean(axis=0) @ direction > 1e-3
         assert errors(found[None], wanted)[0] < 0.05

@@ -3,18 +3,18 @@
 import numpy as np
 
 from helpers.scenes import ball, changed, filled
-from tissue_sim.calibration.static import Springs
+from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.model.assembly import assemble
 
 ORGAN = changed(filled(ball(2), 12), return_stiffness=0.02)
 MODEL = assemble(ORGAN)
-SPRINGS = Springs(MODEL)
-START = SPRINGS.stiffness_of(MODEL)
+SPRINGS = Elastic(MODEL)
+START = SPRINGS.stiffness
 
 
 def linear_answers(stiffness, force):
     """Displacements of the surface under forces, by the dense matrix."""
-    matrix = SPRINGS.rest_tangent(stiffness).toarray()
+    matrix = SPRINGS.tangent(stiffness).toarray()
     load = np.zeros((len(force), MODEL.rest.size))
     load[:, : force[0].size] = force.reshape(len(force), -1)
     moved = np.zeros_like(load)

@@ -273,4 +273,4 @@ def test_substeps_multiply_while_cells_are_turned_and_more_where_springs_harden(
     cells = len(model.cells)
     for turned, factor in ((0, 1), (1, few), (cells, many)):
         state.status.turned = turned
-        assert caution(model, state) == factor
+        assert caution(model, state, False) == factor

@@ -10,21 +10,22 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from tissue_sim.bench.sizes import at_size
-from tissue_sim.calibration.calibrate import Settings, first_stiffness, prepared, with_stiffness
+from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.dynamics import lowest_frequencies
+from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.fit import LinearMisfit, fit
+from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass
-from tissue_sim.calibration.static import Springs
+from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
 from tissue_sim.organ.organ import Organ
 from tissue_sim.store import remembered
 
 SEED = 0  # of the fit's cases
-_VERSION = "2"  # of what is remembered
+_VERSION = "3"  # of what is remembered
 
 
 class Effort(NamedTuple):
@@ -35,18 +36,18 @@ class Effort(NamedTuple):
 
 
 class Variants(NamedTuple):
-    """The organs of one size: as the pipeline makes it, calibrated by the few groups, and spring by spring.
+    """The organs of one size: as the pipeline makes it, calibrated by the few groups of springs, and cell by cell.
 
     In place of one that is missing, the reason.
     """
 
     plain: Organ
     groups: Organ | str
-    springs: Organ | str
+    cells: Organ | str
 
 
 def effort_at(points: int) -> Effort:
-    """So that a fit takes minutes at any size. The organ's own calibration has more, and nonlinear cases too."""
+    """So that a fit takes minutes at any size. The organ's own calibration has more."""
     if points <= 1000:
         return Effort(1200, 90)
     return Effort(600, 45) if points <= 2500 else Effort(300, 30)
@@ -63,13 +64,13 @@ def variants_of(organ: Organ, points: int, *, fits: bool) -> Variants:
     if not fits:
         missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
         return Variants(plain, "takes minutes to fit, left out of --quick", organ if own else missing)
-    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(prepared(plain, Settings()), "springs"))
+    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(prepared(plain, Settings()), "cells"))
 
 
 def is_calibrated(organ: Organ) -> bool:
-    """Whether every spring of an organ was fitted."""
+    """Whether every cell of an organ was fitted."""
     figures = organ.provenance.get("calibration")
-    return isinstance(figures, dict) and figures.get("method") == "springs"
+    return isinstance(figures, dict) and figures.get("method") == "cells"
 
 
 def _kept(organ: Organ, method: str) -> Organ | str:
@@ -87,28 +88,21 @@ def _kept(organ: Organ, method: str) -> Organ | str:
 def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
     """Stiffnesses, masses and damping of an organ, fitted to linear finite elements, by the organ's names for them.
 
-    method: `groups`, one factor for each group of springs, as the paper has it; `springs`, every spring.
-    Raises UserError when the organ can't be filled with finite elements, or its springs leave something free.
+    method: `groups`, one factor for each group of springs, as the paper has it; `cells`, every cell.
+    Raises UserError when the organ can't be filled with finite elements, or its tissue leaves something free.
     """
     body = Body(organ)
     cases = fit_cases(organ, effort.cases, SEED)
     model = assemble(organ)
-    springs = Springs(model)
-    start = first_stiffness(model, springs)
-    misfit = LinearMisfit(springs, cases.force, body.settle_linear(cases.force))
+    elastic, start = Elastic(model), first_stiffness(organ, model)
+    misfit = Misfit(elastic, cases.force, body.settle_linear(cases.force))
     with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
         if method == "groups":
-            group = group_of(organ, springs)
-            stiffness = search(start, group, misfit, effort.steps, lambda *_: bar.update())
+            stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: bar.update())
         else:
-            stiffness = fit(start, springs.trace(), [(1.0, misfit)], effort.steps, watch=lambda *_: bar.update())
+            stiffness = fit(misfit, start, effort.steps, lambda *_: bar.update(), bounds=CELL_BOUNDS)
     frequencies = lowest_frequencies(body, MODES)
-    mass = fit_mass(organ, springs, stiffness, frequencies)
-    made = with_stiffness(organ, springs, stiffness)
-    return {
-        "spring_stiffness": made.spring_stiffness,
-        "angular_stiffness": made.angular_stiffness,
-        "return_stiffness": made.return_stiffness,
-        "mass": mass,
-        "damping": damping_rate(frequencies) * mass,
-    }
+    mass = fit_mass(organ, elastic, stiffness, frequencies)
+    made = with_stiffness(organ, model, stiffness)
+    names = ("spring_stiffness", "angular_stiffness", "return_stiffness", "cell_mu", "cell_lambda")
+    return {name: getattr(made, name) for name in names} | {"mass": mass, "damping": damping_rate(frequencies) * mass}

@@ -1,53 +1,44 @@
-"""The finite-element body settles its loads in a process of its own, while the fit goes on."""
+"""What the finite-element body has to say, worked out in a process of its own while the fit goes on."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import CancelledError, ThreadPoolExecutor, wait
-from functools import partial
-from typing import NamedTuple
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
-from tissue_sim.calibration.fe_mesh import Grading
+from tissue_sim.calibration.dynamics import release
 from tissue_sim.calibration.fem import Body, Settled
-from tissue_sim.calibration.judge import Answer
+from tissue_sim.calibration.judge import RELEASE_STEP, RELEASE_TIME, Answer
 from tissue_sim.calibration.remote import Remote
 from tissue_sim.organ.organ import Organ
 
-
-class Task(NamedTuple):
-    """A set of cases, and the mesh on which they are settled.
-
-    linear (c, n_surface, 3) m: what the reference's mesh gives by linear elasticity, where a coarser one settles
-    the cases. The difference between the two meshes by linear elasticity is then added to what it comes to, which
-    takes away most of its error.
-    """
-
-    cases: Cases
-    grading: Grading | None = None
-    linear: Floats | None = None
+Poke = tuple[Floats, int]  # forces (n_surface, 3) N that a release begins with, and the node that is followed
 
 
 class Reference:
-    """Settles sets of cases from now on, one set after another; a set that is whole is kept in the checkpoint.
+    """Settles cases from now on, then lets go of one.
 
-    Not case by case: what a case comes to depends, to rounding, on those that settle in step with it.
+    What is whole is kept in the checkpoint. Not case by case: what a case comes to depends, to rounding, on those that
+    settle in step with it. poke: chooses the load that is let go from the answers; rate: damping, 1/s.
     """
 
-    def __init__(self, organ: Organ, checkpoint: Checkpoint, tasks: dict[str, Task]) -> None:
-        self._organ = organ
-        self._settled = dict.fromkeys(tasks, 0)
+    def __init__(
+        self, organ: Organ, checkpoint: Checkpoint, cases: Cases, poke: Callable[[Answer], Poke], rate: float
+    ) -> None:
+        self._organ, self._cases, self._poke, self._rate = organ, cases, poke, rate
+        self._settled = 0
         self._remote: Remote | None = None
         self._stopped = False
         self._thread = ThreadPoolExecutor(1, "finite elements")
-        self._answers = {
-            name: self._thread.submit(checkpoint.remember, name, partial(self._settle, name, task))
-            for name, task in tasks.items()
-        }
+
+        def kept(name: str, make: Callable[[], Arrays]) -> Future[Arrays]:
+            return self._thread.submit(checkpoint.remember, name, make)
+
+        self._answer, self._motion = kept("held-out", self._settle), kept("release", self._release)
 
     def stop(self) -> None:
         """End what is under way, and begin nothing more."""
@@ -56,58 +47,73 @@ class Reference:
             self._remote.close()
         self._thread.shutdown(cancel_futures=True)
 
-    def answer(self, name: str, done: Callable[..., None]) -> Answer:
-        """Answers to a set of cases, as soon as they are there; `done` is called for each. Raises what went wrong."""
-        told, answer = 0, self._answers[name]
-        while not answer.done():
-            wait([answer], 0.2)  # in turns, so that an interrupt comes through
-            for _ in range(told, self._settled[name]):
+    def answer(self, done: Callable[..., None]) -> Answer:
+        """Answers to the cases, as soon as they are there; `done` is called for each. Raises what went wrong."""
+        told = 0
+        while not self._answer.done():
+            wait([self._answer], 0.2)  # in turns, so that an interrupt comes through
+            for _ in range(told, self._settled):
                 told += 1
                 done()
-        found = Answer(**answer.result())
+        found = Answer(**self._answer.result())
         for _ in range(told, len(found.converged)):
             done()
         return found
 
-    def _settle(self, name: str, task: Task) -> Arrays:
-        force = task.cases.force
+    def motion(self) -> Arrays:
+        """Times (t,) s and displacements (t, 3) m of the node after the release, `time` and `displacement`."""
+        while not self._motion.done():
+            wait([self._motion], 0.2)
+        return self._motion.result()
+
+    def _body(self) -> Remote:
+        if self._stopped:
+            raise CancelledError
+        if self._remote is None:
+            self._remote = Remote(_Bodies, self._organ)
+        return self._remote
+
+    def _settle(self) -> Arrays:
+        force = self._cases.force
         count = len(force)
         found = {"displacement": np.zeros_like(force), "volume": np.zeros(count), "converged": np.zeros(count)}
-        if not count:
-            return found
-        remote = self._remote = Remote(Settler, self._organ, task.grading)
-        try:
-            if self._stopped:
-                raise CancelledError
-            remote.call("begin", force)
-            for case in range(count):
-                settled: Settled = remote.call("following")
-                found["displacement"][case] = settled.displacement
-                found["volume"][case] = settled.volume_change
-                found["converged"][case] = float(settled.converged)
-                self._settled[name] = case + 1
-            if task.linear is not None:
-                found["displacement"] += task.linear - remote.call("linear", force)
-        finally:
-            remote.close()
+        remote = self._body()
+        remote.call("begin", force)
+        for case in range(count):
+            settled: Settled = remote.call("following")
+            found["displacement"][case] = settled.displacement
+            found["volume"][case] = settled.volume_change
+            found["converged"][case] = float(settled.converged)
+            self._settled = case + 1
         return found
 
+    def _release(self) -> Arrays:
+        force, node = self._poke(Answer(**self._answer.result()))
+        made: Arrays = self._body().call("release", force, node, self._rate)
+        return made
 
-class Settler:
-    """A finite-element body that settles cases one after another."""
 
-    def __init__(self, organ: Organ, grading: Grading | None) -> None:
-        self._organ, self._grading = organ, grading
+class _Bodies:
+    """Finite elements, in a process of their own. Methods raise UserError as Body does."""
+
+    def __init__(self, organ: Organ) -> None:
+        self._organ = organ
+        self._body: Body | None = None
 
     def begin(self, force: Floats) -> None:
-        """Make the body, and take on cases (c, n_surface, 3) N. Raises UserError as the body does."""
-        self._body = Body(self._organ, grading=self._grading)
-        self._settled = self._body.settle_many(force)
+        """Take on cases (c, n_surface, 3) N."""
+        self._settled = self._made().settle_many(force)
 
     def following(self) -> Settled:
         """The next case's rest."""
         return next(self._settled)
 
-    def linear(self, force: Floats) -> Floats:
-        """Linear displacements (c, n_surface, 3) m."""
-        return self._body.settle_linear(force)
+    def release(self, force: Floats, node: int, rate: float) -> Arrays:
+        """Motion of a node from the shape settled under forces (n_surface, 3) N, let go."""
+        motion = release(self._made(), force, RELEASE_TIME, RELEASE_STEP, rate, [node])
+        return {"time": motion.time, "displacement": motion.displacement[:, 0]}
+
+    def _made(self) -> Body:
+        if self._body is None:
+            self._body = Body(self._organ)
+        return self._body

@@ -1,51 +1,73 @@
-"""What a fit asks of springs (static.Springs) and of cells (cells.Cells)."""
+"""The tangent of springs or cells about rest, with their stiffness as an argument: what a fit asks for."""
 
 from __future__ import annotations
 
-from typing import Protocol
-
-from scipy.sparse import csc_array
+import numpy as np
+from scipy.sparse import csc_array, csr_array
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.calibration.factor import Factor
+from tissue_sim.calibration.factor import Elimination, Factor
+from tissue_sim.model.assembly import Model
+from tissue_sim.model.modes import free_axes, strains_of
+
+_AT_A_TIME = 4096  # entries whose products are summed at once, so that they stay in the processor
 
 
-class Elastic(Protocol):
-    """The parts of a model as functions of position (n, 3) m and stiffness (p,)."""
+class Elastic:
+    """A model about rest as a function of stiffness (p,), in the order of model.modes.strains_of.
 
-    rest: Floats  # (n, 3) m
-    n_surface: int
-    free: Longs  # coordinates that may move
+    Its tangent is linear in stiffness: the matrix' entries are a table times it. Of the model only topology, rest shape
+    and rest lengths count, never its stiffness, which `stiffness` has.
+    """
 
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """How many stiffnesses there are of each kind."""
-        ...
+    def __init__(self, model: Model) -> None:
+        strains = strains_of(model)
+        self.stiffness = strains.stiffness
+        self.n_nodes, self.n_surface, self.free = len(model.rest), model.n_surface, free_axes(model)
+        square = np.asarray(strains.rows.power(2).sum(axis=1)).ravel()
+        self._trace = np.bincount(strains.owner, square, len(self.stiffness))
+        row, column, self._table = _table(strains.rows.tocsr()[:, self.free], strains.owner, len(self.stiffness))
+        starts = np.searchsorted(column, np.arange(len(self.free) + 1)).astype(np.int32)
+        self._entries = row, column
+        self._pattern = row.astype(np.int32), starts
+        self._elimination = Elimination(model.rest, self.free, *self._pattern)
 
     def trace(self) -> Floats:
-        """What a unit of each stiffness (p,) adds to the trace of the tangent at rest."""
-        ...
+        """What a unit of each stiffness (p,) adds to the trace of the tangent, held nodes' part too."""
+        return self._trace
 
-    def energy_and_gradient(self, position: Floats, stiffness: Floats) -> tuple[float, Floats]:
-        """Elastic energy, J, and its gradient (n, 3) N."""
-        ...
-
-    def sensitivity(self, position: Floats, direction: Floats) -> Floats:
-        """What each stiffness adds to the energy gradient along a direction (n, 3): (p,)."""
-        ...
-
-    def tangent(self, position: Floats, stiffness: Floats, convex: bool = False) -> csc_array:
-        """Second derivative of the energy over the free axes; convex: a positive definite one nearby."""
-        ...
+    def tangent(self, stiffness: Floats) -> csc_array:
+        """The stiffness matrix over the free axes, (a, a) N/m."""
+        size = len(self.free)
+        return csc_array((self._table @ stiffness, *self._pattern), shape=(size, size))
 
     def factor(self, tangent: csc_array) -> Factor:
         """A factored tangent."""
-        ...
+        return Factor(self._elimination, tangent)
 
-    def rest_tangent(self, stiffness: Floats) -> csc_array:
-        """The tangent at rest."""
-        ...
+    def sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
+        """What each stiffness (p,) adds to the work that tangent answer does along adjoint; both (a, r)."""
+        row, column = self._entries
+        work = np.empty(len(row))
+        for first in range(0, len(row), _AT_A_TIME):
+            some = slice(first, first + _AT_A_TIME)
+            work[some] = np.einsum("er,er->e", adjoint[row[some]], answer[column[some]])
+        slope: Floats = self._table.T @ work
+        return slope
 
-    def rest_sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
-        """What each stiffness (p,) adds to the work that rest_tangent answer does along adjoint; both (a, r)."""
-        ...
+
+def _table(rows: csr_array, owner: Longs, count: int) -> tuple[Longs, Longs, csr_array]:
+    """Rows and columns (e,) of a tangent's entries, column by column, and what each stiffness adds to them, (e, p)."""
+    size, parts = rows.shape[1], []
+    lengths = np.diff(rows.indptr)
+    for length in np.unique(lengths[lengths > 0]):
+        some = np.flatnonzero(lengths == length)
+        place = rows.indptr[some][:, None] + np.arange(length)
+        axis, value = rows.indices[place].astype(np.int64), rows.data[place]
+        key = axis[:, None, :] * size + axis[:, :, None]
+        product = value[:, None, :] * value[:, :, None]
+        parts.append((key.ravel(), product.ravel(), np.repeat(owner[some], length**2)))
+    key, product, by = (np.concatenate(part) for part in zip(*parts, strict=True))
+    entry, where = np.unique(key, return_inverse=True)
+    table = csr_array((product, (where.ravel(), by)), shape=(len(entry), count))
+    return entry % size, entry // size, table

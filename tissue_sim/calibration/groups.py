@@ -2,7 +2,7 @@
 
 Section 3.3: "an iterative approach is used to obtain the appropriate parameters of the elastic system, such as d, k, m
 of the inner structure and the outer mesh respectively". It tells no more of the approach; here it is the simplex of
-Nelder & Mead (1965), which needs no slopes. The baseline for the fit of every spring.
+Nelder & Mead (1965), which needs no slopes. The baseline for the fit of cells.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.fit import Evaluation, Misfit
-from tissue_sim.calibration.static import Springs
+from tissue_sim.model.assembly import Model
 from tissue_sim.organ.organ import Organ, SpringKind
 
 GROUPS = ("edges", "inner", "skeleton", "angular", "return")
@@ -22,12 +22,11 @@ FIRST_STEP = 0.25  # factor on one group's stiffness, in each corner of the firs
 LIMITS = (1e-6, 1e3)  # of a group's stiffness over that at the start
 
 
-def group_of(organ: Organ, springs: Springs) -> Longs:
+def group_of(organ: Organ, model: Model) -> Longs:
     """The number in GROUPS of every stiffness (p,): outer mesh, spokes and virtual springs, skeleton, and the rest."""
     kind = organ.spring_kind[organ.spring_stiffness > 0.0]
     axial = np.select([kind == SpringKind.EDGE, kind == SpringKind.SKELETON], [0, 2], 1)
-    _, angular, pulls = springs.counts
-    return np.concatenate([axial, np.full(angular, 3), np.full(pulls, 4)])
+    return np.concatenate([axial, np.full(len(model.angular_nodes), 3), np.full(len(model.return_nodes), 4)])
 
 
 def search(

@@ -42,36 +42,34 @@ def tissue_mass(organ: Organ) -> Floats:
     return organ.density * organ.volume * count / count.sum()
 
 
-def least_mass(springs: Elastic, tangent: csc_array, total: float, step: float = STEP) -> Floats:
+def least_mass(elastic: Elastic, tangent: csc_array, total: float, step: float = STEP) -> Floats:
     """Mass (n,) kg under which no node may fall for a critical step of s; of `total` kg no more than a half.
 
     The largest squared frequency is at most the largest sum of a row of |K| over the row's mass (Gershgorin).
     """
-    rows = np.zeros(3 * len(springs.rest))
-    rows[springs.free] = np.asarray(abs(tangent).sum(axis=1)).ravel()
+    rows = np.zeros(3 * elastic.n_nodes)
+    rows[elastic.free] = np.asarray(abs(tangent).sum(axis=1)).ravel()
     needed = 0.25 * step**2 * rows.reshape(-1, 3).max(axis=1)
     return needed * min(1.0, MOST_SHARE * total / max(float(needed.sum()), 1e-300))
 
 
-def fit_mass(organ: Organ, springs: Elastic, stiffness: Floats, frequencies: Floats) -> Floats:
+def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Floats) -> Floats:
     """Masses (n,) kg, in all as much as the organ's volume weighs, with which the lowest modes have these Hz.
 
-    Raises UserError when the springs leave something free to move without any force.
+    Raises UserError when the tissue leaves something free to move without any force.
     """
-    tangent = springs.rest_tangent(stiffness)
-    factor = springs.factor(tangent)
+    tangent = elastic.tangent(stiffness)
+    factor = elastic.factor(tangent)
     if not factor.is_positive:
-        raise UserError(
-            f"organ '{organ.name}' has parts that no spring holds; build it with more --atoms or --interior"
-        )
+        raise UserError(f"organ '{organ.name}' has parts that nothing holds; build it with more --atoms or --interior")
     around = tissue_mass(organ)
     moving = np.zeros(len(around), dtype=bool)
-    moving[springs.free[::3] // 3] = True
+    moving[elastic.free[::3] // 3] = True
     total = float(around[moving].sum())
-    least = least_mass(springs, tangent, total)[moving]
+    least = least_mass(elastic, tangent, total)[moving]
     share = np.maximum(around[moving] - least, 0.05 * around[moving])
     wanted = (2.0 * np.pi * np.asarray(frequencies)) ** 2
-    start = np.random.default_rng(0).standard_normal(len(springs.free))
+    start = np.random.default_rng(0).standard_normal(len(elastic.free))
 
     def spread(logarithm: Floats) -> tuple[Floats, Floats]:
         """Masses of the moving nodes, and how the part above the least is shared out."""
@@ -102,11 +100,11 @@ def fit_mass(organ: Organ, springs: Elastic, stiffness: Floats, frequencies: Flo
     return mass
 
 
-def frequencies_of(springs: Elastic, stiffness: Floats, mass: Floats, count: int = MODES) -> Floats:
-    """The lowest frequencies (count,) Hz of springs of stiffness (p,) N/m between masses (n,) kg."""
-    tangent = springs.rest_tangent(stiffness)
-    start = np.random.default_rng(0).standard_normal(len(springs.free))
-    square, _ = _modes(tangent, springs.factor(tangent), np.repeat(mass, 3)[springs.free], count, start)
+def frequencies_of(elastic: Elastic, stiffness: Floats, mass: Floats, count: int = MODES) -> Floats:
+    """The lowest frequencies (count,) Hz of a model of stiffness (p,) and masses (n,) kg."""
+    tangent = elastic.tangent(stiffness)
+    start = np.random.default_rng(0).standard_normal(len(elastic.free))
+    square, _ = _modes(tangent, elastic.factor(tangent), np.repeat(mass, 3)[elastic.free], count, start)
     return np.sqrt(np.maximum(square, 0.0)) / (2.0 * np.pi)
 
 

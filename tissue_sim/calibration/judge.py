@@ -9,8 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
-from tissue_sim.calibration.dynamics import release
-from tissue_sim.calibration.fem import Body, volume_change
+from tissue_sim.calibration.fem import volume_change
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -19,7 +18,6 @@ LONGEST = 20.0  # simulated seconds after which a load is given up
 RAMP = 0.3  # s in which a load is raised: as the finite elements, which know no inertia there, and a hand would
 RELEASE_STEP = 0.01  # s of the implicit dynamics
 RELEASE_TIME = 1.0  # s
-RELEASE_STEPS = round(RELEASE_TIME / RELEASE_STEP)
 
 
 class Answer(NamedTuple):
@@ -65,21 +63,17 @@ class Release(NamedTuple):
         return float(np.linalg.norm(self.found - self.wanted) / np.linalg.norm(self.wanted))
 
 
-def released(
-    organ: Organ, body: Body, force: Floats, node: int, rate: float, watch: Callable[[], None] | None = None
-) -> Release:
-    """History of a node from the shape settled under forces (n_surface, 3) N, let go; damping rate 1/s in both.
+def released(organ: Organ, force: Floats, node: int, time: Floats, wanted: Floats) -> Release:
+    """A node from the shape settled under forces (n_surface, 3) N, let go, at times (t,) s.
 
-    watch: called after every step of the finite elements, RELEASE_STEPS of them.
+    wanted (t, 3) m: what the finite-element body does.
     """
-    motion = release(body, force, RELEASE_TIME, RELEASE_STEP, rate, [node], watch=watch)
     simulation = Simulation(organ)
     simulation.settle(force, TOLERANCE, LONGEST)
     rest = simulation.model.rest[node]
-    ticks = round(simulation.rate * RELEASE_STEP)
     history = [simulation.positions[node] - rest]
-    for _ in range(len(motion.time) - 1):
-        for _ in range(ticks):
+    for step in np.diff(np.rint(simulation.rate * time).astype(int)):
+        for _ in range(step):
             simulation.step()
         history.append(simulation.positions[node] - rest)
-    return Release(motion.time, motion.displacement[:, 0], np.array(history))
+    return Release(time, wanted, np.array(history))

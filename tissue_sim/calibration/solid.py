@@ -23,6 +23,7 @@ TOLERANCE = 1e-6  # of the load, in the energy norm of the solid at rest
 MOST_STEPS = 80  # of Newton's method for one load step
 QUICK = 6  # steps, after which the next load step is twice as large
 MOST_LOAD_STEPS = 64
+MOST_STEPS_IN_ALL = 160  # under one load: ten times what one near buckling takes
 MOST_ITERATIONS = 400  # of conjugate gradients
 MOST_HALVINGS = 40
 WORN = 40  # iterations for a step, after which a new preconditioner costs less
@@ -194,7 +195,7 @@ class Solid:
         displacement = np.zeros_like(self.nodes)
         done, share, load_steps, steps, iterations = 0.0, 1.0, 0, 0, 0
         factor: Cholesky | None = None
-        while done < 1.0 and load_steps < MOST_LOAD_STEPS:
+        while done < 1.0 and load_steps < MOST_LOAD_STEPS and steps < MOST_STEPS_IN_ALL:
             load_steps += 1
             wanted = min(1.0, done + share)
             start = displacement, wanted * load, factor

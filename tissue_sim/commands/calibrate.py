@@ -15,11 +15,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from tissue_sim.calibration.calibrate import HARDENING, METHODS, Calibrated, Settings, calibrate
+from tissue_sim.calibration.calibrate import Calibrated, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
+from tissue_sim.calibration.stiffness import INTERIOR_SHARE, METHODS, Settings
 from tissue_sim.calibration.verdict import lines, write_pictures
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import MOST_HARDENING, Organ
+from tissue_sim.organ.organ import Organ
 
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check on held-out loads: smooth, smooth, the sharp ones' mean
 RELEASE = 15.0  # %
@@ -33,34 +34,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         choices=METHODS,
-        default="springs",
-        help="what is fitted: every spring, a factor for each group of springs, as in the paper, or the moduli of"
-        " every cell between the nodes",
+        default=_DEFAULT.method,
+        help="what is fitted: the moduli of every cell between the nodes (the default), or a factor for each group of"
+        " springs, as in the paper",
     )
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="of the loads that are fitted")
-    parser.add_argument("--cases", type=int, default=_DEFAULT.cases, metavar="N", help="linear loads to fit")
-    parser.add_argument("--nonlinear", type=int, default=_DEFAULT.nonlinear, metavar="N", help="large loads to fit")
-    parser.add_argument("--steps", type=int, default=_DEFAULT.steps, metavar="N", help="evaluations of the linear fit")
+    parser.add_argument("--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit")
     parser.add_argument(
-        "--nonlinear-steps",
-        type=int,
-        default=_DEFAULT.nonlinear_steps,
-        metavar="N",
-        help="further evaluations, with the large loads",
+        "--evaluations", type=int, default=_DEFAULT.evaluations, metavar="N", help="evaluations of the misfit"
     )
     parser.add_argument(
         "--interior",
         type=int,
         metavar="N",
-        help="interior atoms of the result, which is then built"
-        " anew (default: those of the organ, or else 15 for 100 surface points; none for groups, 60 for cells)",
-    )
-    parser.add_argument(
-        "--hardening",
-        type=float,
-        metavar="H",
-        help=f"of the springs: how much stiffer they are when pressed, from 0 to {MOST_HARDENING:g}"
-        f" (default: {HARDENING:g}; the organ's own for groups)",
+        help="interior atoms of the result, which is then built anew"
+        f" (default: {100 * INTERIOR_SHARE:g} for 100 surface points; those of the organ for groups)",
     )
     parser.add_argument("--smooth", type=int, default=_DEFAULT.smooth, metavar="N", help="held-out smooth loads")
     parser.add_argument("--sharp", type=int, default=_DEFAULT.sharp, metavar="N", help="held-out sharp loads")
@@ -115,9 +103,7 @@ def _settings(args: argparse.Namespace) -> Settings:
     for option, least, most in (
         ("seed", 0, 2**31),
         ("cases", 8, 10_000),
-        ("nonlinear", 0, 1000),
-        ("steps", 1, 10_000),
-        ("nonlinear_steps", 0, 10_000),
+        ("evaluations", 1, 10_000),
         ("smooth", 1, 1000),
         ("sharp", 0, 1000),
     ):
@@ -126,10 +112,7 @@ def _settings(args: argparse.Namespace) -> Settings:
             raise UserError(f"--{option.replace('_', '-')} {value} is outside {least}..{most}")
     if args.interior is not None and args.interior < 0:
         raise UserError(f"--interior {args.interior} is negative; use 0 or more")
-    if args.hardening is not None and not 0.0 <= args.hardening <= MOST_HARDENING:
-        raise UserError(f"--hardening {args.hardening:g} is outside 0..{MOST_HARDENING:g}")
-    counts = ("seed", "method", "cases", "nonlinear", "steps", "nonlinear_steps")
-    names = (*counts, "interior", "hardening", "smooth", "sharp")
+    names = ("seed", "method", "cases", "evaluations", "interior", "smooth", "sharp")
     return Settings(**{name: getattr(args, name) for name in names})
 
 

@@ -19,6 +19,7 @@ INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a 
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep
+CURVED_PASSES = 3  # after which the tool is as flat as it is where the points have got to: passes then take a third
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
 
@@ -94,42 +95,99 @@ def gap_and_normal(
 
 
 @kernel
-def gather_contacts(state: Any, shapes: Any, origin: Any, rotation: Any, scratch: Any) -> int:
+def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch: Any) -> int:
     """List the entries that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
+
+    For each scratch.near_plane (N, 8): the tool's outward normal and how far its surface lies along that from the
+    tool's origin, m; how far the tool moves there in the substep, less its origin, m; how far an impulse moves the
+    point out of the tool, m/(N s).
 
     Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
     forgotten.
     """
     found = 0
+    origin, rotation = scratch.origin, scratch.rotation
     for entry in range(state.contacts.header.points):
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         near = False
         if state.bodies[body].engaged and found < len(scratch.near_entry):
-            near = pressed > 0.0 or gap_from_outside(state, shapes, entry, origin, rotation) < NEAR
+            x, y, z, lx, ly, lz = point_in_body(state, entry, origin, rotation)
+            gap, nx, ny, nz = gap_and_normal(shapes, body, rotation[body], lx, ly, lz)
+            normal = state.contacts.normal[entry]
+            facing = normal[0] * nx
+            facing += normal[1] * ny
+            facing += normal[2] * nz
+            near = pressed > 0.0 or (facing < INNER_SIDE and gap < NEAR)
         if not near:
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
             continue
+        set_plane(state, scratch, entry, scratch.near_plane[found], x, y, z, lx, ly, lz, gap, nx, ny, nz)
+        compliance = 0.0
+        for c in range(3):
+            weight = state.contacts.weight[entry, c]
+            compliance += weight * weight * mobility[state.contacts.node[entry, c]]
+        scratch.near_plane[found, 7] = compliance * step + scratch.give[body]
+        held, last_held = scratch.near_tangent[found], state.contact_held[0, entry]
+        along = last_held[0] * nx + last_held[1] * ny + last_held[2] * nz
+        held[0], held[1], held[2] = last_held[0] - along * nx, last_held[1] - along * ny, last_held[2] - along * nz
         scratch.near_entry[found] = entry
         scratch.near_normal[found] = pressed
-        copy(state.contact_held[0, entry], scratch.near_tangent[found])
         found += 1
     return found
 
 
 @kernel
-def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[float, float, float, float, float, float]:
-    """The last substep's impulse on a contact point, N s, as it points now: along the tool's normal, and across it.
+def set_plane(
+    state: Any,
+    scratch: Any,
+    entry: int,
+    plane: Any,
+    x: float,
+    y: float,
+    z: float,
+    lx: float,
+    ly: float,
+    lz: float,
+    gap: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> None:
+    """The tool as it is at a contact point, in the organ's frame and in its own, m; see gather_contacts."""
+    body = state.contacts.body[entry]
+    origin, last, q = scratch.origin[body], scratch.last_origin[body], scratch.last_rotation[body]
+    plane[0], plane[1], plane[2] = nx, ny, nz
+    plane[3] = nx * (x - origin[0]) + ny * (y - origin[1]) + nz * (z - origin[2]) - gap
+    plane[4] = x - last[0] - (q[0] * lx + q[1] * ly + q[2] * lz) - origin[0]
+    plane[5] = y - last[1] - (q[3] * lx + q[4] * ly + q[5] * lz) - origin[1]
+    plane[6] = z - last[2] - (q[6] * lx + q[7] * ly + q[8] * lz) - origin[2]
 
-    And that normal.
-    """
+
+@kernel
+def look_again(state: Any, shapes: Any, scratch: Any, near: int) -> None:
+    """Take the tool as it is where a contact point has got to; what was pressed and held is split anew."""
+    entry = scratch.near_entry[near]
+    body = state.contacts.body[entry]
+    x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+    px, py, pz = whole_impulse(scratch, near)
+    set_plane(state, scratch, entry, scratch.near_plane[near], x, y, z, lx, ly, lz, gap, nx, ny, nz)
+    pressed, held = max(0.0, px * nx + py * ny + pz * nz), scratch.near_tangent[near]
+    scratch.near_normal[near] = pressed
+    held[0], held[1], held[2] = px - pressed * nx, py - pressed * ny, pz - pressed * nz
+
+
+@kernel
+def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[float, float, float]:
+    """The last substep's impulse on a contact point, N s, as it points now: along the tool's normal, and across it."""
     body = state.contacts.body[entry]
     _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
     _, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
     pressed, held = state.contact_pressed[0, entry], state.contact_held[0, entry]
     pressed -= held[0] * nx + held[1] * ny + held[2] * nz
-    return pressed * nx + held[0], pressed * ny + held[1], pressed * nz + held[2], nx, ny, nz
+    return pressed * nx + held[0], pressed * ny + held[1], pressed * nz + held[2]
 
 
 @kernel
@@ -161,19 +219,18 @@ def resolve_contacts(
     scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
     about the tool's origin, N m s.
     """
-    found = gather_contacts(state, shapes, scratch.origin, scratch.rotation, scratch)
+    found = gather_contacts(state, shapes, mobility, step, scratch)
     if found == 0:
         return 0
     for near in range(found):
-        entry = scratch.near_entry[near]
         if scratch.near_normal[near] > 0.0:
-            px, py, pz, nx, ny, nz = aim_impulse(state, shapes, entry, scratch)
-            pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
-            held[0], held[1], held[2] = px - pressed * nx, py - pressed * ny, pz - pressed * nz
-            give_impulse(state, shapes, mobility, scratch, entry, px, py, pz, 0.0 if spread else step)
-    for _ in range(MOST_PASSES):
+            px, py, pz = whole_impulse(scratch, near)
+            give_impulse(state, shapes, mobility, scratch, near, px, py, pz, 0.0 if spread else step)
+    for turn in range(MOST_PASSES):
         change = total = 0.0
         for near in range(found):
+            if turn < CURVED_PASSES:
+                look_again(state, shapes, scratch, near)
             change += resolve_contact(state, shapes, mobility, scratch, near, friction, step)
             total += scratch.near_normal[near]
         if change <= TOLERANCE * total:
@@ -185,7 +242,15 @@ def resolve_contacts(
         copy(scratch.near_tangent[near], state.contact_held[0, entry])
         if pressed > 0.0:
             touching += 1
+            count_impulse(state, scratch, near)
     return touching
+
+
+@kernel
+def whole_impulse(scratch: Any, near: int) -> tuple[float, float, float]:
+    """Impulse on a contact point in this substep, N s."""
+    plane, pressed, held = scratch.near_plane[near], scratch.near_normal[near], scratch.near_tangent[near]
+    return pressed * plane[0] + held[0], pressed * plane[1] + held[1], pressed * plane[2] + held[2]
 
 
 @kernel
@@ -193,34 +258,32 @@ def resolve_contact(
     state: Any, shapes: Any, mobility: Any, scratch: Any, near: int, friction: float, step: float
 ) -> float:
     """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
-    entry = scratch.near_entry[near]
-    body = state.contacts.body[entry]
-    compliance = 0.0
-    for c in range(3):
-        weight = state.contacts.weight[entry, c]
-        compliance += weight * weight * mobility[state.contacts.node[entry, c]]
+    entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
-    compliance = compliance * step + scratch.give[body]
+    compliance = plane[7]
     if compliance == 0.0:
         scratch.near_normal[near] = 0.0
         held[0] = held[1] = held[2] = 0.0
         return 0.0
-    x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
-    gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+    origin = scratch.origin[state.contacts.body[entry]]
+    x, y, z = -origin[0], -origin[1], -origin[2]
+    # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
+    sx, sy, sz = -plane[4] - origin[0], -plane[5] - origin[1], -plane[6] - origin[2]
+    for c in range(3):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        position, velocity = state.position[node], state.velocity[node]
+        x += weight * position[0]
+        y += weight * position[1]
+        z += weight * position[2]
+        sx += weight * step * velocity[0]
+        sy += weight * step * velocity[1]
+        sz += weight * step * velocity[2]
+    nx, ny, nz = plane[0], plane[1], plane[2]
+    gap = nx * x + ny * y + nz * z - plane[3]
     normal = max(0.0, pressed - gap / compliance)
     if normal == 0.0 and pressed == 0.0:
         return 0.0
     scratch.near_normal[near] = normal
-    # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
-    q = scratch.last_rotation[body]
-    sx = scratch.last_origin[body, 0] + q[0] * lx + q[1] * ly + q[2] * lz - x
-    sy = scratch.last_origin[body, 1] + q[3] * lx + q[4] * ly + q[5] * lz - y
-    sz = scratch.last_origin[body, 2] + q[6] * lx + q[7] * ly + q[8] * lz - z
-    for c in range(3):
-        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c] * step
-        sx += weight * state.velocity[node, 0]
-        sy += weight * state.velocity[node, 1]
-        sz += weight * state.velocity[node, 2]
     along = sx * nx + sy * ny + sz * nz
     tx = held[0] - (sx - along * nx) / compliance
     ty = held[1] - (sy - along * ny) / compliance
@@ -231,16 +294,36 @@ def resolve_contact(
     py = (normal - pressed) * ny + share * ty - held[1]
     pz = (normal - pressed) * nz + share * tz - held[2]
     held[0], held[1], held[2] = share * tx, share * ty, share * tz
-    give_impulse(state, shapes, mobility, scratch, entry, px, py, pz, step)
+    give_impulse(state, shapes, mobility, scratch, near, px, py, pz, step)
     return math.sqrt(px * px + py * py + pz * pz)
 
 
 @kernel
 def give_impulse(
-    state: Any, shapes: Any, mobility: Any, scratch: Any, entry: int, px: float, py: float, pz: float, step: float
+    state: Any, shapes: Any, mobility: Any, scratch: Any, near: int, px: float, py: float, pz: float, step: float
 ) -> None:
-    """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 only count it."""
+    """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 the tool alone."""
+    entry = scratch.near_entry[near]
+    for c in range(3 if step > 0.0 else 0):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        move = weight * mobility[node]
+        state.velocity[node, 0] += move * px
+        state.velocity[node, 1] += move * py
+        state.velocity[node, 2] += move * pz
+        state.position[node, 0] += step * move * px
+        state.position[node, 1] += step * move * py
+        state.position[node, 2] += step * move * pz
     body = state.contacts.body[entry]
+    if scratch.give[body] > 0.0:
+        push_bodies(shapes.tool, body, scratch, px, py, pz)
+
+
+@kernel
+def count_impulse(state: Any, scratch: Any, near: int) -> None:
+    """Add what acts on a contact point in this substep to scratch.impulse, and to what drives a modal region."""
+    entry = scratch.near_entry[near]
+    body = state.contacts.body[entry]
+    px, py, pz = whole_impulse(scratch, near)
     x = y = z = 0.0
     for c in range(3):
         node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
@@ -251,14 +334,6 @@ def give_impulse(
             state.contact_impulse[node, 0] += weight * px
             state.contact_impulse[node, 1] += weight * py
             state.contact_impulse[node, 2] += weight * pz
-        if step > 0.0:
-            move = weight * mobility[node]
-            state.velocity[node, 0] += move * px
-            state.velocity[node, 1] += move * py
-            state.velocity[node, 2] += move * pz
-            state.position[node, 0] += step * move * px
-            state.position[node, 1] += step * move * py
-            state.position[node, 2] += step * move * pz
     origin = scratch.origin[body]
     ax, ay, az = x - origin[0], y - origin[1], z - origin[2]
     impulse = scratch.impulse[body]
@@ -268,8 +343,6 @@ def give_impulse(
     impulse[3] += ay * pz - az * py
     impulse[4] += az * px - ax * pz
     impulse[5] += ax * py - ay * px
-    if scratch.give[body] > 0.0:
-        push_bodies(shapes.tool, body, scratch, px, py, pz)
 
 
 @kernel

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.cells import cells_of, strain_rows
@@ -31,38 +31,38 @@ def free_axes(model: Model) -> NDArray[np.int64]:
 
 
 def stiffness_matrix(model: Model) -> csc_array:
-    """Tangent stiffness (3n, 3n) N/m at rest.
+    """Tangent stiffness (3n, 3n) N/m at rest, where nothing carries a force."""
+    rows, owner, stiffness = strains_of(model)
+    return (rows.T @ diags_array(stiffness[owner]) @ rows).tocsc()
 
-    Springs and hinges are free of force there, so each adds k g g' with g the gradient of its
-    length or curvature; return springs add to the diagonal. Cells are those of linear elasticity.
-    """
-    n = len(model.rest)
+
+class Strains(NamedTuple):
+    """What springs or cells are strained by about rest: the energy is the sum of stiffness[owner] strain^2 / 2."""
+
+    rows: csc_array  # (s, 3n) of the nodes' coordinates
+    owner: Longs  # (s,) which stiffness weighs each
+    stiffness: Floats  # (p,) axial, angular, return springs, N/m; or mu of every cell, then lambda, Pa
+
+
+def strains_of(model: Model) -> Strains:
+    """Lengths and curvatures of springs, and displacements of nodes with return springs; or the strains of cells."""
     if model.tissue is not None:
         cells, moduli, _ = cells_of(model.tissue)
-        strains, owner = strain_rows(model.rest, cells)
-        return (strains.T @ diags_array(moduli.ravel()[owner]) @ strains).tocsc()
-    rows, columns, values = [], [], []
-
-    def add(nodes: np.ndarray, gradient: Floats, stiffness: Floats) -> None:
-        """nodes (s, c), gradient (s, c, 3) of each spring's strain."""
-        index = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 3 * nodes.shape[1])
-        flat = gradient.reshape(len(nodes), 3 * nodes.shape[1])
-        block = stiffness[:, None, None] * flat[:, :, None] * flat[:, None, :]
-        rows.append(np.broadcast_to(index[:, :, None], block.shape).ravel())
-        columns.append(np.broadcast_to(index[:, None, :], block.shape).ravel())
-        values.append(block.ravel())
-
-    nodes = np.stack([model.spring_first, model.spring_second], axis=1).astype(np.int64)
-    along = model.rest[nodes[:, 1]] - model.rest[nodes[:, 0]]
+        return Strains(*strain_rows(model.rest, cells), moduli.ravel())
+    axes = np.arange(3)
+    ends = np.stack([model.spring_first, model.spring_second], axis=1).astype(np.int64)
+    along = model.rest[ends[:, 1]] - model.rest[ends[:, 0]]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    add(nodes, np.stack([-along, along], axis=1), model.spring_stiffness)
-    hinges = model.angular_nodes.astype(np.int64)
-    if len(hinges):
-        add(hinges, angular_slope(model), model.angular_stiffness)
-    diagonal = np.zeros(n)
-    diagonal[model.return_nodes] = model.return_stiffness[model.return_nodes]
+    hinges, pulled = model.angular_nodes.astype(np.int64), model.return_nodes.astype(np.int64)
+    s, h, r = len(ends), len(hinges), len(pulled)
+    bending = angular_slope(model) if h else np.zeros((0, 4, 3))
+    values = [np.stack([-along, along], axis=1).ravel(), bending.ravel(), np.ones(3 * r)]
+    rows = [np.repeat(np.arange(s), 6), s + np.repeat(np.arange(h), 12), s + h + np.arange(3 * r)]
+    columns = [(3 * nodes[..., None] + axes).ravel() for nodes in (ends, hinges, pulled)]
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return (coo_array(entries, shape=(3 * n, 3 * n)) + diags_array(np.repeat(diagonal, 3))).tocsc()
+    matrix = coo_array(entries, shape=(s + h + 3 * r, 3 * len(model.rest))).tocsc()
+    stiffness = np.concatenate([model.spring_stiffness, model.angular_stiffness, model.return_stiffness[pulled]])
+    return Strains(matrix, np.concatenate([np.arange(s + h), s + h + np.repeat(np.arange(r), 3)]), stiffness)
 
 
 def lowest_modes(model: Model, count: int = N_MODES) -> Modes:

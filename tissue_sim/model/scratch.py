@@ -32,6 +32,7 @@ class Scratch(NamedTuple):
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
+    near_plane: Any  # (N, 8) the tool there; see contact_constraint.gather_contacts
     work: Any  # (9 BLOCK,)
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
@@ -105,6 +106,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
+        near_plane=empty(MOST_NEAR, 8),
         work=empty(9 * BLOCK),
         fresh=ints(local),
         was=longs(local),

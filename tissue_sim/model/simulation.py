@@ -55,7 +55,7 @@ class Simulation:
     where the organ has them, or else hybrid; rate: ticks a second, Hz;
     local_region: off; frozen (the paper's: two layers around a small load move alone); modal (one layer moves by its
     springs, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal while the load is small,
-    else the whole model);
+    else the whole model; off for cells, which move as a whole);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
     or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
     skeleton, so for soft return springs; not with a modal region, whose modes are those about rest);
@@ -88,9 +88,12 @@ class Simulation:
         if return_target != "rest" and local_region in ("modal", "auto"):
             raise UserError(f"return target {return_target} goes with local region off or frozen, not {local_region}")
         model = model_of(organ) if model == "auto" else model
-        if model == "cells" and local_region != "off":
-            raise UserError(f"cells move as a whole; use local region off, not {local_region}")
+        if model == "cells" and local_region in ("frozen", "modal"):
+            raise UserError(f"cells move as a whole; use local region off or auto, or model hybrid, not {local_region}")
+        if model == "cells":
+            local_region = "off"
         self.organ = organ
+        self.local_region = local_region
         self.variant = model
         self.rate = float(rate)
         self.shapes = shapes

@@ -1,7 +1,7 @@
 """A haptic bridge in small: presses the shipped kidney with tool `left`, 500 poses a second at most.
 
 Each step waits for the wrench that answers the one before, or a moment, so that a slow node sees the same path.
-SIGTERM has it leave the tissue and end; until then it holds. Arguments: --depth M.
+SIGTERM has it leave the tissue and end; until then it holds, or moves in and out. Arguments: --depth M, --stroke M.
 """
 
 import argparse
@@ -24,6 +24,7 @@ OUTSIDE, STEPS, PERIOD, PATIENCE = 0.008, 400, 0.002, 0.1  # m, poses on the way
 
 parser = argparse.ArgumentParser()
 parser.add_argument("--depth", type=float, required=True)
+parser.add_argument("--stroke", type=float, default=0.0)
 args = parser.parse_args()
 
 asked = []
@@ -62,8 +63,9 @@ while not (answers or asked):  # the node may discover this publisher later than
 for depth in np.linspace(-OUTSIDE, args.depth, STEPS):
     send(depth)
 print("pressed", flush=True)
+pressed = count
 while not asked:
-    send(args.depth)
+    send(args.depth + args.stroke * np.sin((count - pressed) / STEPS * 2.0 * np.pi))
 for depth in np.linspace(args.depth, -OUTSIDE, STEPS):
     send(depth)
 print(f"{count} poses", flush=True)

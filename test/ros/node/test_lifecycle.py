@@ -44,7 +44,9 @@ AWAY = (1.0, 0.0, 0.0)  # m, far from the organ
 def node(tmp_path_factory):
     """A node whose small loads move a local region."""
     folder = tmp_path_factory.mktemp("lifecycle")
-    with running_node(folder, "local_region:=frozen", UNHURRIED, f"record_folder:={folder / 'bags'}") as process:
+    with running_node(
+        folder, "model:=hybrid", "local_region:=frozen", UNHURRIED, f"record_folder:={folder / 'bags'}"
+    ) as process:
         yield process
 
 

@@ -166,11 +166,11 @@ def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
         def is_pressed():  # a page that has no time loses moves of the mouse, or the tool: then from the start
             tick(True)
             poses.clear()
-            if not client.spin_until(lambda: len(poses) > 50, 10.0):
+            if not client.spin_until(lambda: len(poses) > 50, 20.0):
                 return False
             assert force() == 0.0, "taken in hand outside the organ"
             page.drag(pixel(arrow), pixel(arrow + 0.02 * inward))
-            if client.spin_until(lambda: force() > 0.1, 5.0):
+            if client.spin_until(lambda: force() > 0.1, 15.0):
                 return True
             page.mouse("Released", pixel(arrow))
             tick(False)

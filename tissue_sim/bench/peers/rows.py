@@ -23,7 +23,7 @@ from tissue_sim.organ.organ import Organ
 # Surface points up to which an engine is made: above them that takes minutes or many GB.
 MOST_QUADRATIC, MOST_FLEX, MOST_XPBD = 2000, 1000, 2000
 
-CALIBRATED = "hybrid, calibrated"
+CALIBRATED = "cells"
 
 
 class Row(NamedTuple):
@@ -40,7 +40,7 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> It
 
     tuning: loads that XPBD is tuned on. thorough: also what differs in its steps alone.
     """
-    plain, groups, springs = variants
+    plain, groups, cells = variants
     points = plain.n_surface
 
     def ours(name: str, organ: Organ | str, **options: Any) -> Row:
@@ -48,15 +48,15 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> It
 
     yield ours("surface", plain, model="surface")
     yield ours("volume", plain, model="volume")
-    yield ours("hybrid, uncalibrated", plain)
-    yield ours("hybrid, by groups", groups)
-    yield ours(CALIBRATED, springs)
+    yield ours("hybrid, uncalibrated", plain, model="hybrid")
+    yield ours("hybrid, by groups", groups, model="hybrid")
+    yield ours("hybrid, by groups, frozen region", groups, model="hybrid", local_region="frozen")
+    yield ours("hybrid, by groups, modal region", groups, model="hybrid", local_region="modal")
+    yield ours(CALIBRATED, cells)
     if thorough:
-        yield ours(f"{CALIBRATED}, substeps x2", springs, finer=2)
-        yield ours(f"{CALIBRATED}, substeps x4", springs, finer=4)
-        yield ours(f"{CALIBRATED}, implicit", springs, integrator="implicit")
-    yield ours("local region, frozen", springs, local_region="frozen")
-    yield ours("local region, modal", springs, local_region="modal")
+        yield ours(f"{CALIBRATED}, substeps x2", cells, finer=2)
+        yield ours(f"{CALIBRATED}, substeps x4", cells, finer=4)
+        yield ours(f"{CALIBRATED}, implicit", cells, integrator="implicit")
     shared = _Shared(plain, tuning, (1, 2) if thorough else (1,))
 
     def peer(name: str, make: Callable[..., tuple[Engine, str]], *arguments: Any) -> Row:

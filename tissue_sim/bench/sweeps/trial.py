@@ -144,7 +144,10 @@ def _simulation(
     if mass_ratio > 0.0:
         made = with_mass_ratio(made, mass_ratio)
     shapes = sphere_tools(PROBE.radius) if tool else NO_TOOLS
-    simulation = Simulation(made, rate=DEFAULT_RATE, local_region=local_region, shapes=shapes, integrator=integrator)
+    model = "auto" if local_region == "off" else "hybrid"  # cells move as a whole
+    simulation = Simulation(
+        made, model=model, rate=DEFAULT_RATE, local_region=local_region, shapes=shapes, integrator=integrator
+    )
     return simulation, copy_of(simulation.settings), simulation.state.words.copy()
 
 

@@ -51,7 +51,7 @@ class LiveSettings:
             self._parameters.apply(settings)
             settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
             settings.coupling_stiffness = min(settings.coupling_stiffness, self._passive(settings.tick_time))
-            if self.level >= degrade.REGION and self._parameters["local_region"] == "auto":
+            if self.level >= degrade.REGION and self._simulation.local_region == "auto":
                 settings.region_force = ANY_FORCE
             if (words_of(settings) != words_of(before)).any():
                 self._simulation.set_substeps()
@@ -79,7 +79,7 @@ class LiveSettings:
         words = []
         if self.level >= degrade.MARKERS and self._parameters["marker_rate"] > degrade.MARKER_RATE:
             words.append(f"markers at {degrade.MARKER_RATE:g} Hz")
-        if self.level >= degrade.REGION and self._parameters["local_region"] == "auto":
+        if self.level >= degrade.REGION and self._simulation.local_region == "auto":
             words.append("a modal region under any load")
         if degrade.halvings(self.level):
             words.append(f"{1.0 / self._physics.tick_time:g} Hz")
@@ -110,7 +110,7 @@ class LiveSettings:
         if level == degrade.MARKERS:
             return bool(self._parameters["marker_rate"] > degrade.MARKER_RATE)
         if level == degrade.REGION:  # the other kinds of region either are as small already, or have no tables
-            return bool(self._parameters["local_region"] == "auto")
+            return self._simulation.local_region == "auto"
         tick_time = 2.0 ** degrade.halvings(level) / self._parameters["rate"]
         return tick_time * LEAST_RATE <= 1.0 and self._work(tick_time) <= WORTH * self._work(0.5 * tick_time)
 

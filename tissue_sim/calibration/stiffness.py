@@ -1,0 +1,90 @@
+"""What a calibration begins with, and how an organ takes up the stiffness that it finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.model.assembly import Model
+from tissue_sim.model.modes import strains_of
+from tissue_sim.organ.cell_mesh import with_cells
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.topology import assemble_like
+
+METHODS = ("cells", "groups")
+INTERIOR_SHARE = 0.6  # interior atoms for each surface node, where cells are fitted
+CELL_LAYER = 0.7  # of them, in a layer under the surface
+CELL_START = (1.0, 0.5)  # of the tissue's mu and lambda: where the fit of cells begins
+RETURN_START = 0.01  # of the organ's return springs, where the search begins: the clamp holds the organ
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a calibration is made with.
+
+    cases: linear loads of the fit; smooth and sharp: held-out ones; evaluations: of the misfit; interior: atoms in the
+    result, None for 60 for 100 surface nodes, most of them in a layer under the surface (none for groups, as in the
+    paper).
+    """
+
+    seed: int = 0
+    method: str = "cells"
+    cases: int = 1600
+    evaluations: int = 120
+    interior: int | None = None
+    smooth: int = 30
+    sharp: int = 10
+
+
+def prepared(organ: Organ, settings: Settings) -> Organ:
+    """The organ with the interior atoms wanted, and with cells of its tissue where those are fitted."""
+    if settings.method not in METHODS:
+        raise UserError(f"unknown method '{settings.method}'; choose one of {', '.join(METHODS)}")
+    by_cells = settings.method == "cells"
+    interior = settings.interior
+    if interior is None:
+        interior = round(INTERIOR_SHARE * organ.n_surface) if by_cells else organ.n_interior
+    if interior != organ.n_interior or by_cells:
+        provenance = {key: value for key, value in organ.provenance.items() if key != "calibration"}
+        organ = assemble_like(
+            organ,
+            interior_atoms=interior,
+            interior_layer=CELL_LAYER if by_cells else 0.0,
+            provenance={**provenance, "interior_atoms": interior},
+        )
+    return with_cells(organ, CELL_START) if by_cells else without_cells(organ)
+
+
+def without_cells(organ: Organ) -> Organ:
+    """The organ with springs alone."""
+    return replace(organ, cell_nodes=organ.cell_nodes[:0], cell_mu=organ.cell_mu[:0], cell_lambda=organ.cell_lambda[:0])
+
+
+def first_stiffness(organ: Organ, model: Model) -> Floats:
+    """Stiffness (p,) in the order of strains_of where a fit begins: the organ's, its return springs weakened."""
+    if model.tissue is not None:
+        return np.concatenate([organ.cell_mu, organ.cell_lambda])
+    stiffness = strains_of(model).stiffness.copy()
+    stiffness[len(stiffness) - len(model.return_nodes) :] *= RETURN_START
+    return stiffness
+
+
+def with_stiffness(organ: Organ, model: Model, stiffness: Floats) -> Organ:
+    """The organ with stiffness (p,) in the order of strains_of its model."""
+    if model.tissue is not None:
+        mu, lam = stiffness.reshape(2, -1)
+        return replace(organ, cell_mu=mu, cell_lambda=lam)
+    bounds = np.cumsum([len(model.spring_first), len(model.angular_nodes)])
+    axial, angular, pulls = np.split(stiffness, bounds)
+    spring, hinge, pull = (
+        np.array(values) for values in (organ.spring_stiffness, organ.angular_stiffness, organ.return_stiffness)
+    )
+    spring[spring > 0.0] = axial
+    hinge[hinge > 0.0] = angular
+    pull[model.return_nodes] = pulls
+    # Nothing reads those of held nodes, but they would stand in the file as what they were.
+    pull[organ.fixed] = 0.0
+    return replace(organ, spring_stiffness=spring, angular_stiffness=hinge, return_stiffness=pull)
