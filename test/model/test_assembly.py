@@ -133,9 +133,7 @@ def test_cells_are_refused_where_there_are_none_or_with_what_they_do_not_have():
         assemble(ball(), "cells")
     with pytest.raises(UserError, match="use return target rest"):
         assemble(with_cells(ball()), "cells", "implied")
-    with pytest.raises(
-        UserError, match="cells move as a whole; use local region off or auto, or model hybrid, not mod"
-    ):
+    with pytest.raises(UserError, match="cells move as a whole; use local region off or auto, or model hybrid"):
         Simulation(with_cells(ball()), model="cells", local_region="modal")
     by_itself = Simulation(with_cells(ball()), local_region="auto")
     assert (by_itself.variant, by_itself.local_region) == ("cells", "off")
