@@ -20,6 +20,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.model.settings import INTEGRATORS
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
 
 FORCE = 0.1  # N on the patch
 SUBSTEPS = 16  # of the tick that a substep is timed in, so that what is done once a tick counts little
@@ -28,6 +29,7 @@ TOOL_STEP = 1e-4  # m, by which it is pressed deeper every 4 ticks
 
 # Names of rows that bounds refer to.
 WHOLE = "hybrid, symplectic"
+CELLS = "cells of the kidney that ships"
 GUARD = "guard of the hybrid tick"
 SUBSTEP = "substep of the hybrid tick"
 C_PLAIN, C_NATIVE = "the same substep in C, -O3", "the same substep in C, for this processor"
@@ -53,16 +55,19 @@ def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str
 def makers_of(organ: Organ) -> dict[str, Maker]:
     """For each row a function that makes its burst and a remark."""
     still = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    makers: dict[str, Maker] = {f"hybrid, {name}": partial(_ticks, organ, integrator=name) for name in INTEGRATORS}
+    makers: dict[str, Maker] = {
+        f"hybrid, {name}": partial(_ticks, organ, model="hybrid", integrator=name) for name in INTEGRATORS
+    }
+    makers |= {CELLS: lambda: _ticks(Organ.load(shipped_organ()))}
     makers |= {f"{name}, symplectic": partial(_ticks, organ, model=name) for name in ("surface", "volume")}
     return makers | {
         GUARD: partial(_guard, organ),
         SUBSTEP: partial(_substep, organ),
         C_PLAIN: partial(_c_substep, organ, PLAIN),
         C_NATIVE: partial(_c_substep, organ, NATIVE),
-        MODAL: partial(_ticks, organ, local_region="modal"),
+        MODAL: partial(_ticks, organ, model="hybrid", local_region="modal"),
         MODAL_TOOL: partial(_pressed_tool, organ),
-        FROZEN: partial(_ticks, organ, local_region="frozen"),
+        FROZEN: partial(_ticks, organ, model="hybrid", local_region="frozen"),
         ASLEEP: lambda: (Ticks(Simulation(organ), *still), "untouched"),
         FLEX: partial(_flex, organ),
         PRODUCT: partial(_product, organ, all_points=False),
@@ -81,11 +86,12 @@ def _ticks(organ: Organ, **options: Any) -> tuple[Burst, str]:
 
 def _guard(organ: Organ) -> tuple[Burst, str]:
     """What looks for values that are not finite, runaway and an inside turned out, at the end of a tick."""
-    return Ticks(Simulation(organ), *patch_load(organ, FORCE), guard=True), "part of the whole tick"
+    simulation = Simulation(organ, model="hybrid")
+    return Ticks(simulation, *patch_load(organ, FORCE), guard=True), "part of the whole tick"
 
 
 def _substep(organ: Organ) -> tuple[Burst, str]:
-    simulation = Simulation(organ, substeps=SUBSTEPS)
+    simulation = Simulation(organ, model="hybrid", substeps=SUBSTEPS)
     ticks = Ticks(simulation, *patch_load(organ, FORCE))
 
     def burst(count: int) -> Floats:
@@ -95,13 +101,13 @@ def _substep(organ: Organ) -> tuple[Burst, str]:
 
 
 def _c_substep(organ: Organ, flags: tuple[str, ...]) -> tuple[Burst, str]:
-    loop = CLoop(Simulation(organ, substeps=SUBSTEPS), flags, *patch_load(organ, FORCE))
+    loop = CLoop(Simulation(organ, model="hybrid", substeps=SUBSTEPS), flags, *patch_load(organ, FORCE))
     return loop, f"cc {' '.join(flags)}; differs from the kernel's by {loop.compare():.0e}"
 
 
 def _pressed_tool(organ: Organ) -> tuple[Burst, str]:
     """A ball pressed into the middle of the broad side until it touches as many nodes as the patch has, and held."""
-    scene = Scene(organ, [Tool("ball", radius=TOOL_RADIUS)], local_region="modal")
+    scene = Scene(organ, [Tool("ball", radius=TOOL_RADIUS)], model="hybrid", local_region="modal")
     nodes, forces = patch_load(organ, 1.0, 1)
     inward, at = forces[0], organ.surface_positions[nodes[0]]
     state = scene.simulation.state
@@ -129,7 +135,7 @@ def _flex(organ: Organ) -> tuple[Burst, str]:
 
 
 def _product(organ: Organ, *, all_points: bool) -> tuple[Burst, str]:
-    simulation = Simulation(organ)
+    simulation = Simulation(organ, model="hybrid")
     nodes, forces = patch_load(organ, FORCE)
     if all_points:
         every = np.zeros((organ.n_surface, 3))

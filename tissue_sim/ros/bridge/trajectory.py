@@ -17,7 +17,7 @@ from tissue_sim.ros.bridge.places import FRONT, UP, Surface, Touch, looking
 from tissue_sim.ros.bridge.script import SCRIPT, check
 
 # Depths and ways in m, of a tool of a radius in m; thin organs get proportionally smaller values.
-STROKE_DEPTH, POKE_DEPTH, SQUEEZE, LIFT = 0.002, 0.006, 0.006, 0.010
+STROKE_DEPTH, POKE_DEPTH, SQUEEZE, LIFT = 0.002, 0.006, 0.008, 0.010
 HOVER = 0.006  # between tool and surface, where a fast approach ends
 # Peak speeds in m/s, times in s.
 PRESS, STROKE, CLOSE, LIFTING = 0.040, 0.060, 0.020, 0.030
