@@ -74,7 +74,7 @@ def test_calibrated_organ_is_taken_as_it_is_at_its_own_size():
 def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
     hollow = ball(2)
     assert assembled_anew(hollow, hollow.surface_positions, hollow.surface_triangles, 24).n_interior == 24
-    assert FILLED["cells"].n_interior == round(INTERIOR_SHARE * ORGAN.n_surface)
+    assert FILLED["cells"].n_interior == round(INTERIOR_SHARE["balanced"] * ORGAN.n_surface)
 
 
 def test_larger_organs_get_fewer_cases():

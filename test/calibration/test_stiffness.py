@@ -20,7 +20,9 @@ from tissue_sim.model.modes import strains_of
 
 def test_cells_fill_the_organ_and_groups_take_it_as_it_is():
     cells = prepared(ball(2), Settings())
-    assert cells.n_interior == round(INTERIOR_SHARE * cells.n_surface)
+    for aim, share in INTERIOR_SHARE.items():
+        assert prepared(ball(2), Settings(aim=aim)).n_interior == round(share * cells.n_surface)
+    assert cells.n_interior == round(INTERIOR_SHARE["balanced"] * cells.n_surface)
     assert prepared(cells, Settings(interior=30)).n_interior == 30
     mu, lam = cells.lame_moduli
     np.testing.assert_allclose(cells.cell_mu, CELL_START[0] * mu)
@@ -30,6 +32,8 @@ def test_cells_fill_the_organ_and_groups_take_it_as_it_is():
     assert not len(prepared(cells, Settings(method="groups")).cell_nodes)
     with pytest.raises(UserError, match="unknown method 'best'"):
         prepared(ball(2), Settings(method="best"))
+    with pytest.raises(UserError, match="unknown aim 'speed'; choose one of fast, balanced, accurate"):
+        prepared(ball(2), Settings(aim="speed"))
 
 
 @pytest.mark.parametrize("method", ["cells", "groups"])

@@ -38,6 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what is fitted: the moduli of every cell between the nodes (the default), or a factor for each group of"
         " springs, as in the paper",
     )
+    parser.add_argument(
+        "--for",
+        dest="aim",
+        choices=tuple(INTERIOR_SHARE),
+        default=_DEFAULT.aim,
+        help="what the cells are for: more interior atoms take more time in every tick, and are off by less"
+        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_SHARE.items())} for 100 surface points;"
+        f" default: {_DEFAULT.aim})",
+    )
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="of the loads that are fitted")
     parser.add_argument("--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit")
     parser.add_argument(
@@ -47,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--interior",
         type=int,
         metavar="N",
-        help="interior atoms of the result, which is then built anew"
-        f" (default: {100 * INTERIOR_SHARE:g} for 100 surface points; those of the organ for groups)",
+        help="interior atoms of the result, which is then built anew (default: as many as --for asks for; those of the"
+        " organ for groups)",
     )
     parser.add_argument("--smooth", type=int, default=_DEFAULT.smooth, metavar="N", help="held-out smooth loads")
     parser.add_argument("--sharp", type=int, default=_DEFAULT.sharp, metavar="N", help="held-out sharp loads")
@@ -112,7 +121,7 @@ def _settings(args: argparse.Namespace) -> Settings:
             raise UserError(f"--{option.replace('_', '-')} {value} is outside {least}..{most}")
     if args.interior is not None and args.interior < 0:
         raise UserError(f"--interior {args.interior} is negative; use 0 or more")
-    names = ("seed", "method", "cases", "evaluations", "interior", "smooth", "sharp")
+    names = ("seed", "method", "aim", "cases", "evaluations", "interior", "smooth", "sharp")
     return Settings(**{name: getattr(args, name) for name in names})
 
 
