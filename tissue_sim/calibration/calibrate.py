@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.background import Poke, Reference
 from tissue_sim.calibration.cases import DEPTH, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
@@ -81,13 +81,17 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     rate = damping_rate(linear["frequencies"])
     model = assemble(start)
     elastic = Elastic(model)
-    reference = Reference(start, checkpoint, judged, lambda wanted: _poke(judged, wanted), rate)
+
+    def poke(wanted: Answer) -> Poke:
+        return _poke(judged, wanted, _telling(judged, judged_linear, wanted))
+
+    reference = Reference(start, checkpoint, judged, poke, rate)
     try:
         # One core is the reference's. Threads that wait for it would take more time than they save.
         with _one_thread():
             misfit = Misfit(elastic, cases.force, linear["fit"])
             first = first_stiffness(start, model)
-            with progress.stage("fit", settings.evaluations) as done:
+            with progress.stage("fit", _most_evaluations(settings)) as done:
                 stiffness = checkpoint.remember(
                     "fit", lambda: {"stiffness": _fitted(start, first, misfit, settings, done)}
                 )["stiffness"]
@@ -104,17 +108,17 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
         made = replace(with_stiffness(start, model, stiffness), mass=mass, damping=rate * mass)
         with progress.stage("held-out reference", len(judged)) as done:
             wanted = reference.answer(done)
-        bent = _near_buckling(judged, judged_linear, wanted)
-        kept = np.setdiff1d(np.flatnonzero(wanted.converged), list(bent))
-        judged, judged_linear = judged.chosen(kept), judged_linear[kept]
+        with progress.stage("release", 1) as done:
+            theirs = reference.motion()
+            motion = released(made, *poke(wanted), theirs["time"], theirs["displacement"])
+            done()
+        bent = list(_near_buckling(judged, judged_linear, wanted).values())
         unsettled = int(np.count_nonzero(wanted.converged == 0.0))
+        kept = _telling(judged, judged_linear, wanted)
+        judged, judged_linear = judged.chosen(kept), judged_linear[kept]
         wanted = Answer(*(part[kept] for part in wanted))
         with progress.stage("held-out", len(judged)) as done:
             found = settled_answers(made, judged, done)
-        with progress.stage("release", 1) as done:
-            theirs = reference.motion()
-            motion = released(made, *_poke(judged, wanted), theirs["time"], theirs["displacement"])
-            done()
     finally:
         reference.stop()
     figures: dict[str, Any] = {
@@ -123,7 +127,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
         "reference": {
             "nodes": body.n_nodes,
             "unsettled": unsettled,
-            "near_buckling": list(bent.values()),
+            "near_buckling": bent,
             "error": str(accuracy),
             "worst_percent": round(accuracy.worst, 3),
         },
@@ -157,6 +161,11 @@ def _one_thread() -> AbstractContextManager[Any]:
     return threadpool_limits(1)
 
 
+def _most_evaluations(settings: Settings) -> int:
+    """Evaluations of the misfit at the most: the search over groups has no slopes, and takes less time for each."""
+    return settings.evaluations * (GROUP_STEPS if settings.method == "groups" else 1)
+
+
 def _fitted(start: Organ, first: Floats, misfit: Misfit, settings: Settings, done: Callable[..., None]) -> Floats:
     """Stiffness (p,) of least misfit, of every cell, or with one factor for each group of springs."""
 
@@ -164,7 +173,7 @@ def _fitted(start: Organ, first: Floats, misfit: Misfit, settings: Settings, don
         done(f"{100.0 * error.mean():.2f} %")
 
     if settings.method == "groups":
-        return search(first, group_of(start, assemble(start)), misfit, settings.evaluations, watch)
+        return search(first, group_of(start, assemble(start)), misfit, _most_evaluations(settings), watch)
     return fit(misfit, first, settings.evaluations, watch, bounds=CELL_BOUNDS)
 
 
@@ -220,11 +229,21 @@ def _signed_range(volume: Floats) -> list[float]:
     return [round(float(100.0 * value), 4) for value in (volume.min(), volume.mean(), volume.max())]
 
 
-def _poke(cases: Cases, wanted: Answer) -> Poke:
-    """Forces that dent the finite-element body by about 5 mm, and the node in their middle: of a held-out bump."""
+def _telling(cases: Cases, linear: Floats, wanted: Answer) -> Longs:
+    """The cases that settle, and none near buckling."""
+    return np.setdiff1d(np.flatnonzero(wanted.converged), list(_near_buckling(cases, linear, wanted)))
+
+
+def _poke(cases: Cases, wanted: Answer, kept: Longs) -> Poke:
+    """Forces that dent the finite-element body by about 5 mm, and the node in their middle: those of a bump if possible.
+
+    Raises UserError when no case is kept.
+    """
+    if not len(kept):
+        raise UserError("the finite elements settle under none of the held-out loads; look at the organ's clamp")
     centre = np.array([nodes[0] for nodes in cases.centre])
     depth = np.linalg.norm(wanted.displacement[np.arange(len(cases)), centre], axis=1)
     bump = np.array([kind == "bump" for kind in cases.kind], dtype=bool)
-    order = np.argsort(np.abs(depth - POKE) + np.where(bump, 0.0, 1.0), kind="stable")
-    case = int(order[0])
+    off = np.abs(depth - POKE) + np.where(bump, 0.0, 1.0)
+    case = int(kept[np.argmin(off[kept])])
     return cases.force[case] * (POKE / depth[case]), int(centre[case])

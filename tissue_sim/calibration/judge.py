@@ -69,7 +69,7 @@ def released(organ: Organ, force: Floats, node: int, time: Floats, wanted: Float
     wanted (t, 3) m: what the finite-element body does.
     """
     simulation = Simulation(organ)
-    simulation.settle(force, TOLERANCE, LONGEST)
+    simulation.settle(force, TOLERANCE, LONGEST, RAMP)
     rest = simulation.model.rest[node]
     history = [simulation.positions[node] - rest]
     for step in np.diff(np.rint(simulation.rate * time).astype(int)):
