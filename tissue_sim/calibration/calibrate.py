@@ -235,7 +235,7 @@ def _telling(cases: Cases, linear: Floats, wanted: Answer) -> Longs:
 
 
 def _poke(cases: Cases, wanted: Answer, kept: Longs) -> Poke:
-    """Forces that dent the finite-element body by about 5 mm, and the node in their middle: those of a bump if possible.
+    """Forces that dent the finite-element body by about 5 mm, of a bump if possible, and the node in their middle.
 
     Raises UserError when no case is kept.
     """
