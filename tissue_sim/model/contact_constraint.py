@@ -106,77 +106,68 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
     forgotten.
     """
     found = 0
-    origin, rotation = scratch.origin, scratch.rotation
     for entry in range(state.contacts.header.points):
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         near = False
         if state.bodies[body].engaged and found < len(scratch.near_entry):
-            x, y, z, lx, ly, lz = point_in_body(state, entry, origin, rotation)
-            gap, nx, ny, nz = gap_and_normal(shapes, body, rotation[body], lx, ly, lz)
-            normal = state.contacts.normal[entry]
-            facing = normal[0] * nx
-            facing += normal[1] * ny
-            facing += normal[2] * nz
-            near = pressed > 0.0 or (facing < INNER_SIDE and gap < NEAR)
+            scratch.near_entry[found] = entry
+            gap = set_plane(state, shapes, scratch, found)
+            near = pressed > 0.0 or (gap < NEAR and is_outside(state, scratch, found))
         if not near:
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
             continue
-        set_plane(state, scratch, entry, scratch.near_plane[found], x, y, z, lx, ly, lz, gap, nx, ny, nz)
+        plane = scratch.near_plane[found]
         compliance = 0.0
         for c in range(3):
             weight = state.contacts.weight[entry, c]
             compliance += weight * weight * mobility[state.contacts.node[entry, c]]
-        scratch.near_plane[found, 7] = compliance * step + scratch.give[body]
+        plane[7] = compliance * step + scratch.give[body]
         held, last_held = scratch.near_tangent[found], state.contact_held[0, entry]
-        along = last_held[0] * nx + last_held[1] * ny + last_held[2] * nz
-        held[0], held[1], held[2] = last_held[0] - along * nx, last_held[1] - along * ny, last_held[2] - along * nz
-        scratch.near_entry[found] = entry
+        along = last_held[0] * plane[0] + last_held[1] * plane[1] + last_held[2] * plane[2]
+        for c in range(3):
+            held[c] = last_held[c] - along * plane[c]
         scratch.near_normal[found] = pressed
         found += 1
     return found
 
 
 @kernel
-def set_plane(
-    state: Any,
-    scratch: Any,
-    entry: int,
-    plane: Any,
-    x: float,
-    y: float,
-    z: float,
-    lx: float,
-    ly: float,
-    lz: float,
-    gap: float,
-    nx: float,
-    ny: float,
-    nz: float,
-) -> None:
-    """The tool as it is at a contact point, in the organ's frame and in its own, m; see gather_contacts."""
+def set_plane(state: Any, shapes: Any, scratch: Any, near: int) -> float:
+    """Take the tool as it is at a contact point into scratch.near_plane, see gather_contacts; returns the gap, m."""
+    entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     body = state.contacts.body[entry]
+    x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+    gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
     origin, last, q = scratch.origin[body], scratch.last_origin[body], scratch.last_rotation[body]
     plane[0], plane[1], plane[2] = nx, ny, nz
     plane[3] = nx * (x - origin[0]) + ny * (y - origin[1]) + nz * (z - origin[2]) - gap
     plane[4] = x - last[0] - (q[0] * lx + q[1] * ly + q[2] * lz) - origin[0]
     plane[5] = y - last[1] - (q[3] * lx + q[4] * ly + q[5] * lz) - origin[1]
     plane[6] = z - last[2] - (q[6] * lx + q[7] * ly + q[8] * lz) - origin[2]
+    return gap
+
+
+@kernel
+def is_outside(state: Any, scratch: Any, near: int) -> bool:
+    """True when the tool is on the tissue's outer side at a contact point, as gap_from_outside has it."""
+    normal, plane = state.contacts.normal[scratch.near_entry[near]], scratch.near_plane[near]
+    facing = normal[0] * plane[0]
+    facing += normal[1] * plane[1]
+    facing += normal[2] * plane[2]
+    return facing < INNER_SIDE
 
 
 @kernel
 def look_again(state: Any, shapes: Any, scratch: Any, near: int) -> None:
     """Take the tool as it is where a contact point has got to; what was pressed and held is split anew."""
-    entry = scratch.near_entry[near]
-    body = state.contacts.body[entry]
-    x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
-    gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
     px, py, pz = whole_impulse(scratch, near)
-    set_plane(state, scratch, entry, scratch.near_plane[near], x, y, z, lx, ly, lz, gap, nx, ny, nz)
-    pressed, held = max(0.0, px * nx + py * ny + pz * nz), scratch.near_tangent[near]
+    set_plane(state, shapes, scratch, near)
+    plane, held = scratch.near_plane[near], scratch.near_tangent[near]
+    pressed = max(0.0, px * plane[0] + py * plane[1] + pz * plane[2])
     scratch.near_normal[near] = pressed
-    held[0], held[1], held[2] = px - pressed * nx, py - pressed * ny, pz - pressed * nz
+    held[0], held[1], held[2] = px - pressed * plane[0], py - pressed * plane[1], pz - pressed * plane[2]
 
 
 @kernel
