@@ -88,3 +88,9 @@ def test_an_organ_of_few_nodes_is_refused():
 def test_lengths_shrink_with_a_small_organ():
     assert surface_of(kidney()).size == pytest.approx(1.0, abs=0.01)
     assert surface_of(ball(2)).size < 1.0
+
+
+@pytest.mark.parametrize("organ", [ball(1), ball(3), kidney()], ids=["coarse ball", "ball", "kidney"])
+def test_no_smooth_load_is_narrower_than_a_node_and_its_neighbours(organ):
+    held = held_out_cases(organ, 20, 0)
+    assert np.count_nonzero(held.force.any(axis=2), axis=1).min() >= 4

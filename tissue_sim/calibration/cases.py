@@ -26,6 +26,7 @@ CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
 NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp, where many cases of the fit lie
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
+NARROWEST = 1.5  # edges, that their radius is at the least: narrower, a load on one node would pass for a smooth one
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
 DEEP = (0.004, 0.012)  # m, the same of the cases that the fit settles as nonlinear ones
 SHARP_TRACTION = (0.2, 0.4)  # of Young's modulus, on a node and its neighbours: 0.1 to 0.2 N on the kidney
@@ -62,6 +63,7 @@ class Surface(NamedTuple):
     ring: list[Longs]  # neighbours of each node along edges, and itself
     free: NDArray[np.bool_]  # (n,)
     size: float  # what lengths are multiplied by, 1 for an organ of a kidney's size or larger
+    edge: float  # m, median
 
 
 def surface_of(organ: Organ) -> Surface:
@@ -75,7 +77,10 @@ def surface_of(organ: Organ) -> Surface:
     free = np.ones(n, dtype=bool)
     free[organ.fixed] = False
     size = min(1.0, (organ.volume / KIDNEY) ** (1.0 / 3.0))
-    return Surface(positions, vertex_normals(positions, triangles), node_area(positions, triangles), ring, free, size)
+    apart = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
+    edge = float(np.median(apart[apart > 0.0]))
+    normal, area = vertex_normals(positions, triangles), node_area(positions, triangles)
+    return Surface(positions, normal, area, ring, free, size, edge)
 
 
 def split_centres(organ: Organ) -> tuple[Longs, Longs]:
@@ -139,7 +144,7 @@ def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_S
         pair, pulls = case % 10 == 9, case % 5 == 4
         at = np.concatenate([spread[case : case + 1], random.choice(centres, 1)]) if pair else spread[case : case + 1]
         for node in at:
-            radius = random.uniform(*SMOOTH_RADIUS) * surface.size
+            radius = max(random.uniform(*SMOOTH_RADIUS) * surface.size, NARROWEST * surface.edge)
             reach = np.linalg.norm(surface.positions - surface.positions[node], axis=1) / radius
             facing = surface.normal @ surface.normal[node] > 0.0
             weight = np.where((reach < 1.0) & facing & surface.free, (1.0 - reach**2) ** 2, 0.0) * surface.area
