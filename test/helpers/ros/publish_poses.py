@@ -1,7 +1,8 @@
 """A haptic bridge in small: presses the shipped kidney with tool `left`, 500 poses a second at most.
 
 Each step waits for the wrench that answers the one before, or a moment, so that a slow node sees the same path.
-SIGTERM has it leave the tissue and end; until then it holds, or moves in and out. Arguments: --depth M, --stroke M.
+SIGTERM has it leave the tissue and end; until then it holds, or comes back by a stroke again and again: out of the tissue,
+a tool that was lost on a slow machine is taken up anew. Arguments: --depth M, --stroke M.
 """
 
 import argparse
@@ -65,7 +66,7 @@ for depth in np.linspace(-OUTSIDE, args.depth, STEPS):
 print("pressed", flush=True)
 pressed = count
 while not asked:
-    send(args.depth + args.stroke * np.sin((count - pressed) / STEPS * 2.0 * np.pi))
+    send(args.depth - 0.5 * args.stroke * (1.0 - np.cos((count - pressed) / STEPS * 2.0 * np.pi)))
 for depth in np.linspace(args.depth, -OUTSIDE, STEPS):
     send(depth)
 print(f"{count} poses", flush=True)

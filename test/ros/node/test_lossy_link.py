@@ -28,7 +28,7 @@ def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch)
         # Few ticks: a link is tried here, not the machine.
         node = start(here, "node", "-m", "tissue_sim.ros.node.program", "--ros-args", "-p", "rate:=100.0")
         node.wait_for(READY)
-        publisher = start(here, "publisher", PUBLISHER, "--depth=0.004", "--stroke=0.002")
+        publisher = start(here, "publisher", PUBLISHER, "--depth=0.004", "--stroke=0.012")
         publisher.wait_for("pressed")
         watcher = start(there, "watcher", WATCHER, str(WANTED))
         assert watcher.wait() == 0, watcher.text()
