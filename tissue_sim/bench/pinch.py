@@ -158,9 +158,8 @@ def swelling(scene: Scene) -> Floats:
 
 def as_json(pinches: Sequence[Pinch], bursts: Floats) -> dict[str, Any]:
     """All figures and bounds; bursts: s of a fixed loop, in the same run."""
-    rows: list[dict[str, Any]] = []
-    for one in pinches:
-        row = {
+    rows: list[dict[str, Any]] = [
+        {
             "tools": one.tools,
             "axis": "xyz"[one.axis],
             "share_percent": 100.0 * one.share,
@@ -176,7 +175,8 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats) -> dict[str, Any]:
             "faults": one.faults,
             "force_n": one.force,
         }
-        rows.append(row)
+        for one in pinches
+    ]
     gentle = [row for row in rows if row["share_percent"] < 50.0]
     bounds = [
         Bound("cells inside out, held at 20 and 40 %", max(row["held_turned"] for row in gentle), 0.0, "cells"),

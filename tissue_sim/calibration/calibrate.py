@@ -91,9 +91,10 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
         with _one_thread():
             misfit = Misfit(elastic, cases.force, linear["fit"])
             first = first_stiffness(start, model)
+            group = group_of(start, model) if settings.method == "groups" else None
             with progress.stage("fit", _most_evaluations(settings)) as done:
                 stiffness = checkpoint.remember(
-                    "fit", lambda: {"stiffness": _fitted(start, first, misfit, settings, done)}
+                    "fit", lambda: {"stiffness": _fitted(first, group, misfit, settings, done)}
                 )["stiffness"]
                 found_error = misfit.evaluate(stiffness).error
                 done(f"{100.0 * found_error.mean():.2f} %")
@@ -144,8 +145,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
         },
         "step": step_figures(made),
     }
-    if settings.method == "groups":
-        group = group_of(start, model)
+    if group is not None:
         factors = {GROUPS[k]: float(np.median((stiffness / first)[group == k])) for k in np.unique(group)}
         figures["fit"]["factors"] = factors
     provenance = {**made.provenance, "calibration": figures}
@@ -166,14 +166,16 @@ def _most_evaluations(settings: Settings) -> int:
     return settings.evaluations * (GROUP_STEPS if settings.method == "groups" else 1)
 
 
-def _fitted(start: Organ, first: Floats, misfit: Misfit, settings: Settings, done: Callable[..., None]) -> Floats:
-    """Stiffness (p,) of least misfit, of every cell, or with one factor for each group of springs."""
+def _fitted(
+    first: Floats, group: Longs | None, misfit: Misfit, settings: Settings, done: Callable[..., None]
+) -> Floats:
+    """Stiffness (p,) of least misfit, of every cell, or with one factor for each group (p,) of springs."""
 
     def watch(_: int, error: Floats) -> None:
         done(f"{100.0 * error.mean():.2f} %")
 
-    if settings.method == "groups":
-        return search(first, group_of(start, assemble(start)), misfit, _most_evaluations(settings), watch)
+    if group is not None:
+        return search(first, group, misfit, _most_evaluations(settings), watch)
     return fit(misfit, first, settings.evaluations, watch, bounds=CELL_BOUNDS)
 
 

@@ -28,7 +28,6 @@ NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp, where many case
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
 NARROWEST = 1.5  # edges, that their radius is at the least: narrower, a load on one node would pass for a smooth one
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
-DEEP = (0.004, 0.012)  # m, the same of the cases that the fit settles as nonlinear ones
 SHARP_TRACTION = (0.2, 0.4)  # of Young's modulus, on a node and its neighbours: 0.1 to 0.2 N on the kidney
 MOST_TRACTION = 0.4  # of Young's modulus, at any node: near the clamp a depth of 12 mm would crush the tissue
 MOST_FORCE = 0.019  # of Young's modulus times the volume's root squared, for each patch: 0.5 N on the kidney
