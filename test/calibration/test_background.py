@@ -1,11 +1,14 @@
 """The finite-element body beside the fit: the same answers, told one by one; its failures; its end."""
 
 from dataclasses import replace
+from threading import Event, Thread
 
 import numpy as np
 import pytest
 
+from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
+from tissue_sim.calibration import background
 from tissue_sim.calibration.background import Reference
 from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.checkpoint import Checkpoint
@@ -64,3 +67,30 @@ def test_stop_ends_what_is_under_way_and_keeps_nothing_of_it(tmp_path):
     kept = Checkpoint(tmp_path, {})
     for name in ("held-out", "release"):
         assert "x" in kept.remember(name, lambda: {"x": np.zeros(1)})
+
+
+def test_a_process_that_starts_while_all_is_stopped_is_ended(tmp_path, monkeypatch):
+    starting, may_start, closed = Event(), Event(), Event()
+
+    class Starting:
+        def __init__(self, *_):
+            starting.set()
+            may_start.wait(LIMIT)
+
+        def call(self, *_):
+            raise AssertionError("asked after the end")
+
+        def close(self):
+            closed.set()
+
+    monkeypatch.setattr(background, "Remote", Starting)
+    organ = ball(2)
+    reference = reference_of(organ, tmp_path, fit_cases(organ, 2, 0))
+    assert starting.wait(LIMIT)
+    stopping = Thread(target=reference.stop)
+    stopping.start()
+    wait_for(lambda: reference._stopped)
+    may_start.set()
+    stopping.join(LIMIT)
+    assert not stopping.is_alive()
+    assert closed.is_set()

@@ -67,10 +67,12 @@ class Reference:
         return self._motion.result()
 
     def _body(self) -> Remote:
-        if self._stopped:
-            raise CancelledError
-        if self._remote is None:
+        if self._remote is None and not self._stopped:
             self._remote = Remote(_Bodies, self._organ)
+        if self._stopped or self._remote is None:
+            if self._remote is not None:  # it may have started after `stop` had looked
+                self._remote.close()
+            raise CancelledError
         return self._remote
 
     def _settle(self) -> Arrays:
