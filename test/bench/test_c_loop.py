@@ -5,13 +5,17 @@ import shutil
 import numpy as np
 import pytest
 
-from helpers.scenes import ball, kidney
+from helpers.scenes import ball, filled, kidney
 from tissue_sim.bench import c_loop
 from tissue_sim.bench.c_loop import AGREEMENT, NATIVE, PLAIN, CLoop, CLoopError
 from tissue_sim.bench.organs import patch_load
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.cell_mesh import with_cells
 
 needs_compiler = pytest.mark.skipif(not shutil.which(c_loop.COMPILER), reason="no C compiler")
+
+
+CELLS = with_cells(filled(ball(2), 20), (1.0, 1.0))
 
 
 def loop_of(organ, flags=PLAIN):
@@ -19,7 +23,7 @@ def loop_of(organ, flags=PLAIN):
 
 
 @needs_compiler
-@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+@pytest.mark.parametrize("organ", [ball(2), kidney(), CELLS], ids=["ball", "kidney", "cells"])
 @pytest.mark.parametrize("flags", [PLAIN, NATIVE], ids=["plain", "native"])
 def test_c_loop_equals_the_kernels(organ, flags):
     loop = loop_of(organ, flags)
@@ -49,6 +53,17 @@ def test_another_result_is_noticed(monkeypatch, right, wrong):
     monkeypatch.setattr(c_loop, "SOURCE", c_loop.SOURCE.replace(right, wrong))
     with pytest.raises(CLoopError, match="differs"):
         loop_of(ball(2)).compare()
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("right", "wrong"), [("- shear * inverse", "- 1.001 * shear * inverse"), ("s12 * kx", "s13 * kx")]
+)
+def test_another_result_of_cells_is_noticed(monkeypatch, right, wrong):
+    assert right in c_loop.SOURCE
+    monkeypatch.setattr(c_loop, "SOURCE", c_loop.SOURCE.replace(right, wrong))
+    with pytest.raises(CLoopError, match="differs"):
+        loop_of(CELLS).compare()
 
 
 def test_missing_compiler_is_named(monkeypatch):

@@ -5,7 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import shortest_path
 
 from tissue_sim.model.cells import SQUEEZED, STEEPEST, cells_of
-from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST
+from tissue_sim.model.forces import SHORTEST
 from tissue_sim.organ.organ import SpringKind
 
 
@@ -16,21 +16,11 @@ def length_of(vectors):
 
 
 def spring_energy(x, model):
-    """Over k l0^2 it is e (1 + h s (s - 1)) integrated, e the strain and s = e / w: polynomials between knots."""
     length, rest = length_of(x[model.spring_second] - x[model.spring_first]), model.spring_rest_length
-    stretch, h, w = length / rest, model.hardening, HARDENING_STRAIN
-
-    def inner(e):
-        return e**2 / 2.0 + h * (e**4 / (4.0 * w**2) - e**3 / (3.0 * w))
-
-    def pressed(e):
-        return inner(-w) + (1.0 + 2.0 * h) * (e**2 - w**2) / 2.0
-
-    strain = stretch - 1.0
-    faded = pressed(SHORTEST - 1.0) + (1.0 + 2.0 * h) * (1.0 - 1.0 / SHORTEST) * (stretch**2 - SHORTEST**2) / 2.0
-    stored = np.where(strain.real > w, inner(w) + (strain**2 - w**2) / 2.0, inner(strain))
-    stored = np.where(strain.real < -w, pressed(strain), stored)
-    return np.sum(model.spring_stiffness * rest**2 * np.where(stretch.real < SHORTEST, faded, stored))
+    stretch = length / rest
+    faded = (SHORTEST - 1.0) ** 2 / 2.0 + (1.0 - 1.0 / SHORTEST) * (stretch**2 - SHORTEST**2) / 2.0
+    stored = np.where(stretch.real < SHORTEST, faded, (stretch - 1.0) ** 2 / 2.0)
+    return np.sum(model.spring_stiffness * rest**2 * stored)
 
 
 def angular_energy(x, model):
@@ -55,10 +45,7 @@ def naive_springs(x, model):
         i, j = model.spring_first[s], model.spring_second[s]
         arm = x[j] - x[i]
         length = max(np.linalg.norm(arm), SHORTEST * model.spring_rest_length[s])
-        strain = length / model.spring_rest_length[s] - 1.0
-        share = np.clip(strain / HARDENING_STRAIN, -1.0, 1.0)
         pull = model.spring_stiffness[s] * (length - model.spring_rest_length[s]) * arm / length
-        pull *= 1.0 + model.hardening * (share**2 - share)
         force[i] += pull
         force[j] -= pull
     return force

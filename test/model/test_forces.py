@@ -1,7 +1,5 @@
 """Force kernels against naive twins, and against the gradient of the energy that they state."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -23,9 +21,8 @@ from tissue_sim.model.forces import (
 )
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.reduction import reduce_model
-from tissue_sim.organ.organ import MOST_HARDENING
 
-MODEL = assemble(replace(ball(), hardening=1.6))
+MODEL = assemble(ball())
 EDGE = 0.017  # m
 
 
@@ -48,13 +45,13 @@ def without_springs(model):
 
 def springs(x, model=MODEL):
     force, links = np.zeros_like(x), without_angular(model).links
-    spring_forces(x, links.nodes, links.constants, model.hardening, np.zeros(9 * BLOCK), force)
+    spring_forces(x, links.nodes, links.constants, np.zeros(9 * BLOCK), force)
     return force
 
 
 def angular(x, model=MODEL):
     force, edges = np.zeros_like(x), without_springs(model).edges
-    edge_forces(x, edges.nodes, edges.constants, model.hardening, np.zeros(9 * BLOCK), force)
+    edge_forces(x, edges.nodes, edges.constants, np.zeros(9 * BLOCK), force)
     return force
 
 
@@ -184,11 +181,11 @@ def test_triangles_without_area_give_finite_forces():
     assert np.all(np.isfinite(angular(x)))
 
 
-def two_nodes(length, rest=0.01, stiffness=50.0, hardening=0.0):
+def two_nodes(length, rest=0.01, stiffness=50.0):
     """Force on the second of two nodes that a spring joins, along it."""
     x, force = np.array([[0.0, 0.0, 0.0], [0.0, length, 0.0]]), np.zeros((2, 3))
     blocks = pack(np.array([[0, 1]]), np.array([[1.0 / rest, stiffness]]), np.array([1.0, 0.0]))
-    spring_forces(x, blocks.nodes, blocks.constants, hardening, np.zeros(9 * BLOCK), force)
+    spring_forces(x, blocks.nodes, blocks.constants, np.zeros(9 * BLOCK), force)
     assert np.array_equal(force[0], -force[1])
     return force[1, 1]
 
@@ -201,19 +198,6 @@ def test_spring_follows_equation_1_and_fades_where_its_ends_meet():
     # Passing through itself it never jumps.
     path = [two_nodes(length) for length in np.linspace(-0.004, 0.004, 801)]
     assert np.abs(np.diff(path)).max() <= 50.0 * 1e-5 * (1.0 / SHORTEST - 1.0) * 1.001
-
-
-@pytest.mark.parametrize(("length", "factor"), [(0.01, 1.0), (0.006, 4.2), (0.004, 4.2), (0.012, 0.6), (0.014, 1.0)])
-def test_hardening_spring_is_stiffer_pressed_and_as_at_rest_far_pulled(length, factor):
-    assert two_nodes(length, hardening=1.6) == pytest.approx(-50.0 * factor * (length - 0.01), abs=1e-15)
-
-
-@pytest.mark.parametrize("hardening", [0.0, 1.6, MOST_HARDENING])
-def test_force_of_a_spring_never_falls_while_it_is_pulled_and_hardens_no_more_than_it_may(hardening):
-    path = np.array([-two_nodes(length, hardening=hardening) for length in np.linspace(0.0021, 0.03, 2000)])
-    slope = np.diff(path) / (0.0279 / 1999)
-    assert slope.min() >= -1e-9
-    assert slope.max() <= 50.0 * (1.0 + 5.0 * hardening) + 1e-6
 
 
 def test_energy_of_a_state_is_that_of_the_twins():
@@ -249,7 +233,7 @@ def test_blocks_hold_every_spring_once_and_fill_up_with_none(count):
     blocks = pack(nodes, np.tile([2.0, 2.0], (count, 1)), np.array([1.0, 0.0]))
     assert len(blocks.nodes) == -(-count // BLOCK)
     x, force = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros((2, 3))
-    spring_forces(x, blocks.nodes, blocks.constants, 0.0, np.zeros(9 * BLOCK), force)
+    spring_forces(x, blocks.nodes, blocks.constants, np.zeros(9 * BLOCK), force)
     assert force[0, 2] == pytest.approx(count * 2.0 * 0.5)
 
 

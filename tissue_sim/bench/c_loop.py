@@ -1,7 +1,7 @@
 """The substep of the hybrid tick written in C: what the kernels are measured against.
 
-Springs, hinges, return springs and symplectic Euler, on the same arrays and in the same order as model.forces and
-model.integrators, compiled by the C compiler of this machine.
+Springs, hinges and return springs, or cells, and symplectic Euler, on the same arrays and in the same order as
+model.forces, model.cells and model.integrators, compiled by the C compiler of this machine.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import clock_cost
-from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.forces import HARDENING_STRAIN, SHORTEST, elastic_forces
+from tissue_sim.model.blocks import BLOCK, empty_blocks
+from tissue_sim.model.cells import CONSTANTS, SQUEEZED, STEEPEST
+from tissue_sim.model.forces import SHORTEST, elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.simulation import Simulation
 
@@ -27,6 +28,7 @@ PLAIN = ("-O3",)
 # The last two let it take square roots and choose between values in vectors, as Numba's compiler may.
 NATIVE = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
 COMPILER = "cc"
+NUMBERS = (BLOCK, CONSTANTS, SHORTEST, SHORTEST, STEEPEST, SQUEEZED, 1.0 / STEEPEST**2)  # in the order of the source
 COMPARED = 200  # substeps after which positions are compared
 AGREEMENT = 1e-10  # largest difference of positions, over the largest displacement
 
@@ -40,10 +42,12 @@ SOURCE = r"""
 #include <string.h>
 #include <time.h>
 
-enum { BLOCK = %d };
+enum { BLOCK = %d, CONSTANTS = %d };
 
 typedef struct {
-    long n, n_edges, n_links, n_returning, n_moving;
+    long n, n_cells, n_edges, n_links, n_returning, n_moving;
+    const int *cell;
+    const double *cell_constants;
     const int *edge;
     const double *edge_constants;
     const int *link;
@@ -53,20 +57,11 @@ typedef struct {
     const int *moving;
     const double *inverse_mass, *damping;
     const double *load;
-    double hardening;
 } Model;
 
 static double largest(double a, double b)
 {
     return a > b ? a : b;
-}
-
-static double secant(double strain, double hardening)
-{
-    double s = strain * (1.0 / %r);
-    s = s < 1.0 ? s : 1.0;
-    s = s > -1.0 ? s : -1.0;
-    return 1.0 + hardening * s * (s - 1.0);
 }
 
 static void spring_forces(const Model *m, const double *restrict x, double *restrict w, double *restrict f)
@@ -83,7 +78,7 @@ static void spring_forces(const Model *m, const double *restrict x, double *rest
         for (int s = 0; s < BLOCK; s++) {
             const double dx = w[s], dy = w[BLOCK + s], dz = w[2 * BLOCK + s];
             const double stretch = largest(sqrt(dx * dx + dy * dy + dz * dz) * c[s], %r);
-            const double pull = c[BLOCK + s] * (1.0 - 1.0 / stretch) * secant(stretch - 1.0, m->hardening);
+            const double pull = c[BLOCK + s] * (1.0 - 1.0 / stretch);
             w[s] = pull * dx;
             w[BLOCK + s] = pull * dy;
             w[2 * BLOCK + s] = pull * dz;
@@ -131,7 +126,7 @@ static void edge_forces(const Model *m, const double *restrict x, double *restri
             const double px = push * nx, py = push * ny, pz = push * nz;
             const double cx = gy * ez - gz * ey, cy = gz * ex - gx * ez, cz = gx * ey - gy * ex;
             const double stretch = largest(sqrt(ex * ex + ey * ey + ez * ez) * c[6 * BLOCK + e], %r);
-            const double pull = c[7 * BLOCK + e] * (1.0 / stretch - 1.0) * secant(stretch - 1.0, m->hardening);
+            const double pull = c[7 * BLOCK + e] * (1.0 / stretch - 1.0);
             w[e] = wj * px + dy * gz - dz * gy + pull * ex;
             w[BLOCK + e] = wj * py + dz * gx - dx * gz + pull * ey;
             w[2 * BLOCK + e] = wj * pz + dx * gy - dy * gx + pull * ez;
@@ -152,6 +147,58 @@ static void edge_forces(const Model *m, const double *restrict x, double *restri
                 f[j + axis] += on_j;
                 f[k + axis] += on_k;
                 f[l + axis] += on_l;
+            }
+        }
+    }
+}
+
+static void cell_forces(const Model *m, const double *restrict x, double *restrict w, double *restrict f)
+{
+    for (long block = 0; block < m->n_cells; block++) {
+        const int *restrict corners = m->cell + 4 * BLOCK * block;
+        const double *restrict c = m->cell_constants + CONSTANTS * BLOCK * block;
+        for (int e = 0; e < BLOCK; e++) {
+            const long i = 3L * corners[4 * e];
+            for (int arm = 0; arm < 3; arm++) {
+                const long j = 3L * corners[4 * e + 1 + arm];
+                for (int axis = 0; axis < 3; axis++)
+                    w[(3 * arm + axis) * BLOCK + e] = x[j + axis] - x[i + axis];
+            }
+        }
+        for (int e = 0; e < BLOCK; e++) {
+            const double jx = w[e], jy = w[BLOCK + e], jz = w[2 * BLOCK + e];
+            const double kx = w[3 * BLOCK + e], ky = w[4 * BLOCK + e], kz = w[5 * BLOCK + e];
+            const double mx = w[6 * BLOCK + e], my = w[7 * BLOCK + e], mz = w[8 * BLOCK + e];
+            const double ax = ky * mz - kz * my, ay = kz * mx - kx * mz, az = kx * my - ky * mx;
+            const double bx = my * jz - mz * jy, by = mz * jx - mx * jz, bz = mx * jy - my * jx;
+            const double dx = jy * kz - jz * ky, dy = jz * kx - jx * kz, dz = jx * ky - jy * kx;
+            const double volume = (jx * ax + jy * ay + jz * az) * c[6 * BLOCK + e];
+            const double bounded = largest(volume, %r), inverse = 1.0 / bounded;
+            const double bulk = c[7 * BLOCK + e], shear = c[8 * BLOCK + e];
+            const double under = -largest(%r - volume, 0.0), steep = bulk + (bulk + shear) * %r;
+            const double pressure = bulk * (bounded - inverse) - shear * inverse + (volume - bounded) * steep
+                                    + under * c[9 * BLOCK + e];
+            const double s11 = c[e], s12 = c[BLOCK + e], s13 = c[2 * BLOCK + e];
+            const double s22 = c[3 * BLOCK + e], s23 = c[4 * BLOCK + e], s33 = c[5 * BLOCK + e];
+            w[e] = s11 * jx + s12 * kx + s13 * mx + pressure * ax;
+            w[BLOCK + e] = s11 * jy + s12 * ky + s13 * my + pressure * ay;
+            w[2 * BLOCK + e] = s11 * jz + s12 * kz + s13 * mz + pressure * az;
+            w[3 * BLOCK + e] = s12 * jx + s22 * kx + s23 * mx + pressure * bx;
+            w[4 * BLOCK + e] = s12 * jy + s22 * ky + s23 * my + pressure * by;
+            w[5 * BLOCK + e] = s12 * jz + s22 * kz + s23 * mz + pressure * bz;
+            w[6 * BLOCK + e] = s13 * jx + s23 * kx + s33 * mx + pressure * dx;
+            w[7 * BLOCK + e] = s13 * jy + s23 * ky + s33 * my + pressure * dy;
+            w[8 * BLOCK + e] = s13 * jz + s23 * kz + s33 * mz + pressure * dz;
+        }
+        for (int e = 0; e < BLOCK; e++) {
+            const long i = 3L * corners[4 * e];
+            for (int arm = 0; arm < 3; arm++) {
+                const long j = 3L * corners[4 * e + 1 + arm];
+                for (int axis = 0; axis < 3; axis++) {
+                    const double pull = w[(3 * arm + axis) * BLOCK + e];
+                    f[i + axis] += pull;
+                    f[j + axis] -= pull;
+                }
             }
         }
     }
@@ -188,9 +235,13 @@ long long run(const Model *m, double *x, double *v, double *f, double step, long
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &start);
     for (long k = 0; k < substeps; k++) {
         memset(f, 0, 3 * m->n * sizeof *f);
-        edge_forces(m, x, work, f);
-        spring_forces(m, x, work, f);
-        return_forces(m, x, f);
+        if (m->n_cells) {
+            cell_forces(m, x, work, f);
+        } else {
+            edge_forces(m, x, work, f);
+            spring_forces(m, x, work, f);
+            return_forces(m, x, f);
+        }
         for (long i = 0; i < 3 * m->n; i++)
             f[i] += m->load[i];
         symplectic_euler(m, x, v, f, step);
@@ -201,8 +252,9 @@ long long run(const Model *m, double *x, double *v, double *f, double step, long
 """
 
 
-_NUMBERS = ("n", "n_edges", "n_links", "n_returning", "n_moving")
+_NUMBERS = ("n", "n_cells", "n_edges", "n_links", "n_returning", "n_moving")
 _ARRAYS = (
+    *("cell", "cell_constants"),
     *("edge", "edge_constants", "link", "link_constants", "returning", "target", "return_stiffness"),
     *("moving", "inverse_mass", "damping", "load"),
 )
@@ -214,7 +266,6 @@ class _Model(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_long) for name in _NUMBERS),
         *((name, ctypes.c_void_p) for name in _ARRAYS),
-        ("hardening", ctypes.c_double),
     ]
 
 
@@ -233,15 +284,19 @@ class CLoop:
         self._step = float(simulation.settings.tick_time) / self._substeps
         self._load = np.zeros_like(model.rest)
         self._load[nodes] = forces
-        edges, links = model.edges, model.links
-        numbers = (len(model.rest), len(edges.nodes), len(links.nodes), len(model.return_nodes), len(model.moving))
+        edges, links, cells = model.edges, model.links, model.tissue
+        if cells is None:
+            cells = empty_blocks(0, 4, CONSTANTS)
+        lengths = (len(part) for part in (cells.nodes, edges.nodes, links.nodes, model.return_nodes, model.moving))
+        numbers = (len(model.rest), *lengths)
         # The kernels' own arrays, kept alive by being kept here.
         self._arrays = (
+            *(cells.nodes, cells.constants),
             *(edges.nodes, edges.constants, links.nodes, links.constants),
             *(model.return_nodes, model.return_target, model.return_stiffness),
             *(model.moving, model.inverse_mass, model.damping, self._load),
         )
-        self._model = _Model(*numbers, *(array.ctypes.data for array in self._arrays), model.hardening)
+        self._model = _Model(*numbers, *(array.ctypes.data for array in self._arrays))
         self._run = _library(flags).run
         self._run.restype = ctypes.c_longlong
         self._run.argtypes = [ctypes.POINTER(_Model), *[ctypes.c_void_p] * 3, ctypes.c_double, ctypes.c_long]
@@ -293,7 +348,7 @@ def _library(flags: tuple[str, ...]) -> Any:
         raise CLoopError("no C compiler")
     with tempfile.TemporaryDirectory(prefix="tissue_sim-") as folder:
         source, library = Path(folder) / "loop.c", Path(folder) / "loop.so"
-        source.write_text(SOURCE % (BLOCK, HARDENING_STRAIN, SHORTEST, SHORTEST), encoding="utf-8")
+        source.write_text(SOURCE % NUMBERS, encoding="utf-8")
         words = [compiler, *flags, "-shared", "-fPIC", "-o", str(library), str(source), "-lm"]
         done = subprocess.run(words, capture_output=True, text=True)
         if done.returncode:

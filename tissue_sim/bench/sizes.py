@@ -101,8 +101,6 @@ def at_size(organ: Organ, points: int) -> Organ:
 def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32], interior: int | None = None) -> Organ:
     """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs.
 
-    They are the paper's: none hardens.
-
     interior: its interior atoms, by default as many for each surface point as the organ has. A point is held where
     the organ's nearest one is.
     """
@@ -117,7 +115,6 @@ def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32]
         surface_triangles=triangles,
         fixed=np.flatnonzero(held[cKDTree(organ.surface_positions).query(positions)[1]]),
         interior_atoms=interior,
-        hardening=0.0,
         provenance={"source": f"organ '{organ.name}'", "points": len(positions)},
     )
 

@@ -33,6 +33,7 @@ CELLS = "cells of the kidney that ships"
 GUARD = "guard of the hybrid tick"
 SUBSTEP = "substep of the hybrid tick"
 C_PLAIN, C_NATIVE = "the same substep in C, -O3", "the same substep in C, for this processor"
+CELL_SUBSTEP, CELL_C = "substep of these cells", "the same cells in C, for this processor"
 MODAL, MODAL_TOOL = "modal, 19-node patch", "modal, sphere tool"
 FROZEN, ASLEEP = "frozen, 19-node patch", "asleep"
 FLEX = "MuJoCo flex, 1 ms step"
@@ -58,13 +59,18 @@ def makers_of(organ: Organ) -> dict[str, Maker]:
     makers: dict[str, Maker] = {
         f"hybrid, {name}": partial(_ticks, organ, model="hybrid", integrator=name) for name in INTEGRATORS
     }
-    makers |= {CELLS: lambda: _ticks(Organ.load(shipped_organ()))}
+    cells = Organ.load(shipped_organ())
+    makers |= {
+        CELLS: partial(_ticks, cells),
+        CELL_SUBSTEP: partial(_substep, cells),
+        CELL_C: partial(_c_substep, cells, NATIVE),
+    }
     makers |= {f"{name}, symplectic": partial(_ticks, organ, model=name) for name in ("surface", "volume")}
     return makers | {
         GUARD: partial(_guard, organ),
-        SUBSTEP: partial(_substep, organ),
-        C_PLAIN: partial(_c_substep, organ, PLAIN),
-        C_NATIVE: partial(_c_substep, organ, NATIVE),
+        SUBSTEP: partial(_substep, organ, "hybrid"),
+        C_PLAIN: partial(_c_substep, organ, PLAIN, "hybrid"),
+        C_NATIVE: partial(_c_substep, organ, NATIVE, "hybrid"),
         MODAL: partial(_ticks, organ, model="hybrid", local_region="modal"),
         MODAL_TOOL: partial(_pressed_tool, organ),
         FROZEN: partial(_ticks, organ, model="hybrid", local_region="frozen"),
@@ -90,8 +96,8 @@ def _guard(organ: Organ) -> tuple[Burst, str]:
     return Ticks(simulation, *patch_load(organ, FORCE), guard=True), "part of the whole tick"
 
 
-def _substep(organ: Organ) -> tuple[Burst, str]:
-    simulation = Simulation(organ, model="hybrid", substeps=SUBSTEPS)
+def _substep(organ: Organ, model: str = "auto") -> tuple[Burst, str]:
+    simulation = Simulation(organ, model=model, substeps=SUBSTEPS)
     ticks = Ticks(simulation, *patch_load(organ, FORCE))
 
     def burst(count: int) -> Floats:
@@ -100,8 +106,8 @@ def _substep(organ: Organ) -> tuple[Burst, str]:
     return burst, f"a {SUBSTEPS}th of a tick of {SUBSTEPS} substeps"
 
 
-def _c_substep(organ: Organ, flags: tuple[str, ...]) -> tuple[Burst, str]:
-    loop = CLoop(Simulation(organ, model="hybrid", substeps=SUBSTEPS), flags, *patch_load(organ, FORCE))
+def _c_substep(organ: Organ, flags: tuple[str, ...], model: str = "auto") -> tuple[Burst, str]:
+    loop = CLoop(Simulation(organ, model=model, substeps=SUBSTEPS), flags, *patch_load(organ, FORCE))
     return loop, f"cc {' '.join(flags)}; differs from the kernel's by {loop.compare():.0e}"
 
 

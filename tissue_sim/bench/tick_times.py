@@ -27,6 +27,8 @@ from tissue_sim.bench.printing import (
 from tissue_sim.bench.tick_rows import (
     ASLEEP,
     C_PLAIN,
+    CELL_C,
+    CELL_SUBSTEP,
     CELLS,
     FLEX,
     FORCE,
@@ -127,6 +129,7 @@ def bounds(measured: Figures) -> list[Bound]:
         Bound("whole tick of cells", us(CELLS), 100.0, "us"),
         Bound("guard, share of the whole hybrid tick", _percent(ratio(GUARD, WHOLE)), 2.0, "%"),
         Bound("substep beside the same in C, -O3", ratio(SUBSTEP, C_PLAIN), 1.3, "x"),
+        Bound("substep of cells beside the same in C", ratio(CELL_SUBSTEP, CELL_C), 1.0, "x"),
         Bound("modal tick, 19-node contact", us(MODAL), 25.0, "us"),
         Bound("modal tick beside the compliance of that patch", ratio(MODAL, PRODUCT), 1.0, "x"),
         Bound("asleep tick", us(ASLEEP), 3.0, "us"),

@@ -71,7 +71,6 @@ class Model(NamedTuple):
     spring_second: Ints  # (s,)
     spring_rest_length: Floats  # (s,) m
     spring_stiffness: Floats  # (s,) N/m
-    hardening: float  # of axial springs, as in forces.secant
     angular_nodes: Ints  # (h, 4)
     angular_weight: Floats  # (h, 4) of the mean curvature normal
     angular_rest: Floats  # (h,) m
@@ -176,7 +175,6 @@ def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> 
             spring_second=_ints(nodes[:, 1]),
             spring_rest_length=_floats(length),
             spring_stiffness=_floats(stiffness),
-            hardening=float(organ.hardening),
             angular_nodes=_ints(hinges),
             angular_weight=weight,
             angular_rest=bent,

@@ -33,7 +33,7 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
     if model.tissue is not None:
         return Energy(kinetic, cell_energy(position, model.rest, model.tissue))
     ends, law = (model.spring_first, model.spring_second), (model.spring_rest_length, model.spring_stiffness)
-    axial = float(_axial_energy(position, *ends, *law, model.hardening))
+    axial = float(_axial_energy(position, *ends, *law))
     pulled = model.return_nodes
     away = np.sum((position[pulled] - model.return_target[pulled]) ** 2, axis=1)
     returning = 0.5 * float(np.sum(model.return_stiffness[pulled] * away))
@@ -41,13 +41,13 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
 
 
 @kernel
-def _axial_energy(position: Any, first: Any, second: Any, rest: Any, stiffness: Any, hardening: float) -> float:
+def _axial_energy(position: Any, first: Any, second: Any, rest: Any, stiffness: Any) -> float:
     total = 0.0
     for s in range(len(first)):
         square = 0.0
         for axis in range(3):
             square += (position[second[s], axis] - position[first[s], axis]) ** 2
-        total += stiffness[s] * rest[s] * rest[s] * stored(math.sqrt(square) / rest[s], hardening)
+        total += stiffness[s] * rest[s] * rest[s] * stored(math.sqrt(square) / rest[s])
     return total
 
 

@@ -16,44 +16,23 @@ from tissue_sim.model.cells import cell_forces
 # Of its rest length, below which a spring's push fades to nothing where its ends meet. Equation (1) alone turns around
 # there by twice its largest force: no step is short enough for that, and energy comes from nothing.
 SHORTEST = 0.2
-# Strain up to which a spring hardens or softens; beyond it goes on as stiff as it is there, so that no load, however
-# large, makes the critical step ever shorter.
-HARDENING_STRAIN = 0.4
 
 
 @kernel
-def secant(strain: float, hardening: float) -> float:
-    """Stiffness of a spring from its rest length to a strain, over that at rest: 1 + h s (s - 1), s = strain / 0.4.
-
-    With h = 0 springs are those of equation (1). Soft tissue hardens when it is pressed and softens a little when it is
-    pulled (neo-Hookean: stress over strain falls as 1 - strain at first): with h = 1.6 a spring is 4.2 times as stiff
-    at 0.6 of its length, 0.6 times at 1.2, and as at rest at 1.4. Force grows with strain for h up to 3.
-    """
-    s = strain * (1.0 / HARDENING_STRAIN)
-    s = s if s < 1.0 else 1.0
-    s = s if s > -1.0 else -1.0
-    return 1.0 + hardening * s * (s - 1.0)
-
-
-@kernel
-def stored(stretch: float, hardening: float) -> float:
+def stored(stretch: float) -> float:
     """Energy of a spring of some stretch l / l0, over k l0^2: the integral of what spring_forces pulls."""
     strain = max(stretch, SHORTEST) - 1.0
-    near = min(max(strain, -HARDENING_STRAIN), HARDENING_STRAIN)
-    factor = secant(strain, hardening)
-    total = 0.5 * near * near + 0.5 * factor * (strain - near) * (strain + near)
-    total += hardening * near**3 * (0.25 * near / HARDENING_STRAIN - 1.0 / 3.0) / HARDENING_STRAIN
+    total = 0.5 * strain * strain
     if stretch < SHORTEST:  # there the push is proportional to the length
-        total -= 0.5 * (1.0 / SHORTEST - 1.0) * factor * (stretch * stretch - SHORTEST * SHORTEST)
+        total -= 0.5 * (1.0 / SHORTEST - 1.0) * (stretch * stretch - SHORTEST * SHORTEST)
     return total
 
 
 @kernel
-def spring_forces(position: Any, nodes: Any, constants: Any, hardening: float, work: Any, force: Any) -> None:
+def spring_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
     """Axial springs, equation (1): f = k (l - l0) along the spring, geometrically nonlinear; l not under SHORTEST l0.
 
-    nodes (b, BLOCK, 2); constants (b, 2 BLOCK): inverse rest lengths, 1/m, then stiffnesses, N/m; hardening as in
-    secant; work (9 BLOCK,).
+    nodes (b, BLOCK, 2); constants (b, 2 BLOCK): inverse rest lengths, 1/m, then stiffnesses, N/m; work (9 BLOCK,).
     """
     for block in range(len(nodes)):
         ends, constant = nodes[block], constants[block]
@@ -62,7 +41,7 @@ def spring_forces(position: Any, nodes: Any, constants: Any, hardening: float, w
             x, y, z = work[s], work[BLOCK + s], work[2 * BLOCK + s]
             stretch = math.sqrt(x * x + y * y + z * z) * constant[s]
             stretch = stretch if stretch > SHORTEST else SHORTEST
-            pull = constant[BLOCK + s] * (1.0 - 1.0 / stretch) * secant(stretch - 1.0, hardening)
+            pull = constant[BLOCK + s] * (1.0 - 1.0 / stretch)
             work[s], work[BLOCK + s], work[2 * BLOCK + s] = pull * x, pull * y, pull * z
         _scatter_ends(work, ends, force)
 
@@ -92,7 +71,7 @@ def _scatter_ends(work: Any, ends: Any, force: Any) -> None:
 
 
 @kernel
-def edge_forces(position: Any, nodes: Any, constants: Any, hardening: float, work: Any, force: Any) -> None:
+def edge_forces(position: Any, nodes: Any, constants: Any, work: Any, force: Any) -> None:
     """Edges between two triangles: the axial spring along the edge, and the angular spring across it.
 
     Angular springs have the energy k/2 (s - s0)^2. s = n.(w_i x_i + w_j x_j + w_k x_k + w_l x_l), n the unit normal of
@@ -102,12 +81,12 @@ def edge_forces(position: Any, nodes: Any, constants: Any, hardening: float, wor
     on the cosine between two arms (Nedel & Thalmann 1998) has hardly a slope where the surface is flat.
     nodes (b, BLOCK, 4): edge i, j and the opposite corners k, l; constants (b, 8 BLOCK): weights of j, k, l (that of i
     makes their sum zero), s0, m, stiffness, N/m, the least squared length of the unnormalised normal, m^4, and
-    inverse rest length, 1/m, and stiffness, N/m, of the axial spring; hardening as in secant; work (9 BLOCK,).
+    inverse rest length, 1/m, and stiffness, N/m, of the axial spring; work (9 BLOCK,).
     """
     for block in range(len(nodes)):
         ends = nodes[block]
         _gather_arms(position, ends, work)
-        _bend_and_stretch(work, constants[block], hardening)
+        _bend_and_stretch(work, constants[block])
         _scatter_arms(work, ends, force)
 
 
@@ -129,7 +108,7 @@ def _gather_arms(position: Any, ends: Any, work: Any) -> None:
 
 
 @kernel
-def _bend_and_stretch(work: Any, constant: Any, hardening: float) -> None:
+def _bend_and_stretch(work: Any, constant: Any) -> None:
     """Turn the arms of a block into the forces on j, k and l."""
     for e in range(BLOCK):
         ex, ey, ez = work[e], work[BLOCK + e], work[2 * BLOCK + e]
@@ -155,7 +134,7 @@ def _bend_and_stretch(work: Any, constant: Any, hardening: float) -> None:
         cx, cy, cz = gy * ez - gz * ey, gz * ex - gx * ez, gx * ey - gy * ex
         stretch = math.sqrt(ex * ex + ey * ey + ez * ez) * constant[6 * BLOCK + e]
         stretch = stretch if stretch > SHORTEST else SHORTEST
-        pull = constant[7 * BLOCK + e] * (1.0 / stretch - 1.0) * secant(stretch - 1.0, hardening)
+        pull = constant[7 * BLOCK + e] * (1.0 / stretch - 1.0)
         work[e] = wj * px + dy * gz - dz * gy + pull * ex
         work[BLOCK + e] = wj * py + dz * gx - dx * gz + pull * ey
         work[2 * BLOCK + e] = wj * pz + dx * gy - dy * gx + pull * ez
@@ -266,8 +245,8 @@ def _by_cells(model: Any, position: Any, force: Any) -> None:
 
 @kernel
 def _by_springs(model: Any, position: Any, force: Any) -> None:
-    edge_forces(position, model.edges.nodes, model.edges.constants, model.hardening, model.work, force)
-    spring_forces(position, model.links.nodes, model.links.constants, model.hardening, model.work, force)
+    edge_forces(position, model.edges.nodes, model.edges.constants, model.work, force)
+    spring_forces(position, model.links.nodes, model.links.constants, model.work, force)
     return_forces(position, model.return_target, model.return_nodes, model.return_stiffness, force)
 
 

@@ -245,8 +245,8 @@ def region_forces(model: Any, state: Any, scratch: Any) -> None:
     """Add the forces of the region's springs, without return springs, to scratch.force (n, 3) N."""
     hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
     edges, links, work, force = scratch.edges, scratch.links, scratch.work, scratch.force
-    edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], model.hardening, work, force)
-    spring_forces(state.position, links.nodes[:springs], links.constants[:springs], model.hardening, work, force)
+    edge_forces(state.position, edges.nodes[:hinges], edges.constants[:hinges], work, force)
+    spring_forces(state.position, links.nodes[:springs], links.constants[:springs], work, force)
 
 
 @kernel

@@ -6,7 +6,6 @@ inputs taken up -> anything touching or moving? -> local region or whole -> subs
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -144,12 +143,11 @@ def has_stiff_cells(model: Any) -> Any:
 def caution(model: Any, state: Any, begun: bool) -> int:
     """Factor on the substeps while cells are squeezed or inside out: crumpled tissue is stiffer than sound one.
 
-    Springs that harden are so by up to 1 + 2 h there. begun: the forces of this tick's first substep are known.
+    begun: the forces of this tick's first substep are known.
     """
     if state.status.turned == 0:
         return 2 if begun and has_stiff_cells(model) else 1
-    harder = round(math.sqrt(1.0 + 2.0 * model.hardening))
-    return harder * (4 if state.status.turned > CRUMPLED * len(model.cells) else 2)
+    return 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
 
 
 @kernel

@@ -19,8 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 
-SCHEMA_VERSION = 4  # 2: interior_spoke; 3: hardening; 4: cells
-MOST_HARDENING = 3.0  # beyond it a spring's force would fall while it is pulled
+SCHEMA_VERSION = 4  # 2: interior_spoke; 3: springs that harden, gone; 4: cells
 
 
 class SpringKind(IntEnum):
@@ -80,7 +79,6 @@ class Organ:
     youngs_modulus: float = 0.0  # Pa
     poisson_ratio: float = 0.0
     density: float = 0.0  # kg/m^3
-    hardening: float = 0.0  # of axial springs: secant stiffness 1 + h s (s - 1), s = strain / 0.4; 0: equation (1)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     # Of calibrated tissue: tetrahedra between the nodes, det(b - a, c - a, d - a) > 0. None where springs are all.
     cell_nodes: Ints = _ints("n_cells", 4, empty=(0, 4))
@@ -162,10 +160,6 @@ class Organ:
         for key in ("damping", "return_stiffness", "spring_stiffness", "angular_stiffness", "cell_lambda"):
             if np.any(getattr(self, key) < 0.0):
                 raise UserError(f"organ '{self.name}': {key} must not be negative")
-        if not 0.0 <= self.hardening <= MOST_HARDENING:
-            raise UserError(
-                f"organ '{self.name}': hardening must be from 0 to {MOST_HARDENING:g}, is {self.hardening:g}"
-            )
         corner = self.rest_positions[self.cell_nodes]
         if np.any(np.linalg.det(corner[:, 1:] - corner[:, :1]) <= 0.0):
             raise UserError(f"organ '{self.name}': cell_nodes holds cells without volume or inside out")
@@ -186,7 +180,6 @@ class Organ:
             "youngs_modulus": float(self.youngs_modulus),
             "poisson_ratio": float(self.poisson_ratio),
             "density": float(self.density),
-            "hardening": float(self.hardening),
             "provenance": dict(self.provenance),
         }
         text = json.dumps(header, sort_keys=True)
@@ -241,16 +234,21 @@ class Organ:
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
         if digest != _digest(text, content):
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
+        if header.get("hardening", 0.0):
+            raise UserError(
+                f"organ file {path} was calibrated with springs that harden, which are no more;"
+                " build and calibrate it anew: its cells harden as tissue does"
+            )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
         scalars = {key: header[key] for key in ("name", "youngs_modulus", "poisson_ratio", "density", "provenance")}
-        return cls(**scalars, hardening=header.get("hardening", 0.0), **content)
+        return cls(**scalars, **content)
 
     def digest(self) -> str:
-        """SHA-256 (hex) of the arrays and the springs' law: two organs with the same digest simulate alike."""
+        """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
         if not len(self.cell_nodes):  # as it was before there were cells
             arrays = {name: array for name, array in arrays.items() if not name.startswith("cell_")}
-        return _digest(f"hardening {self.hardening!r}" if self.hardening else "", arrays)
+        return _digest("", arrays)
 
 
 def signed_volume(positions: Floats, triangles: Ints) -> float:

@@ -37,7 +37,6 @@ def assemble_organ(
     youngs_modulus: float = 10_000.0,
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
-    hardening: float = 0.0,
     provenance: Mapping[str, Any] | None = None,
 ) -> Organ:
     """Make a node-ready organ from a closed surface and its medial atoms.
@@ -46,7 +45,7 @@ def assemble_organ(
     atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
     root, fixed (n_fixed,) surface nodes, interior_atoms: how many further atoms to spread along the
     spokes, interior_layer: the share of them that lies a mean edge under the surface, youngs_modulus Pa,
-    density kg/m^3, hardening of the axial springs, 0 for those of equation (1).
+    density kg/m^3.
 
     Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
     0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
@@ -138,7 +137,6 @@ def assemble_organ(
         youngs_modulus=youngs_modulus,
         poisson_ratio=poisson_ratio,
         density=density,
-        hardening=hardening,
         provenance=dict(provenance or {}),
     )
 
@@ -157,7 +155,6 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
         "youngs_modulus": organ.youngs_modulus,
         "poisson_ratio": organ.poisson_ratio,
         "density": organ.density,
-        "hardening": organ.hardening,
         "provenance": organ.provenance,
     }
     return assemble_organ(**{**same, **changes})

@@ -55,7 +55,6 @@ def describe(organ: Organ) -> dict[str, Any]:
             "youngs_modulus_pa": organ.youngs_modulus,
             "poisson_ratio": organ.poisson_ratio,
             "density_kg_m3": organ.density,
-            "hardening": organ.hardening,
         },
         "provenance": dict(organ.provenance),
     }
