@@ -26,7 +26,8 @@ class Elastic:
         self.n_nodes, self.n_surface, self.free = len(model.rest), model.n_surface, free_axes(model)
         square = np.asarray(strains.rows.power(2).sum(axis=1)).ravel()
         self._trace = np.bincount(strains.owner, square, len(self.stiffness))
-        row, column, self._table = _table(strains.rows.tocsr()[:, self.free], strains.owner, len(self.stiffness))
+        self.rows, self.owner = strains.rows.tocsr()[:, self.free], strains.owner
+        row, column, self._table = _table(self.rows, self.owner, len(self.stiffness))
         starts = np.searchsorted(column, np.arange(len(self.free) + 1)).astype(np.int32)
         self._entries = row, column
         self._pattern = row.astype(np.int32), starts

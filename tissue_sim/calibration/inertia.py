@@ -79,7 +79,7 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
 
     def objective(logarithm: Floats) -> tuple[float, Floats]:
         mass, part = spread(logarithm)
-        square, shape = _modes(tangent, factor, np.repeat(mass, 3), len(wanted), start)
+        square, shape = modes_of(tangent, factor, np.repeat(mass, 3), len(wanted), start)
         off = square / wanted - 1.0
         size = np.sum(shape.reshape(-1, 3, len(wanted)) ** 2, axis=1)  # of each mode at each node, 1/kg
         by_mass = -size @ (2.0 * off * square / wanted)
@@ -104,7 +104,7 @@ def frequencies_of(elastic: Elastic, stiffness: Floats, mass: Floats, count: int
     """The lowest frequencies (count,) Hz of a model of stiffness (p,) and masses (n,) kg."""
     tangent = elastic.tangent(stiffness)
     start = np.random.default_rng(0).standard_normal(len(elastic.free))
-    square, _ = _modes(tangent, elastic.factor(tangent), np.repeat(mass, 3)[elastic.free], count, start)
+    square, _ = modes_of(tangent, elastic.factor(tangent), np.repeat(mass, 3)[elastic.free], count, start)
     return np.sqrt(np.maximum(square, 0.0)) / (2.0 * np.pi)
 
 
@@ -113,7 +113,7 @@ def damping_rate(frequencies: Floats) -> float:
     return 4.0 * np.pi * float(frequencies[0])
 
 
-def _modes(tangent: csc_array, factor: Factor, mass: Floats, count: int, start: Floats) -> tuple[Floats, Floats]:
+def modes_of(tangent: csc_array, factor: Factor, mass: Floats, count: int, start: Floats) -> tuple[Floats, Floats]:
     """Squared frequencies (count,), ascending, 1/s^2, and shapes (a, count) 1/sqrt(kg) of masses (a,) kg."""
     size = len(mass)
     inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)

@@ -1,0 +1,130 @@
+"""Stiffness and masses fitted together, so that the model is stable in a longer step and still moves as the tissue.
+
+Masses alone can't do it: those that slow the fastest modes down slow the lowest ones with them. Stiffness that gives
+way where a node is light, and mass that gathers where tissue is stiff, share the work. The misfit of the settled loads
+judges the stiffness; the lowest frequencies, and those of the fastest modes that the step doesn't allow, judge both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.linalg import eigsh
+
+from tissue_sim.array_types import Floats
+from tissue_sim.calibration.fit import MEMORY, SHRINK, Misfit
+from tissue_sim.calibration.inertia import modes_of, tissue_mass
+from tissue_sim.organ.organ import Organ
+
+FASTEST = 40  # modes that are held under what the step allows
+CLOSE = 0.985  # of the squared frequency that the step allows: a mode takes part before it is beyond
+# Weights of the lowest and of the fastest modes, beside a misfit of some 1e-3, and the share of the evaluations.
+STAGES = ((0.3, 0.03, 1.0 / 3.0), (1.0, 1.0, 2.0 / 3.0))
+TOTAL = 1e-3  # weight of the whole mass, which the lowest frequencies know already
+SPREAD = 1e-4  # weight of the mean square of the masses' logarithms, over those of the tissue around
+MASS_BOUNDS = (-3.0, 4.0)  # of these logarithms
+ROUGH = 1e-5  # of a squared frequency, to which the fastest are found
+
+
+class Together:
+    """What stiffness and masses are judged by, as a function of their logarithms: (p + moving nodes,).
+
+    Those of stiffness count from `first` (p,), those of masses from the tissue around each node. frequencies: the
+    lowest, Hz; largest: what the fastest modes should stay under, rad/s.
+    """
+
+    def __init__(self, organ: Organ, misfit: Misfit, first: Floats, frequencies: Floats, largest: float) -> None:
+        self.misfit, self.first = misfit, first
+        self.around = tissue_mass(organ)
+        self.moving = np.zeros(len(self.around), dtype=bool)
+        self.moving[misfit.elastic.free[::3] // 3] = True
+        self._lowest = (2.0 * np.pi * np.asarray(frequencies)) ** 2
+        self._most = CLOSE * largest**2
+        self._start = np.random.default_rng(0).standard_normal(len(misfit.elastic.free))
+
+    def split(self, logarithm: Floats) -> tuple[Floats, Floats]:
+        """Stiffness (p,) and masses (n,) kg."""
+        mass = self.around.copy()
+        mass[self.moving] *= np.exp(logarithm[len(self.first) :])
+        return self.first * np.exp(logarithm[: len(self.first)]), mass
+
+    def join(self, stiffness: Floats, mass: Floats) -> Floats:
+        """Logarithms of stiffness (p,) and masses (n,) kg."""
+        return np.concatenate([np.log(stiffness / self.first), np.log(mass / self.around)[self.moving]])
+
+    def evaluate(self, logarithm: Floats, low: float, high: float) -> tuple[float, Floats, Floats]:
+        """Loss, its slope by every logarithm, and the errors (c,) of the cases.
+
+        low, high: weights of the lowest and of the fastest modes.
+        """
+        elastic, count = self.misfit.elastic, len(self.first)
+        stiffness, mass = self.split(logarithm)
+        found = self.misfit.evaluate(stiffness)
+        loss, by_stiffness, by_mass = found.loss, found.slope, np.zeros(len(logarithm) - count)
+        tangent, axis_mass = elastic.tangent(stiffness), np.repeat(mass, 3)[elastic.free]
+        square, shape = modes_of(tangent, elastic.factor(tangent), axis_mass, len(self._lowest), self._start)
+        top, fast = _fastest(tangent, axis_mass, self._start)
+        off, beyond = square / self._lowest - 1.0, np.maximum(top / self._most - 1.0, 0.0)
+        # A squared frequency s of a shape p with p'Mp = 1 changes by p'(dK - s dM)p.
+        for weight, amount, unit, level, moved in (
+            (low, off, self._lowest, square, shape),
+            (high, beyond, self._most, top, fast),
+        ):
+            loss += weight * float(amount @ amount)
+            pull = 2.0 * weight * amount / unit
+            by_stiffness = by_stiffness + np.bincount(elastic.owner, (elastic.rows @ moved) ** 2 @ pull, count)
+            by_mass -= np.sum(moved.reshape(-1, 3, len(level)) ** 2, axis=1) @ (pull * level)
+        total = float(self.around[self.moving].sum())
+        excess = float(mass[self.moving].sum()) / total - 1.0
+        softer, heavier = logarithm[:count], logarithm[count:]
+        loss += TOTAL * excess**2 + SHRINK * float(np.mean(softer**2)) + SPREAD * float(np.mean(heavier**2))
+        slope = np.concatenate(
+            [
+                by_stiffness * stiffness + 2.0 * SHRINK / count * softer,
+                (by_mass + 2.0 * TOTAL * excess / total) * mass[self.moving] + 2.0 * SPREAD / len(heavier) * heavier,
+            ]
+        )
+        return loss, slope, found.error
+
+
+def fit_together(
+    together: Together,
+    stiffness: Floats,
+    mass: Floats,
+    evaluations: int,
+    bounds: tuple[float, float],
+    watch: Callable[[int, Floats], None] | None = None,
+) -> tuple[Floats, Floats]:
+    """Stiffness (p,) and masses (n,) kg of the least loss, by L-BFGS from those given.
+
+    bounds: of the logarithms of stiffness; watch: told the number of every evaluation and the errors (c,) found.
+    """
+    made = 0
+
+    def objective(logarithm: Floats, low: float, high: float) -> tuple[float, Floats]:
+        nonlocal made
+        loss, slope, error = together.evaluate(logarithm, low, high)
+        made += 1
+        if watch is not None:
+            watch(made, error)
+        return loss, slope
+
+    at = together.join(stiffness, mass)
+    limits = [bounds] * len(stiffness) + [MASS_BOUNDS] * (len(at) - len(stiffness))
+    at = np.clip(at, *np.transpose(limits))
+    for low, high, share in STAGES:
+        most = max(1, round(share * evaluations))
+        options = {"maxfun": most, "maxiter": most, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10}
+        at = minimize(objective, at, (low, high), "L-BFGS-B", jac=True, bounds=limits, options=options).x
+    return together.split(at)
+
+
+def _fastest(tangent: csc_array, mass: Floats, start: Floats) -> tuple[Floats, Floats]:
+    """The largest squared frequencies (FASTEST,) 1/s^2, and shapes (a, FASTEST) 1/sqrt(kg) of masses (a,) kg."""
+    root = 1.0 / np.sqrt(mass)
+    scaled = (diags_array(root) @ tangent @ diags_array(root)).tocsr()
+    square, shape = eigsh(scaled, k=min(FASTEST, len(mass) - 1), which="LA", v0=start, tol=ROUGH)
+    return square, shape * root[:, None]
