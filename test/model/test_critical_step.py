@@ -9,7 +9,14 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from helpers.scenes import assembled, ball, changed, free_ball, kidney
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import SAFETY, critical_step, largest_frequency, model_step, substeps_for
+from tissue_sim.model.critical_step import (
+    SAFETY,
+    critical_step,
+    largest_frequency,
+    model_step,
+    stable_frequency,
+    substeps_for,
+)
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
 
@@ -121,3 +128,9 @@ def test_organ_without_springs_or_without_free_nodes_has_no_critical_step():
     held = model._replace(inverse_mass=np.zeros_like(model.inverse_mass), moving=model.moving[:0])
     assert largest_frequency(held) == 0.0
     assert model_step(held, 5000.0) == math.inf
+
+
+@pytest.mark.parametrize("rate", [0.0, 60.0, 3000.0])
+def test_stable_frequency_is_the_one_of_that_critical_step(rate):
+    frequency = stable_frequency(1.1e-3, rate)
+    assert critical_step(frequency, rate / (2.0 * frequency)) == pytest.approx(1.1e-3)

@@ -19,12 +19,13 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
+from tissue_sim.calibration.joint import Together, fit_together
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.reference import reference_error
-from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared, with_stiffness
+from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import largest_frequency, model_step, substeps_for
+from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, stable_frequency, substeps_for
 from tissue_sim.organ.organ import Organ
 
 CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over the first: without, some cells are all but void
@@ -32,6 +33,7 @@ GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, whi
 BUCKLING = 3.0  # times as far by one law of elasticity as by the other: a load near buckling tells nothing of an organ
 POKE = 0.005  # m, of the release
 TICK = 1e-3  # s
+ROOM = 1.03  # of the step, that loads make shorter
 
 
 class Progress(Protocol):
@@ -103,6 +105,14 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
                     "mass", lambda: {"mass": fit_mass(start, elastic, stiffness, linear["frequencies"])}
                 )["mass"]
                 done()
+            if settings.method == "cells" and settings.aim in ONE_STEP:
+                largest = stable_frequency(ROOM * TICK / SAFETY, rate)
+                together = Together(start, misfit, first, linear["frequencies"], largest)
+                with progress.stage("both for a step of 1 ms", settings.evaluations) as done:
+                    both = checkpoint.remember("both", lambda: _both(together, stiffness, mass, settings, done))
+                    stiffness, mass = both["stiffness"], both["mass"]
+                    found_error = misfit.evaluate(stiffness).error
+                    done(f"{100.0 * found_error.mean():.2f} %")
             with progress.stage("error of the reference", 1) as done:
                 accuracy = reference_error(start)
                 done(f"{accuracy.worst:.2f} % at worst")
@@ -179,6 +189,16 @@ def _fitted(
     return fit(misfit, first, settings.evaluations, watch, bounds=CELL_BOUNDS)
 
 
+def _both(together: Together, stiffness: Floats, mass: Floats, settings: Settings, done: Callable[..., None]) -> Arrays:
+    """Stiffness (p,) and masses (n,) kg fitted together."""
+
+    def watch(_: int, error: Floats) -> None:
+        done(f"{100.0 * error.mean():.2f} %")
+
+    stiffness, mass = fit_together(together, stiffness, mass, settings.evaluations, CELL_BOUNDS, watch)
+    return {"stiffness": stiffness, "mass": mass}
+
+
 def _near_buckling(cases: Cases, linear: Floats, wanted: Answer) -> dict[int, str]:
     """Which cases move the body several times as far by one law of elasticity as by the other, and their names."""
     sizes = [np.linalg.norm(moved, axis=(1, 2)) for moved in (linear, wanted.displacement)]
@@ -224,7 +244,7 @@ def step_figures(organ: Organ) -> dict[str, Any]:
     """Critical step and substeps of a millisecond, as Simulation chooses them."""
     model = assemble(organ)
     critical = model_step(model, largest_frequency(model))
-    return {"critical_us": round(1e6 * critical, 1), "substeps_a_ms": max(2, substeps_for(TICK, critical))}
+    return {"critical_us": round(1e6 * critical, 1), "substeps_a_ms": substeps_for(TICK, critical)}
 
 
 def _signed_range(volume: Floats) -> list[float]:

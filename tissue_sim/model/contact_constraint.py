@@ -19,7 +19,6 @@ INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a 
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep
-CURVED_PASSES = 3  # after which the tool is as flat as it is where the points have got to: passes then take a third
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
 
@@ -95,12 +94,14 @@ def gap_and_normal(
 
 
 @kernel
-def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch: Any) -> int:
+def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch: Any, spread: bool) -> int:
     """List the entries that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
 
-    For each scratch.near_plane (N, 8): the tool's outward normal and how far its surface lies along that from the
+    spread: they are those that add_contact_impulses has given already, whatever the tool's normal has become since.
+
+    For each scratch.near_plane (N, 11): the tool's outward normal and how far its surface lies along that from the
     tool's origin, m; how far the tool moves there in the substep, less its origin, m; how far an impulse moves the
-    point out of the tool, m/(N s).
+    point out of the tool, m/(N s); and where that is, from the tool's origin, m.
 
     Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
     forgotten.
@@ -128,7 +129,7 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
         along = last_held[0] * plane[0] + last_held[1] * plane[1] + last_held[2] * plane[2]
         for c in range(3):
             held[c] = last_held[c] - along * plane[c]
-        scratch.near_normal[found] = pressed
+        scratch.near_normal[found] = along if spread and pressed > 0.0 else pressed
         found += 1
     return found
 
@@ -146,6 +147,7 @@ def set_plane(state: Any, shapes: Any, scratch: Any, near: int) -> float:
     plane[4] = x - last[0] - (q[0] * lx + q[1] * ly + q[2] * lz) - origin[0]
     plane[5] = y - last[1] - (q[3] * lx + q[4] * ly + q[5] * lz) - origin[1]
     plane[6] = z - last[2] - (q[6] * lx + q[7] * ly + q[8] * lz) - origin[2]
+    plane[8], plane[9], plane[10] = x - origin[0], y - origin[1], z - origin[2]
     return gap
 
 
@@ -183,11 +185,13 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 
 @kernel
 def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, target: Any) -> None:
-    """Add the last substep's contact impulses, N s, times a scale to target (n, 3)."""
+    """Add the last substep's contact impulses, N s, times a scale to target (n, 3), and keep them whole as held."""
     shares = state.contacts.weight
     for entry in range(state.contacts.header.points):
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
+            held = state.contact_held[0, entry]
+            held[0], held[1], held[2] = push
             for corner in range(3):
                 node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]
                 target[node, 0] += share * push[0]
@@ -206,11 +210,12 @@ def resolve_contacts(
     from the impulses of the last substep, and ends when a pass changes them by less than TOLERANCE of their sum.
     scratch.origin (T, 3), scratch.rotation (T, 9) are the tools at the substep's end, last_* at its
     beginning; mobility (n,) 1/kg is the velocity that an impulse gives a node; step s; spread: True when the
-    integrator has moved the organ by the last impulses already. Adds to
+    integrator has moved the organ by the last impulses already: points are then all but where they end, and the tool
+    is as flat as it is there. Adds to
     scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
     about the tool's origin, N m s.
     """
-    found = gather_contacts(state, shapes, mobility, step, scratch)
+    found = gather_contacts(state, shapes, mobility, step, scratch, spread)
     if found == 0:
         return 0
     for near in range(found):
@@ -220,7 +225,7 @@ def resolve_contacts(
     for turn in range(MOST_PASSES):
         change = total = 0.0
         for near in range(found):
-            if turn < CURVED_PASSES:
+            if turn == 0 and not spread:
                 look_again(state, shapes, scratch, near)
             change += resolve_contact(state, shapes, mobility, scratch, near, friction, step)
             total += scratch.near_normal[near]
@@ -312,22 +317,17 @@ def give_impulse(
 @kernel
 def count_impulse(state: Any, scratch: Any, near: int) -> None:
     """Add what acts on a contact point in this substep to scratch.impulse, and to what drives a modal region."""
-    entry = scratch.near_entry[near]
-    body = state.contacts.body[entry]
+    entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     px, py, pz = whole_impulse(scratch, near)
-    x = y = z = 0.0
-    for c in range(3):
-        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
-        x += weight * state.position[node, 0]
-        y += weight * state.position[node, 1]
-        z += weight * state.position[node, 2]
-        if state.status.region == Region.MODAL:
+    if state.status.region == Region.MODAL:
+        for c in range(3):
+            node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
             state.contact_impulse[node, 0] += weight * px
             state.contact_impulse[node, 1] += weight * py
             state.contact_impulse[node, 2] += weight * pz
-    origin = scratch.origin[body]
-    ax, ay, az = x - origin[0], y - origin[1], z - origin[2]
-    impulse = scratch.impulse[body]
+    # The arm of where the normal was taken: a ball without friction feels no moment about its middle.
+    ax, ay, az = plane[8], plane[9], plane[10]
+    impulse = scratch.impulse[state.contacts.body[entry]]
     impulse[0] += px
     impulse[1] += py
     impulse[2] += pz

@@ -59,6 +59,14 @@ def critical_step(frequency: float, damping_ratio: float, integrator: str = "sym
     return 2.0 / frequency / (damping_ratio + math.sqrt(damping_ratio**2 - 1.0))
 
 
+def stable_frequency(step: float, damping_rate: float) -> float:
+    """Angular frequency, rad/s, of which a step s is the critical one of symplectic Euler; damping over mass, 1/s.
+
+    The other way around than critical_step: w^2 = 4/h^2 + 2c/h.
+    """
+    return math.sqrt(4.0 / step**2 + 2.0 * damping_rate / step)
+
+
 def model_step(
     model: Model,
     frequency: float,

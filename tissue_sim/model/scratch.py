@@ -21,6 +21,7 @@ class Scratch(NamedTuple):
     push: Any  # (3n,) s/kg, and
     shrink: Any  # (3n,), of integrators.symplectic_euler_whole
     mobility_key: Any  # (5,) settings that they were worked out for
+    velocity_before: Any  # (n, 3) m/s, at the beginning of the tick
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
@@ -32,7 +33,7 @@ class Scratch(NamedTuple):
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
-    near_plane: Any  # (N, 8) the tool there; see contact_constraint.gather_contacts
+    near_plane: Any  # (N, 11) the tool there; see contact_constraint.gather_contacts
     work: Any  # (9 BLOCK,)
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
@@ -95,6 +96,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         push=empty(3 * n),
         shrink=empty(3 * n),
         mobility_key=empty(5),
+        velocity_before=empty(n, 3),
         predicted=model.rest.copy(),
         change=empty(0 if model.factor is None else len(model.moving), 3),
         origin=empty(n_bodies, 3),
@@ -106,7 +108,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
-        near_plane=empty(MOST_NEAR, 8),
+        near_plane=empty(MOST_NEAR, 11),
         work=empty(9 * BLOCK),
         fresh=ints(local),
         was=longs(local),

@@ -24,7 +24,7 @@ from tissue_sim.model.records import words_of
 from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.scratch import make_scratch
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
-from tissue_sim.model.shapes import SPHERE, Shapes, make_shapes
+from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.state import Region, State, make_state, take_fields
 from tissue_sim.model.world import (
     load_world,
@@ -39,7 +39,11 @@ from tissue_sim.model.world import (
 )
 from tissue_sim.organ.organ import Organ
 
-LONGEST_STEP = 5e-4  # s, however soft the organ: in a longer one a needle slips through what it pushes
+# s, however soft the organ. In a longer one a tool that is finer than FINE, m, or of any shape, slips through what it
+# pushes, and springs swing.
+LONGEST_STEP = 5e-4
+LONGEST_OF_CELLS = 1e-3  # s; with other tools
+FINE = 1e-3
 
 # s. In a modal region nodes are made so much heavier that they need no shorter step: on a fine organ they are tiny, and
 # how fast they shiver is nothing that a hand feels. The organ's own motion is that of its modes.
@@ -233,8 +237,14 @@ class Simulation:
         """Substeps in a tick, and the longest stable step that they follow from, s."""
         longest = self._longest_step(integrator)
         if integrator != "implicit":
-            longest = min(longest, LONGEST_STEP / SAFETY)
+            longest = min(longest, self.longest_substep / SAFETY)
         return self._fixed_substeps or substeps_for(self.settings.tick_time, longest), longest
+
+    @property
+    def longest_substep(self) -> float:
+        """Substeps, s, that are not exceeded however soft the organ is, with these tools."""
+        blunt = np.isin(self.shapes.kind, (SPHERE, CAPSULE)) & (self.shapes.size[:, 0] >= FINE)
+        return LONGEST_OF_CELLS if self.variant == "cells" and np.all(blunt) else LONGEST_STEP
 
     def take_settings(self, settings: Settings) -> None:
         """Use settings that were worked out before, by a run that is repeated."""

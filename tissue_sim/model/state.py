@@ -41,6 +41,8 @@ class Status(Record):
     fault_kind: int  # Fault, what the guard found last
     substeps: int  # of the last tick
     backoff: int  # factor on the substeps after a fault
+    shivering: int  # ticks for which a step that was too long stays halved
+    turning: float  # m^2/s^2, of nodes that turned around at the last look
     quiet: int  # ticks in a row that were as good as at rest
     alone: int  # ticks in a row without touch and load
     calm: int  # ticks in a row with a load small enough for a local region
@@ -61,6 +63,7 @@ class Counts(Record):
     """What happened so far; a reset leaves it."""
 
     faults: int  # times the guard restored the last good state
+    shivers: int  # times that a step was found too long under load
     snaps: int  # times that the organ had to be led back from a false rest shape
     asleep_ticks: int  # ticks that were skipped asleep
     frozen_ticks: int  # ticks that moved a frozen region alone

@@ -34,6 +34,7 @@ from tissue_sim.model.regions import (
 )
 from tissue_sim.model.rest import find_back, rest_if_quiet
 from tissue_sim.model.settings import Integrator
+from tissue_sim.model.shiver import begin_look, end_look
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
@@ -83,12 +84,15 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         whole_forces(model, state.position, settings, scratch)  # these tell how stiff the cells are
     wanted = settings.substeps if whole else settings.region_substeps
     substeps = wanted * status.backoff * caution(model, state, begun)
+    looking = begun and begin_look(state, substeps, scratch)
     eased = substeps < status.substeps
     status.substeps = substeps
     set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
     for substep in range(substeps):
         first = substep == 0
         advance_substep(model, state, shapes, settings, scratch, substep, substeps, begun and first, eased and first)
+    if looking:
+        end_look(state, scratch)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
     check_cells(model, state)
@@ -141,12 +145,12 @@ def has_stiff_cells(model: Any) -> Any:
 
 @kernel
 def caution(model: Any, state: Any, begun: bool) -> int:
-    """Factor on the substeps while cells are squeezed or inside out: crumpled tissue is stiffer than sound one.
+    """Factor on the substeps while cells are squeezed or inside out, or nodes shiver: tissue is stiffer then.
 
     begun: the forces of this tick's first substep are known.
     """
     if state.status.turned == 0:
-        return 2 if begun and has_stiff_cells(model) else 1
+        return 2 if (begun and has_stiff_cells(model)) or state.status.shivering > 0 else 1
     return 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
 
 
@@ -181,9 +185,8 @@ def advance_substep(
     if implicit and eased:
         carry_momentum(model, state, scratch.force, step)
     integrate(model, state, shapes, settings, scratch, step, implicit)
-    state.status.touching = resolve_contacts(
-        state, shapes, scratch.mobility, scratch, settings.friction, step, implicit
-    )
+    pushed = has_taken_impulses(state, settings, implicit)
+    state.status.touching = resolve_contacts(state, shapes, scratch.mobility, scratch, settings.friction, step, pushed)
     keep_bodies(state, scratch)
 
 
@@ -256,7 +259,8 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
         integrate_implicitly(model, state, shapes, settings, scratch, step)
         return
     scale, inertia = damping_of(state, settings), inertia_of(state, settings)
-    if settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE:
+    if has_taken_impulses(state, settings, implicit):
+        add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
         size = state.position.size
         x, v, f = state.position.reshape(size), state.velocity.reshape(size), scratch.force.reshape(size)
         symplectic_euler_whole(x, v, f, scratch.push, scratch.shrink, step)
@@ -285,6 +289,12 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
             step,
             inertia,
         )
+
+
+@kernel
+def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
+    """True when nodes are moved by the last contact impulses too: where these hold on, nothing is left to resolve."""
+    return implicit or (settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE)
 
 
 @kernel

@@ -9,7 +9,7 @@ from helpers.ros.participant import Participant
 from helpers.ros.processes import UNHURRIED, start_node
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.held_jaws import HeldJaws
-from tissue_sim.ros.viewer.held_tool import TOP_SPEED
+from tissue_sim.ros.viewer.held_tool import LONGEST_STEP, TOP_SPEED
 
 pytest.importorskip("viser")
 from helpers.paths import CONFIG
@@ -38,8 +38,9 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
         assert jaws.rivals() == 0
         assert listener.spin_until(lambda: not jaws.moving)
         assert listener.spin_until(lambda: heard[-1] == pytest.approx(0.2, abs=1e-3)), heard[-1]
-        assert heard[0] == pytest.approx(0.8, abs=0.03)
-        assert np.abs(np.diff(heard)).max() * 0.5 * length < TOP_SPEED * 0.021 * 3, "a leap"
+        tips = 0.5 * length * np.array(heard)  # m
+        assert abs(tips[0] - 0.5 * length * 0.8) <= 1.01 * TOP_SPEED * LONGEST_STEP
+        assert np.abs(np.diff(tips)).max() < 3.0 * TOP_SPEED * LONGEST_STEP, "a leap"
         heard.clear()
         listener.spin(0.5)
         assert not heard

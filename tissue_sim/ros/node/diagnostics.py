@@ -85,6 +85,7 @@ class LoopReport:
         report.problems |= {
             "faults": count.faults,
             "false_rest_shapes": count.snaps,
+            "steps_found_too_long": count.shivers,
             "clamped_ticks": count.clamped_ticks,
             "dropped_ticks": timing.dropped,
         }

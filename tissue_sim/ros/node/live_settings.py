@@ -10,7 +10,7 @@ from tissue_sim.model.coupling import passive_stiffness
 from tissue_sim.model.critical_step import SAFETY, substeps_for
 from tissue_sim.model.records import copy_of, words_of
 from tissue_sim.model.settings import Settings
-from tissue_sim.model.simulation import LONGEST_STEP, Simulation
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.shared.parameters import Parameters
@@ -118,5 +118,5 @@ class LiveSettings:
         """Substeps a second with ticks of so many s. Beyond one in a tick, fewer ticks leave as many substeps."""
         longest = self._simulation.critical_step
         if self._simulation.integrator != "implicit":
-            longest = min(longest, LONGEST_STEP / SAFETY)
+            longest = min(longest, self._simulation.longest_substep / SAFETY)
         return substeps_for(tick_time, longest) / tick_time

@@ -1,0 +1,92 @@
+"""A step that has become too long under load is noticed within some ticks, and halved."""
+
+import numpy as np
+import pytest
+
+from helpers.scenes import ball, filled
+from tissue_sim.model.critical_step import model_step
+from tissue_sim.model.shiver import FAST, HALVED, MANY, count_turning, end_look
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.cell_mesh import with_cells
+
+ORGAN = with_cells(filled(ball(2), 20), (1.0, 1.0))
+
+
+def soft(share):
+    """A simulation of one substep a tick, which is `share` of the critical step."""
+    simulation = Simulation(ORGAN, substeps=1)
+    settings = simulation.settings
+    wanted = 1e-3 / share
+    scale = 1.0
+    for _ in range(20):
+        scale *= (model_step(simulation.model, simulation.frequency, scale) / wanted) ** 2
+    settings.stiffness_scale = scale
+    return simulation
+
+
+def after_a_push(simulation, ticks):
+    rng = np.random.default_rng(0)
+    nodes = simulation.model.moving[simulation.model.moving < ORGAN.n_surface]
+    for _ in range(10):
+        simulation.apply_force(nodes, 1e-4 * rng.standard_normal((len(nodes), 3)))
+        simulation.step()
+    substeps, speeds = [], []
+    for _ in range(ticks):
+        simulation.apply_force(nodes[:1], [0.0, 0.0, -1e-5])  # so that it stays awake
+        simulation.step()
+        substeps.append(int(simulation.state.status.substeps))
+        speeds.append(float(np.abs(simulation.velocities).max()))
+    return np.array(substeps), np.array(speeds)
+
+
+def naive_turning(before, after):
+    return sum(abs(v) > FAST and v * w < -0.5 * v * v for v, w in zip(before, after, strict=True))
+
+
+def test_coordinates_that_turn_are_counted():
+    rng = np.random.default_rng(1)
+    before, after = 5e-3 * rng.standard_normal((2, 999))
+    assert count_turning(before, after) == naive_turning(before, after) > 50
+    assert count_turning(before, before) == 0
+    assert count_turning(np.full(9, 0.9 * FAST), np.full(9, -1.0)) == 0
+
+
+@pytest.mark.parametrize("share", [1.01, 1.06])
+def test_a_step_beyond_the_critical_one_is_halved_before_anything_is_lost(share):
+    simulation = soft(share)
+    substeps, speeds = after_a_push(simulation, 4 * HALVED)
+    count = simulation.state.count
+    assert 0 < count.shivers < 8
+    assert count.faults == 0
+    assert set(substeps) == {1, 2}
+    assert np.mean(substeps == 1) < 0.1
+    assert speeds.max() < 1.0
+
+
+def test_a_stable_step_is_kept():
+    simulation = soft(0.7)
+    substeps, _ = after_a_push(simulation, 300)
+    assert np.all(substeps[100:] == 1)
+    assert simulation.state.count.faults == 0
+
+
+@pytest.mark.parametrize(("turning", "speeds", "halved"), [(MANY - 1, 2.0, 0), (MANY, 2.0, HALVED), (MANY, 1.1, 0)])
+def test_nodes_that_turn_count_when_they_are_many_and_get_faster(turning, speeds, halved):
+    simulation = Simulation(ORGAN)
+    state, scratch = simulation.state, simulation.scratch
+    for speed in (0.1, 0.1 * speeds):
+        scratch.velocity_before.ravel()[:turning] = speed
+        state.velocity.ravel()[:turning] = -speed
+        end_look(state, scratch)
+    assert state.status.shivering == halved
+    assert state.count.shivers == (halved > 0)
+
+
+def test_a_blow_to_one_node_is_none():
+    simulation = soft(0.8)
+    top = int(np.argmax(ORGAN.surface_positions[:, 2]))
+    for _ in range(300):
+        simulation.apply_force(top, [0.0, 0.0, -0.01])
+        simulation.step()
+    assert simulation.state.count.shivers == 0
+    assert simulation.state.status.substeps == 1

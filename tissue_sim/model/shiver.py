@@ -1,0 +1,70 @@
+"""Notices that a step has become too long under load, and has it halved for a while.
+
+Tissue that is squeezed or stretched is stiffer than at rest, so that a tick of one substep may come to lie beyond the
+critical step. Nodes then turn around in every step, ever faster. Those that do so are looked for in some ticks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.arrays import copy
+
+LOOK_EVERY = 2  # ticks
+FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while they settle
+TURNED = 0.5  # of a speed, that it has at least the other way
+MANY = 4  # coordinates that turn around
+GREW = 1.5  # their squared speeds from one look to the next
+HALVED = 1000  # ticks for which the step stays halved: less, and what shivered has not died down
+
+
+@kernel
+def begin_look(state: Any, substeps: int, scratch: Any) -> bool:
+    """Keep the velocities when this tick is one to look at, and say whether it is: of one substep, every other tick."""
+    status = state.status
+    if status.shivering > 0:
+        status.shivering -= 1
+    if substeps > 1 or status.tick % LOOK_EVERY != 0:
+        return False
+    copy(state.velocity, scratch.velocity_before)
+    return True
+
+
+@kernel
+def end_look(state: Any, scratch: Any) -> None:
+    """Have the step halved when nodes have turned around in this tick, faster than at the last look.
+
+    A mode that the step just allows turns around as often, after a blow, but dies down.
+    """
+    size, status = state.velocity.size, state.status
+    before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
+    last, status.turning = status.turning, 0.0
+    if count_turning(before, after) < MANY:
+        return
+    status.turning = energy_of_turning(before, after)
+    if 0.0 < GREW * last < status.turning:
+        status.turning = 0.0
+        status.shivering = HALVED
+        state.count.shivers += 1
+
+
+@kernel
+def count_turning(before: Any, after: Any) -> int:
+    """How many coordinates go about as fast as before, m/s, the other way; flat arrays."""
+    turning = 0
+    for index in range(len(before)):
+        v, w = before[index], after[index]
+        turning += (v * v > FAST * FAST) & (v * w < -TURNED * v * v)
+    return turning
+
+
+@kernel
+def energy_of_turning(before: Any, after: Any) -> float:
+    """Sum of their squared speeds, m^2/s^2."""
+    total = 0.0
+    for index in range(len(before)):
+        v, w = before[index], after[index]
+        if v * v > FAST * FAST and v * w < -TURNED * v * v:
+            total += w * w
+    return total
