@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import clock_cost
-from tissue_sim.model.blocks import BLOCK, empty_blocks
-from tissue_sim.model.cells import CONSTANTS, SQUEEZED, STEEPEST
+from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks
+from tissue_sim.model.cells import CONSTANTS, SQUEEZED, STEEPEST, Tissue
 from tissue_sim.model.forces import SHORTEST, elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
 from tissue_sim.model.simulation import Simulation
@@ -284,9 +284,8 @@ class CLoop:
         self._step = float(simulation.settings.tick_time) / self._substeps
         self._load = np.zeros_like(model.rest)
         self._load[nodes] = forces
-        edges, links, cells = model.edges, model.links, model.tissue
-        if cells is None:
-            cells = empty_blocks(0, 4, CONSTANTS)
+        edges, links = model.edges, model.links
+        cells: Tissue | Blocks = empty_blocks(0, 4, CONSTANTS) if model.tissue is None else model.tissue
         lengths = (len(part) for part in (cells.nodes, edges.nodes, links.nodes, model.return_nodes, model.moving))
         numbers = (len(model.rest), *lengths)
         # The kernels' own arrays, kept alive by being kept here.
