@@ -19,10 +19,10 @@ pytest.importorskip("netgen", reason="the reference needs the extra calibration"
 from tissue_sim.bench import tradeoff
 from tissue_sim.bench.peers.rows import CALIBRATED, rows_of
 from tissue_sim.bench.tradeoff import Case, Error, Found, Judged, as_json, error_of, load_of, pareto, text
-from tissue_sim.bench.variants import Variants
+from tissue_sim.bench.variants import BALANCED, Variants
 
 ORGAN = ball(2)
-NONE = Variants(ORGAN, "not calibrated", "not calibrated")
+NONE = Variants(ORGAN, "not calibrated", {BALANCED: "not calibrated"})
 
 
 class Copy:

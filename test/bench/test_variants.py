@@ -19,7 +19,7 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.stiffness import INTERIOR_SHARE, Settings, prepared
 
 ORGAN = filled(ball(1), 8)
-FILLED = {"groups": ORGAN, "cells": prepared(ORGAN, Settings())}
+FILLED = {"groups": ORGAN} | {aim: prepared(ORGAN, Settings(aim=aim)) for aim in ("balanced", "fast")}
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,8 @@ def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
         name: np.linalg.norm(Simulation(organ).settle(force, 1e-5)[0] - wanted) / np.linalg.norm(wanted)
         for name, organ in organs.items()
     }
-    assert error["cells"] < 0.5 * error["groups"]
+    assert error["balanced"] < 0.5 * error["groups"]
+    assert error["fast"] < 0.7 * error["groups"]
     assert error["groups"] < 0.8 * error["none"]
 
 
@@ -52,12 +53,12 @@ def test_fit_keeps_the_mass_and_the_step(fits):
 def test_fits_are_kept(monkeypatch, tmp_path, fits):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     made = []
-    monkeypatch.setattr(variants, "fitted", lambda _organ, method, _effort: made.append(method) or fits[method])
+    monkeypatch.setattr(variants, "fitted", lambda _organ, kind, _effort: made.append(kind) or fits[kind])
     for _ in range(2):
         found = variants_of(ORGAN, ORGAN.n_surface, fits=True)
-        assert made == ["groups", "cells"]
-        np.testing.assert_array_equal(found.cells.cell_mu, fits["cells"]["cell_mu"])
-        assert "linear loads" in found.cells.provenance["fit"]
+        assert made == ["balanced", "groups"]
+        np.testing.assert_array_equal(found.cells["balanced"].cell_mu, fits["balanced"]["cell_mu"])
+        assert "linear loads" in found.cells["balanced"].provenance["fit"]
     np.testing.assert_array_equal(found.plain.spring_stiffness, ORGAN.spring_stiffness)
 
 
@@ -66,15 +67,15 @@ def test_calibrated_organ_is_taken_as_it_is_at_its_own_size():
     assert is_calibrated(own)
     assert not is_calibrated(replace(ORGAN, provenance={"calibration": {"method": "groups"}}))
     quick = variants_of(own, own.n_surface, fits=False)
-    assert quick.cells is own
+    assert quick.cells["balanced"] is own
     assert isinstance(quick.groups, str)
-    assert "tissue_sim calibrate" in str(variants_of(ORGAN, ORGAN.n_surface, fits=False).cells)
+    assert "tissue_sim calibrate" in str(variants_of(ORGAN, ORGAN.n_surface, fits=False).cells["balanced"])
 
 
 def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
     hollow = ball(2)
     assert assembled_anew(hollow, hollow.surface_positions, hollow.surface_triangles, 24).n_interior == 24
-    assert FILLED["cells"].n_interior == round(INTERIOR_SHARE["balanced"] * ORGAN.n_surface)
+    assert FILLED["balanced"].n_interior == round(INTERIOR_SHARE["balanced"] * ORGAN.n_surface)
 
 
 def test_larger_organs_get_fewer_cases():

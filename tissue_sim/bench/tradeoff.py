@@ -130,9 +130,9 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
     body, cases, tuning = reference(organ, *(QUICK_LOADS if quick else LOADS))
     rows: list[tuple[Row, Sized]] = []
     for count in sorted({organ.n_surface, *points}):
-        variants = variants_of(organ, count, fits=not quick)
-        size = sized(variants.plain, organ)
         thorough = count == organ.n_surface and not quick
+        variants = variants_of(organ, count, fits=not quick, every_aim=thorough)
+        size = sized(variants.plain, organ)
         rows += [(row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], thorough=thorough)]
     measured, noise = measure_rows(rows, cases, 0.2 if quick else 1.0)
     return Found(measured, cases, body.n_nodes, accuracy_of(organ, cases, quick), noise.p99 / noise.median)

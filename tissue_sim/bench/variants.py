@@ -1,4 +1,4 @@
-"""The organs that are compared at one size: as the pipeline makes it, and calibrated in both ways."""
+"""The organs that are compared at one size: as the pipeline makes it, and calibrated in all ways."""
 
 from __future__ import annotations
 
@@ -18,14 +18,23 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass
-from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared, with_stiffness
+from tissue_sim.calibration.joint import fit_together, for_one_substep
+from tissue_sim.calibration.stiffness import (
+    INTERIOR_SHARE,
+    ONE_STEP,
+    Settings,
+    first_stiffness,
+    prepared,
+    with_stiffness,
+)
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
 from tissue_sim.organ.organ import Organ
 from tissue_sim.store import remembered
 
 SEED = 0  # of the fit's cases
-_VERSION = "3"  # of what is remembered
+BALANCED = Settings().aim
+_VERSION = "4"  # of what is remembered
 
 
 class Effort(NamedTuple):
@@ -38,12 +47,12 @@ class Effort(NamedTuple):
 class Variants(NamedTuple):
     """The organs of one size: as the pipeline makes it, calibrated by the few groups of springs, and cell by cell.
 
-    In place of one that is missing, the reason.
+    cells: by what they are for, as `tissue_sim calibrate --for` has it. In place of one that is missing, the reason.
     """
 
     plain: Organ
     groups: Organ | str
-    cells: Organ | str
+    cells: dict[str, Organ | str]
 
 
 def effort_at(points: int) -> Effort:
@@ -53,18 +62,21 @@ def effort_at(points: int) -> Effort:
     return Effort(600, 45) if points <= 2500 else Effort(300, 30)
 
 
-def variants_of(organ: Organ, points: int, *, fits: bool) -> Variants:
+def variants_of(organ: Organ, points: int, *, fits: bool, every_aim: bool = False) -> Variants:
     """The organs of one size of an organ's body.
 
     fits: calibrate those that are not, which takes minutes each; they are kept in the user's cache. Without it only
-    an organ that is itself calibrated has a calibrated variant.
+    an organ that is itself calibrated has a calibrated variant. every_aim: cells for speed and for accuracy, too.
     """
     plain = at_size(organ, points)
     own = points == organ.n_surface and is_calibrated(organ)
     if not fits:
         missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
-        return Variants(plain, "takes minutes to fit, left out of --quick", organ if own else missing)
-    return Variants(plain, _kept(plain, "groups"), organ if own else _kept(prepared(plain, Settings()), "cells"))
+        return Variants(plain, "takes minutes to fit, left out of --quick", {BALANCED: organ if own else missing})
+    cells: dict[str, Organ | str] = {}
+    for aim in INTERIOR_SHARE if every_aim else (BALANCED,):
+        cells[aim] = organ if own and aim == BALANCED else _kept(prepared(plain, Settings(aim=aim)), aim)
+    return Variants(plain, _kept(plain, "groups"), cells)
 
 
 def is_calibrated(organ: Organ) -> bool:
@@ -73,22 +85,22 @@ def is_calibrated(organ: Organ) -> bool:
     return isinstance(figures, dict) and figures.get("method") == "cells"
 
 
-def _kept(organ: Organ, method: str) -> Organ | str:
+def _kept(organ: Organ, kind: str) -> Organ | str:
     """The organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
     effort = effort_at(organ.n_surface)
     key = hashlib.sha256(f"{_VERSION} {SEED} {tuple(effort)} {organ.digest()}".encode()).hexdigest()
     try:
-        made: dict[str, Any] = remembered(f"calibrated-{method}", key, lambda: fitted(organ, method, effort))
+        made: dict[str, Any] = remembered(f"calibrated-{kind}", key, lambda: fitted(organ, kind, effort))
     except UserError as error:
         return str(error)
-    provenance = {**organ.provenance, "fit": f"{method}: {effort.cases} linear loads, {effort.steps} evaluations"}
+    provenance = {**organ.provenance, "fit": f"{kind}: {effort.cases} linear loads, {effort.steps} evaluations"}
     return dataclasses.replace(organ, provenance=provenance, **made)
 
 
-def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
+def fitted(organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
     """Stiffnesses, masses and damping of an organ, fitted to linear finite elements, by the organ's names for them.
 
-    method: `groups`, one factor for each group of springs, as the paper has it; `cells`, every cell.
+    kind: `groups`, one factor for each group of springs, as the paper has it; or every cell, for `fast`, ...
     Raises UserError when the organ can't be filled with finite elements, or its tissue leaves something free.
     """
     body = Body(organ)
@@ -96,13 +108,17 @@ def fitted(organ: Organ, method: str, effort: Effort) -> dict[str, NDArray]:
     model = assemble(organ)
     elastic, start = Elastic(model), first_stiffness(organ, model)
     misfit = Misfit(elastic, cases.force, body.settle_linear(cases.force))
-    with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {method}", leave=False) as bar:
-        if method == "groups":
+    with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {kind}", leave=False) as bar:
+        if kind == "groups":
             stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: bar.update())
         else:
             stiffness = fit(misfit, start, effort.steps, lambda *_: bar.update(), bounds=CELL_BOUNDS)
     frequencies = lowest_frequencies(body, MODES)
+    rate = damping_rate(frequencies)
     mass = fit_mass(organ, elastic, stiffness, frequencies)
+    if kind in ONE_STEP:
+        together = for_one_substep(organ, misfit, start, frequencies, rate)
+        stiffness, mass = fit_together(together, stiffness, mass, effort.steps, CELL_BOUNDS)
     made = with_stiffness(organ, model, stiffness)
     names = ("spring_stiffness", "angular_stiffness", "return_stiffness", "cell_mu", "cell_lambda")
-    return {name: getattr(made, name) for name in names} | {"mass": mass, "damping": damping_rate(frequencies) * mass}
+    return {name: getattr(made, name) for name in names} | {"mass": mass, "damping": rate * mass}

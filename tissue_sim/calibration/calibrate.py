@@ -19,21 +19,19 @@ from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.fit import Misfit, fit
 from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
-from tissue_sim.calibration.joint import Together, fit_together
+from tissue_sim.calibration.joint import TICK, Together, fit_together, for_one_substep
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.reference import reference_error
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, stable_frequency, substeps_for
+from tissue_sim.model.critical_step import largest_frequency, model_step, substeps_for
 from tissue_sim.organ.organ import Organ
 
 CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over the first: without, some cells are all but void
 GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
 BUCKLING = 3.0  # times as far by one law of elasticity as by the other: a load near buckling tells nothing of an organ
 POKE = 0.005  # m, of the release
-TICK = 1e-3  # s
-ROOM = 1.03  # of the step, that loads make shorter
 
 
 class Progress(Protocol):
@@ -106,8 +104,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
                 )["mass"]
                 done()
             if settings.method == "cells" and settings.aim in ONE_STEP:
-                largest = stable_frequency(ROOM * TICK / SAFETY, rate)
-                together = Together(start, misfit, first, linear["frequencies"], largest)
+                together = for_one_substep(start, misfit, first, linear["frequencies"], rate)
                 with progress.stage("both for a step of 1 ms", settings.evaluations) as done:
                     both = checkpoint.remember("both", lambda: _both(together, stiffness, mass, settings, done))
                     stiffness, mass = both["stiffness"], both["mass"]

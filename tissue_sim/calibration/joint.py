@@ -17,6 +17,7 @@ from scipy.sparse.linalg import eigsh
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.fit import MEMORY, SHRINK, Misfit
 from tissue_sim.calibration.inertia import modes_of, tissue_mass
+from tissue_sim.model.critical_step import SAFETY, stable_frequency
 from tissue_sim.organ.organ import Organ
 
 FASTEST = 40  # modes that are held under what the step allows
@@ -27,6 +28,10 @@ TOTAL = 1e-3  # weight of the whole mass, which the lowest frequencies know alre
 SPREAD = 1e-4  # weight of the mean square of the masses' logarithms, over those of the tissue around
 MASS_BOUNDS = (-3.0, 4.0)  # of these logarithms
 ROUGH = 1e-5  # of a squared frequency, to which the fastest are found
+
+
+TICK = 1e-3  # s, of the tick that one substep should do for
+ROOM = 1.03  # of that step, which loads make too long
 
 
 class Together:
@@ -88,6 +93,11 @@ class Together:
             ]
         )
         return loss, slope, found.error
+
+
+def for_one_substep(organ: Organ, misfit: Misfit, first: Floats, frequencies: Floats, damping_rate: float) -> Together:
+    """What judges an organ that a tick of 1 ms should take one substep of; damping_rate: over mass, 1/s."""
+    return Together(organ, misfit, first, frequencies, stable_frequency(ROOM * TICK / SAFETY, damping_rate))
 
 
 def fit_together(
