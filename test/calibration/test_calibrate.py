@@ -13,7 +13,7 @@ def test_loads_near_buckling_are_named_with_how_far_they_go():
     linear = np.zeros((5, 3, 3))
     linear[:, 1, 2] = 0.010  # m
     factor = np.array([1.0, 1.01 * BUCKLING, 0.99 / BUCKLING, 0.99 * BUCKLING, 9.0])
-    wanted = Answer(linear * factor[:, None, None], np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 0.0]))
+    wanted = Answer(linear * factor[:, None, None], np.zeros(5), np.array([1.0, 1.0, 1.0, 1.0, 0.0]), np.ones(5))
     kinds = ["bump", "bump", "pulling bump", "sharp", "sharp"]
     cases = Cases(np.random.default_rng(0).normal(size=(5, 3, 3)), [np.array([node]) for node in range(10, 15)], kinds)
     found = _near_buckling(cases, linear, wanted)

@@ -51,6 +51,7 @@ def test_the_organ_is_better_and_says_so(calibrated, folder, capsys):
     assert figures["held_out"]["smooth"]["cases"] == 4
     assert figures["held_out"]["smooth"]["mean_percent"] < 8.0
     assert figures["held_out"]["sharp"]["settled"] == 2
+    assert all(0.0 < least < 1.0 for least in figures["held_out"]["smooth"]["least_volume"].values())
     assert figures["motion"]["release_percent"] < 15.0
     np.testing.assert_allclose(figures["motion"]["frequencies_hz"], figures["motion"]["reference_hz"], rtol=0.1)
     assert made.mass.sum() == pytest.approx(made.density * made.volume)
@@ -74,6 +75,20 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(calibrated, folder, mon
     assert "going on from" in capsys.readouterr().out
     assert Organ.load(out).digest() == Organ.load(calibrated).digest()
     assert Organ.load(out).provenance == Organ.load(calibrated).provenance
+
+
+@pytest.mark.slow
+@needs_finite_elements
+def test_an_organ_for_speed_takes_one_substep_and_moves_as_it_should(folder, calibrated):
+    out = folder / "fast.npz"
+    command = ["calibrate", str(folder / "ball.npz"), "--out", str(out), *SMALL, "--for", "fast", "--evaluations=90"]
+    assert main(command) == 0
+    usual, fast = (Organ.load(path).provenance["calibration"] for path in (calibrated, out))
+    assert usual["step"]["substeps_a_ms"] > 1
+    assert fast["step"]["substeps_a_ms"] == 1
+    np.testing.assert_allclose(fast["motion"]["frequencies_hz"], fast["motion"]["reference_hz"], rtol=0.02)
+    assert fast["held_out"]["smooth"]["mean_percent"] < 2.0 * usual["held_out"]["smooth"]["mean_percent"]
+    assert Simulation(Organ.load(out)).settings.substeps == 1
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.cells import PENALTY, SQUEEZED, STEEPEST, STIFF, cell_energy, cell_forces, cells_of, tissue_of
+from tissue_sim.model.cells import swelling as told
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
@@ -64,6 +65,11 @@ def swelling(x):
         return np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]])
 
     return volume(x) / volume(MODEL.rest)
+
+
+def test_volumes_of_all_cells_are_told():
+    x = MODEL.rest + 0.2 * 0.017 * np.random.default_rng(4).standard_normal(MODEL.rest.shape)
+    np.testing.assert_allclose(np.sort(told(MODEL.cells, MODEL.cell_volume, x)), np.sort(swelling(x)), rtol=1e-9)
 
 
 # the law ---------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_co
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.model.cells import swelling
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -117,13 +118,13 @@ def pinched(organ: Organ, name: str, tools: list[Tool], axis: int, share: float)
         scene.step()
         substeps = max(substeps, simulation.state.status.substeps)
         if simulation.state.status.tick % LOOK == 0:
-            turned = max(turned, int(np.count_nonzero(swelling(scene) <= 0.0)))
+            turned = max(turned, int(np.count_nonzero(cells_of(scene) <= 0.0)))
 
     for tick in range(CLOSING):
         go(-CLEAR + (depth + CLEAR) * (tick + 1) / CLOSING)
     for _ in range(HOLDING):
         go(depth)
-    held = swelling(scene)
+    held = cells_of(scene)
     force = float(np.linalg.norm(scene.wrenches[:, :3], axis=1).mean())
     for tick in range(OPENING):
         go(depth - (depth + CLEAR) * (tick + 1) / OPENING)
@@ -142,18 +143,17 @@ def pinched(organ: Organ, name: str, tools: list[Tool], axis: int, share: float)
         most_turned=turned,
         held_turned=int(np.count_nonzero(held <= 0.0)),
         least=float(held.min()),
-        left_turned=int(np.count_nonzero(swelling(scene) <= 0.0)),
+        left_turned=int(np.count_nonzero(cells_of(scene) <= 0.0)),
         left=float(np.linalg.norm(simulation.positions - organ.rest_positions, axis=1).max()),
         faults=int(simulation.state.count.faults),
         force=force,
     )
 
 
-def swelling(scene: Scene) -> Floats:
+def cells_of(scene: Scene) -> Floats:
     """Volume over that at rest of every cell that the guard looks at."""
-    model, x = scene.simulation.model, scene.simulation.positions
-    a, b, c, d = (x[model.cells[:, k]] for k in range(4))
-    return np.einsum("ck,ck->c", a - d, np.cross(b - d, c - d)) / 6.0 / model.cell_volume
+    model = scene.simulation.model
+    return swelling(model.cells, model.cell_volume, scene.simulation.positions)
 
 
 def as_json(pinches: Sequence[Pinch], bursts: Floats) -> dict[str, Any]:

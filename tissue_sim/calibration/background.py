@@ -78,7 +78,8 @@ class Reference:
     def _settle(self) -> Arrays:
         force = self._cases.force
         count = len(force)
-        found = {"displacement": np.zeros_like(force), "volume": np.zeros(count), "converged": np.zeros(count)}
+        found = {name: np.zeros(count) for name in ("volume", "converged", "least")}
+        found["displacement"] = np.zeros_like(force)
         remote = self._body()
         remote.call("begin", force)
         for case in range(count):
@@ -86,6 +87,7 @@ class Reference:
             found["displacement"][case] = settled.displacement
             found["volume"][case] = settled.volume_change
             found["converged"][case] = float(settled.converged)
+            found["least"][case] = settled.least_det
             self._settled = case + 1
         return found
 

@@ -229,6 +229,10 @@ def held_out_figures(cases: Cases, wanted: Answer, linear: Floats, found: Answer
             "rms_mm": round(float(1e3 * np.sqrt(np.mean(off[some] ** 2))), 4),
             "deepest_mm": round(float(deepest[some].max()), 3),
             "linear_elasticity_mean_percent": round(float(by_linear[some].mean()), 3),
+            "least_volume": {
+                "reference": round(float(wanted.least[some].min()), 3),
+                "model": round(float(found.least[some].min()), 3),
+            },
             "volume_change_percent": {
                 "reference": _signed_range(wanted.volume[some]),
                 "model": _signed_range(found.volume[some]),

@@ -10,6 +10,7 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.fem import volume_change
+from tissue_sim.model.cells import swelling
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 
@@ -26,6 +27,7 @@ class Answer(NamedTuple):
     displacement: Floats  # (c, n_surface, 3) m
     volume: Floats  # (c,) relative change of volume
     converged: Floats  # (c,) 1 or 0
+    least: Floats  # (c,) volume over that at rest, where the body is compressed most
 
 
 def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None = None) -> Answer:
@@ -33,15 +35,17 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
     simulation = Simulation(organ)
     count = simulation.state.count
     displacement, volume = np.zeros_like(cases.force), np.zeros(len(cases))
-    converged = np.zeros(len(cases))
+    converged, least = np.zeros(len(cases)), np.zeros(len(cases))
     for case, force in enumerate(cases.force):
         before = count.faults, count.snaps
         displacement[case], settled = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
         converged[case] = float(settled and before == (count.faults, count.snaps))
         volume[case] = volume_change(organ, displacement[case])
+        model = simulation.model
+        least[case] = swelling(model.cells, model.cell_volume, simulation.positions).min(initial=1.0)
         if watch is not None:
             watch()
-    return Answer(displacement, volume, converged)
+    return Answer(displacement, volume, converged, least)
 
 
 def errors(found: Floats, wanted: Floats) -> Floats:

@@ -28,12 +28,13 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
         yield reference["error"]
     yield f"fitted: {fitted['mean_percent']:.2f} % mean, {fitted['worst_percent']:.2f} % worst (linear)"
     for name, found in figures["held_out"].items():
-        volume = found["volume_change_percent"]
+        volume, least = found["volume_change_percent"], found["least_volume"]
         yield (
             f"held out, {name}: {found['mean_percent']:.2f} % mean, {found['worst_percent']:.2f} % worst,"
             f" {found['rms_mm']:.3f} mm RMS; {found['settled']} of {found['cases']} settled, up to"
             f" {found['deepest_mm']:.1f} mm; linear elasticity {found['linear_elasticity_mean_percent']:.2f} % mean;"
-            f" volume {volume['model'][1]:+.3f} % (reference {volume['reference'][1]:+.3f} %)"
+            f" volume {volume['model'][1]:+.3f} % (reference {volume['reference'][1]:+.3f} %), where it is"
+            f" compressed most {least['model']:.2f} of itself (reference {least['reference']:.2f})"
         )
     if reference["unsettled"]:
         yield f"left out: {reference['unsettled']} held-out loads under which the reference does not settle"

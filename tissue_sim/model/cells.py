@@ -161,6 +161,13 @@ def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
     return tissue.nodes.reshape(-1, 4)[order], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
 
 
+def swelling(cells: Ints, volume: Floats, position: Floats) -> Floats:
+    """Volume (c,) of cells (c, 4) of nodes at position (n, 3) m, over `volume` (c,) m^3; under 0 inside out."""
+    a, b, c, d = (position[cells[:, k]] for k in range(4))
+    found: Floats = np.einsum("ck,ck->c", a - d, np.cross(b - d, c - d)) / 6.0 / volume
+    return found
+
+
 def strain_rows(rest: Floats, cells: Ints | Longs) -> tuple[csc_array, Longs]:
     """Strains of cells (c, 4) about rest (n, 3) m as a matrix (7c, 3n), of which each modulus weighs the squares.
 
