@@ -105,7 +105,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
                 done()
             if settings.method == "cells" and settings.aim in ONE_STEP:
                 together = for_one_substep(start, misfit, first, linear["frequencies"], rate)
-                with progress.stage("both for a step of 1 ms", settings.evaluations) as done:
+                with progress.stage("both for a step of 1 ms", 3 * settings.evaluations // 2) as done:
                     both = checkpoint.remember("both", lambda: _both(together, stiffness, mass, settings, done))
                     stiffness, mass = both["stiffness"], both["mass"]
                     found_error = misfit.evaluate(stiffness).error
@@ -169,8 +169,13 @@ def _one_thread() -> AbstractContextManager[Any]:
 
 
 def _most_evaluations(settings: Settings) -> int:
-    """Evaluations of the misfit at the most: the search over groups has no slopes, and takes less time for each."""
-    return settings.evaluations * (GROUP_STEPS if settings.method == "groups" else 1)
+    """Evaluations of the misfit at the most.
+
+    The search over groups has no slopes, and takes less time for each; a fit with masses goes on from a rough one.
+    """
+    if settings.method == "groups":
+        return settings.evaluations * GROUP_STEPS
+    return settings.evaluations // 2 if settings.aim in ONE_STEP else settings.evaluations
 
 
 def _fitted(
@@ -183,7 +188,7 @@ def _fitted(
 
     if group is not None:
         return search(first, group, misfit, _most_evaluations(settings), watch)
-    return fit(misfit, first, settings.evaluations, watch, bounds=CELL_BOUNDS)
+    return fit(misfit, first, _most_evaluations(settings), watch, bounds=CELL_BOUNDS)
 
 
 def _both(together: Together, stiffness: Floats, mass: Floats, settings: Settings, done: Callable[..., None]) -> Arrays:
@@ -192,7 +197,7 @@ def _both(together: Together, stiffness: Floats, mass: Floats, settings: Setting
     def watch(_: int, error: Floats) -> None:
         done(f"{100.0 * error.mean():.2f} %")
 
-    stiffness, mass = fit_together(together, stiffness, mass, settings.evaluations, CELL_BOUNDS, watch)
+    stiffness, mass = fit_together(together, stiffness, mass, 3 * settings.evaluations // 2, CELL_BOUNDS, watch)
     return {"stiffness": stiffness, "mass": mass}
 
 
