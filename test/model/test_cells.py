@@ -69,7 +69,7 @@ def swelling(x):
 
 def test_volumes_of_all_cells_are_told():
     x = MODEL.rest + 0.2 * 0.017 * np.random.default_rng(4).standard_normal(MODEL.rest.shape)
-    np.testing.assert_allclose(np.sort(told(MODEL.cells, MODEL.cell_volume, x)), np.sort(swelling(x)), rtol=1e-9)
+    np.testing.assert_allclose(np.sort(told(MODEL, x)), np.sort(swelling(x)), rtol=1e-9)
 
 
 # the law ---------------------------------------------------------------------------------------

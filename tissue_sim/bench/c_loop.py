@@ -93,19 +93,25 @@ static void spring_forces(const Model *m, const double *restrict x, double *rest
     }
 }
 
+/* From the first node of each of a block to its other three. */
+static inline void gather_arms(const int *restrict nodes, const double *restrict x, double *restrict w)
+{
+    for (int e = 0; e < BLOCK; e++) {
+        const long i = 3L * nodes[4 * e];
+        for (int arm = 0; arm < 3; arm++) {
+            const long j = 3L * nodes[4 * e + 1 + arm];
+            for (int axis = 0; axis < 3; axis++)
+                w[(3 * arm + axis) * BLOCK + e] = x[j + axis] - x[i + axis];
+        }
+    }
+}
+
 static void edge_forces(const Model *m, const double *restrict x, double *restrict w, double *restrict f)
 {
     for (long block = 0; block < m->n_edges; block++) {
         const int *restrict ends = m->edge + 4 * BLOCK * block;
         const double *restrict c = m->edge_constants + 8 * BLOCK * block;
-        for (int e = 0; e < BLOCK; e++) {
-            const long i = 3L * ends[4 * e];
-            for (int arm = 0; arm < 3; arm++) {
-                const long j = 3L * ends[4 * e + 1 + arm];
-                for (int axis = 0; axis < 3; axis++)
-                    w[(3 * arm + axis) * BLOCK + e] = x[j + axis] - x[i + axis];
-            }
-        }
+        gather_arms(ends, x, w);
         for (int e = 0; e < BLOCK; e++) {
             const double ex = w[e], ey = w[BLOCK + e], ez = w[2 * BLOCK + e];
             const double kx = w[3 * BLOCK + e], ky = w[4 * BLOCK + e], kz = w[5 * BLOCK + e];
@@ -157,14 +163,7 @@ static void cell_forces(const Model *m, const double *restrict x, double *restri
     for (long block = 0; block < m->n_cells; block++) {
         const int *restrict corners = m->cell + 4 * BLOCK * block;
         const double *restrict c = m->cell_constants + CONSTANTS * BLOCK * block;
-        for (int e = 0; e < BLOCK; e++) {
-            const long i = 3L * corners[4 * e];
-            for (int arm = 0; arm < 3; arm++) {
-                const long j = 3L * corners[4 * e + 1 + arm];
-                for (int axis = 0; axis < 3; axis++)
-                    w[(3 * arm + axis) * BLOCK + e] = x[j + axis] - x[i + axis];
-            }
-        }
+        gather_arms(corners, x, w);
         for (int e = 0; e < BLOCK; e++) {
             const double jx = w[e], jy = w[BLOCK + e], jz = w[2 * BLOCK + e];
             const double kx = w[3 * BLOCK + e], ky = w[4 * BLOCK + e], kz = w[5 * BLOCK + e];

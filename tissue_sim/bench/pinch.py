@@ -118,13 +118,13 @@ def pinched(organ: Organ, name: str, tools: list[Tool], axis: int, share: float)
         scene.step()
         substeps = max(substeps, simulation.state.status.substeps)
         if simulation.state.status.tick % LOOK == 0:
-            turned = max(turned, int(np.count_nonzero(cells_of(scene) <= 0.0)))
+            turned = max(turned, int(np.count_nonzero(swelling(simulation.model, simulation.positions) <= 0.0)))
 
     for tick in range(CLOSING):
         go(-CLEAR + (depth + CLEAR) * (tick + 1) / CLOSING)
     for _ in range(HOLDING):
         go(depth)
-    held = cells_of(scene)
+    held = swelling(simulation.model, simulation.positions)
     force = float(np.linalg.norm(scene.wrenches[:, :3], axis=1).mean())
     for tick in range(OPENING):
         go(depth - (depth + CLEAR) * (tick + 1) / OPENING)
@@ -143,17 +143,11 @@ def pinched(organ: Organ, name: str, tools: list[Tool], axis: int, share: float)
         most_turned=turned,
         held_turned=int(np.count_nonzero(held <= 0.0)),
         least=float(held.min()),
-        left_turned=int(np.count_nonzero(cells_of(scene) <= 0.0)),
+        left_turned=int(np.count_nonzero(swelling(simulation.model, simulation.positions) <= 0.0)),
         left=float(np.linalg.norm(simulation.positions - organ.rest_positions, axis=1).max()),
         faults=int(simulation.state.count.faults),
         force=force,
     )
-
-
-def cells_of(scene: Scene) -> Floats:
-    """Volume over that at rest of every cell that the guard looks at."""
-    model = scene.simulation.model
-    return swelling(model.cells, model.cell_volume, scene.simulation.positions)
 
 
 def as_json(pinches: Sequence[Pinch], bursts: Floats) -> dict[str, Any]:

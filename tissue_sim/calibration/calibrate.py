@@ -175,17 +175,19 @@ def _most_evaluations(settings: Settings) -> int:
     """
     if settings.method == "groups":
         return settings.evaluations * GROUP_STEPS
-    return settings.evaluations // 2 if settings.aim in ONE_STEP else settings.evaluations
+    return max(1, settings.evaluations // 2) if settings.aim in ONE_STEP else settings.evaluations
+
+
+def _watcher(done: Callable[..., None]) -> Callable[[int, Floats], None]:
+    """What a fit calls after every evaluation."""
+    return lambda _, error: done(f"{100.0 * error.mean():.2f} %")
 
 
 def _fitted(
     first: Floats, group: Longs | None, misfit: Misfit, settings: Settings, done: Callable[..., None]
 ) -> Floats:
     """Stiffness (p,) of least misfit, of every cell, or with one factor for each group (p,) of springs."""
-
-    def watch(_: int, error: Floats) -> None:
-        done(f"{100.0 * error.mean():.2f} %")
-
+    watch = _watcher(done)
     if group is not None:
         return search(first, group, misfit, _most_evaluations(settings), watch)
     return fit(misfit, first, _most_evaluations(settings), watch, bounds=CELL_BOUNDS)
@@ -193,11 +195,9 @@ def _fitted(
 
 def _both(together: Together, stiffness: Floats, mass: Floats, settings: Settings, done: Callable[..., None]) -> Arrays:
     """Stiffness (p,) and masses (n,) kg fitted together."""
-
-    def watch(_: int, error: Floats) -> None:
-        done(f"{100.0 * error.mean():.2f} %")
-
-    stiffness, mass = fit_together(together, stiffness, mass, 3 * settings.evaluations // 2, CELL_BOUNDS, watch)
+    stiffness, mass = fit_together(
+        together, stiffness, mass, 3 * settings.evaluations // 2, CELL_BOUNDS, _watcher(done)
+    )
     return {"stiffness": stiffness, "mass": mass}
 
 

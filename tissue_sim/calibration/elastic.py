@@ -24,6 +24,8 @@ class Elastic:
         strains = strains_of(model)
         self.stiffness = strains.stiffness
         self.n_nodes, self.n_surface, self.free = len(model.rest), model.n_surface, free_axes(model)
+        self.moving = np.zeros(self.n_nodes, dtype=bool)  # nodes that may
+        self.moving[self.free[::3] // 3] = True
         square = np.asarray(strains.rows.power(2).sum(axis=1)).ravel()
         self._trace = np.bincount(strains.owner, square, len(self.stiffness))
         self.rows, self.owner = strains.rows.tocsr()[:, self.free], strains.owner

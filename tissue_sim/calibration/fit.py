@@ -6,7 +6,7 @@ is that of the settled surface; its slope by every stiffness comes from one adjo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.elastic import Elastic
+from tissue_sim.calibration.factor import Factor
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
 SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
@@ -51,9 +52,9 @@ class Misfit:
         self._load = np.zeros((len(free), self.combinations.shape[1]))
         self._load[inside] = (force.reshape(len(force), -1)[:, free[inside]] / size).T @ self.combinations
 
-    def evaluate(self, stiffness: Floats) -> Evaluation:
-        """Loss, slope and errors; one factorisation, two solves."""
-        factor = self.elastic.factor(self.elastic.tangent(stiffness))
+    def evaluate(self, stiffness: Floats, factor: Factor | None = None) -> Evaluation:
+        """Loss, slope and errors; one factorisation, unless the tangent's is there already, and two solves."""
+        factor = factor or self.elastic.factor(self.elastic.tangent(stiffness))
         answer = factor.solve(self._load)
         off = answer[self._inside] - self._wanted
         square = np.einsum("cr,rq,cq->c", self.combinations, off.T @ off, self.combinations, optimize=True)
@@ -100,13 +101,17 @@ def fit(
             watch(count, found.error)
         return loss, slope
 
-    best = minimize(
-        objective,
-        np.zeros(len(start)),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[bounds] * len(start),
-        options={"maxfun": iterations, "maxiter": iterations, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10},
-    )
-    stiffness: Floats = start * np.exp(best.x)
+    stiffness: Floats = start * np.exp(descended(objective, np.zeros(len(start)), [bounds] * len(start), iterations))
     return stiffness
+
+
+def descended(
+    objective: Callable[[Floats], tuple[float, Floats]],
+    start: Floats,
+    bounds: Sequence[tuple[float, float]],
+    evaluations: int,
+) -> Floats:
+    """Where L-BFGS gets to from a start (p,), of a function that gives loss and slope; evaluations: at the most."""
+    options = {"maxfun": evaluations, "maxiter": evaluations, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10}
+    best: Floats = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+    return best

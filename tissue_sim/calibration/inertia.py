@@ -62,9 +62,7 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
     factor = elastic.factor(tangent)
     if not factor.is_positive:
         raise UserError(f"organ '{organ.name}' has parts that nothing holds; build it with more --atoms or --interior")
-    around = tissue_mass(organ)
-    moving = np.zeros(len(around), dtype=bool)
-    moving[elastic.free[::3] // 3] = True
+    around, moving = tissue_mass(organ), elastic.moving
     total = float(around[moving].sum())
     least = least_mass(elastic, tangent, total)[moving]
     share = np.maximum(around[moving] - least, 0.05 * around[moving])

@@ -8,14 +8,14 @@ judges the stiffness; the lowest frequencies, and those of the fastest modes tha
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
 from tissue_sim.array_types import Floats
-from tissue_sim.calibration.fit import MEMORY, SHRINK, Misfit
+from tissue_sim.calibration.fit import SHRINK, Misfit, descended
 from tissue_sim.calibration.inertia import modes_of, tissue_mass
 from tissue_sim.model.critical_step import SAFETY, stable_frequency
 from tissue_sim.organ.organ import Organ
@@ -28,8 +28,6 @@ TOTAL = 1e-3  # weight of the whole mass, which the lowest frequencies know alre
 SPREAD = 1e-4  # weight of the mean square of the masses' logarithms, over those of the tissue around
 MASS_BOUNDS = (-3.0, 4.0)  # of these logarithms
 ROUGH = 1e-5  # of a squared frequency, to which the fastest are found
-
-
 TICK = 1e-3  # s, of the tick that one substep should do for
 ROOM = 1.03  # of that step, which loads make too long
 
@@ -43,9 +41,7 @@ class Together:
 
     def __init__(self, organ: Organ, misfit: Misfit, first: Floats, frequencies: Floats, largest: float) -> None:
         self.misfit, self.first = misfit, first
-        self.around = tissue_mass(organ)
-        self.moving = np.zeros(len(self.around), dtype=bool)
-        self.moving[misfit.elastic.free[::3] // 3] = True
+        self.around, self.moving = tissue_mass(organ), misfit.elastic.moving
         self._lowest = (2.0 * np.pi * np.asarray(frequencies)) ** 2
         self._most = CLOSE * largest**2
         self._start = np.random.default_rng(0).standard_normal(len(misfit.elastic.free))
@@ -67,10 +63,11 @@ class Together:
         """
         elastic, count = self.misfit.elastic, len(self.first)
         stiffness, mass = self.split(logarithm)
-        found = self.misfit.evaluate(stiffness)
-        loss, by_stiffness, by_mass = found.loss, found.slope, np.zeros(len(logarithm) - count)
         tangent, axis_mass = elastic.tangent(stiffness), np.repeat(mass, 3)[elastic.free]
-        square, shape = modes_of(tangent, elastic.factor(tangent), axis_mass, len(self._lowest), self._start)
+        factor = elastic.factor(tangent)
+        found = self.misfit.evaluate(stiffness, factor)
+        loss, by_stiffness, by_mass = found.loss, found.slope, np.zeros(len(logarithm) - count)
+        square, shape = modes_of(tangent, factor, axis_mass, len(self._lowest), self._start)
         top, fast = _fastest(tangent, axis_mass, self._start)
         off, beyond = square / self._lowest - 1.0, np.maximum(top / self._most - 1.0, 0.0)
         # A squared frequency s of a shape p with p'Mp = 1 changes by p'(dK - s dM)p.
@@ -126,9 +123,7 @@ def fit_together(
     limits = [bounds] * len(stiffness) + [MASS_BOUNDS] * (len(at) - len(stiffness))
     at = np.clip(at, *np.transpose(limits))
     for low, high, share in STAGES:
-        most = max(1, round(share * evaluations))
-        options = {"maxfun": most, "maxiter": most, "maxcor": MEMORY, "gtol": 0.0, "ftol": 1e-10}
-        at = minimize(objective, at, (low, high), "L-BFGS-B", jac=True, bounds=limits, options=options).x
+        at = descended(partial(objective, low=low, high=high), at, limits, max(1, round(share * evaluations)))
     return together.split(at)
 
 

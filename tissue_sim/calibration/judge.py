@@ -41,8 +41,7 @@ def settled_answers(organ: Organ, cases: Cases, watch: Callable[[], None] | None
         displacement[case], settled = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
         converged[case] = float(settled and before == (count.faults, count.snaps))
         volume[case] = volume_change(organ, displacement[case])
-        model = simulation.model
-        least[case] = swelling(model.cells, model.cell_volume, simulation.positions).min(initial=1.0)
+        least[case] = swelling(simulation.model, simulation.positions).min(initial=1.0)
         if watch is not None:
             watch()
     return Answer(displacement, volume, converged, least)

@@ -8,7 +8,7 @@ under SQUEEZED a penalty is added, as stiff as the masses of its nodes allow.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array
@@ -17,6 +17,9 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, aligned, pack
 from tissue_sim.model.vectors import WIDTH, fused, gather_arms, scatter_arms
+
+if TYPE_CHECKING:
+    from tissue_sim.model.assembly import Model
 
 STEEPEST = 0.4  # of the volume at rest; the pressure's slope grows as 1 / J^2
 SQUEEZED = 0.5  # of the volume at rest, from which on the penalty pushes
@@ -161,10 +164,10 @@ def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
     return tissue.nodes.reshape(-1, 4)[order], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
 
 
-def swelling(cells: Ints, volume: Floats, position: Floats) -> Floats:
-    """Volume (c,) of cells (c, 4) of nodes at position (n, 3) m, over `volume` (c,) m^3; under 0 inside out."""
-    a, b, c, d = (position[cells[:, k]] for k in range(4))
-    found: Floats = np.einsum("ck,ck->c", a - d, np.cross(b - d, c - d)) / 6.0 / volume
+def swelling(model: Model, position: Floats) -> Floats:
+    """Volume (c,) over that at rest of every cell that the guard looks at, at position (n, 3) m; under 0 inside out."""
+    a, b, c, d = (position[model.cells[:, k]] for k in range(4))
+    found: Floats = np.einsum("ck,ck->c", a - d, np.cross(b - d, c - d)) / 6.0 / model.cell_volume
     return found
 
 

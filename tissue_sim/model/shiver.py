@@ -50,12 +50,17 @@ def end_look(state: Any, scratch: Any) -> None:
 
 
 @kernel
+def turns(before: float, after: float) -> bool:
+    """True for a speed, m/s, that has become about as large the other way."""
+    return (before * before > FAST * FAST) & (before * after < -TURNED * before * before)
+
+
+@kernel
 def count_turning(before: Any, after: Any) -> int:
     """How many coordinates go about as fast as before, m/s, the other way; flat arrays."""
     turning = 0
     for index in range(len(before)):
-        v, w = before[index], after[index]
-        turning += (v * v > FAST * FAST) & (v * w < -TURNED * v * v)
+        turning += turns(before[index], after[index])
     return turning
 
 
@@ -64,7 +69,6 @@ def energy_of_turning(before: Any, after: Any) -> float:
     """Sum of their squared speeds, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):
-        v, w = before[index], after[index]
-        if v * v > FAST * FAST and v * w < -TURNED * v * v:
-            total += w * w
+        if turns(before[index], after[index]):
+            total += after[index] * after[index]
     return total

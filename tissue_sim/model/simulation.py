@@ -235,16 +235,21 @@ class Simulation:
 
     def _substeps(self, integrator: str) -> tuple[int, float]:
         """Substeps in a tick, and the longest stable step that they follow from, s."""
-        longest = self._longest_step(integrator)
-        if integrator != "implicit":
-            longest = min(longest, self.longest_substep / SAFETY)
+        longest = self._longest_step_taken(integrator)
         return self._fixed_substeps or substeps_for(self.settings.tick_time, longest), longest
 
     @property
-    def longest_substep(self) -> float:
-        """Substeps, s, that are not exceeded however soft the organ is, with these tools."""
+    def longest_step(self) -> float:
+        """What substeps follow from, s: the critical step, or what these tools allow however soft the organ is."""
+        return self._longest_step_taken(self.integrator)
+
+    def _longest_step_taken(self, integrator: str) -> float:
+        longest = self._longest_step(integrator)
+        if integrator == "implicit":
+            return longest
         blunt = np.isin(self.shapes.kind, (SPHERE, CAPSULE)) & (self.shapes.size[:, 0] >= FINE)
-        return LONGEST_OF_CELLS if self.variant == "cells" and np.all(blunt) else LONGEST_STEP
+        allowed = LONGEST_OF_CELLS if self.variant == "cells" and np.all(blunt) else LONGEST_STEP
+        return min(longest, allowed / SAFETY)
 
     def take_settings(self, settings: Settings) -> None:
         """Use settings that were worked out before, by a run that is repeated."""

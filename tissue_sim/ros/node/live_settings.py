@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from tissue_sim.model.coupling import passive_stiffness
-from tissue_sim.model.critical_step import SAFETY, substeps_for
+from tissue_sim.model.critical_step import substeps_for
 from tissue_sim.model.records import copy_of, words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
@@ -116,7 +116,4 @@ class LiveSettings:
 
     def _work(self, tick_time: float) -> float:
         """Substeps a second with ticks of so many s. Beyond one in a tick, fewer ticks leave as many substeps."""
-        longest = self._simulation.critical_step
-        if self._simulation.integrator != "implicit":
-            longest = min(longest, self._simulation.longest_substep / SAFETY)
-        return substeps_for(tick_time, longest) / tick_time
+        return substeps_for(tick_time, self._simulation.longest_step) / tick_time
