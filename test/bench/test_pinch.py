@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball
-from tissue_sim.bench import pinch
+from tissue_sim.bench import pinch, two_tools
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.topology import assemble_like
@@ -15,7 +15,7 @@ SPHERES = [Tool("left", radius=0.005), Tool("right", radius=0.005)]
 @pytest.fixture(scope="module")
 def gentle():
     organ = with_cells(assemble_like(ball(2), interior_atoms=60))
-    return pinch.pinched(organ, "spheres", SPHERES, 0, 0.2)
+    return two_tools.pinched(organ, "spheres", SPHERES, 0, 0.2)
 
 
 def test_a_gentle_pinch_is_felt_and_leaves_nothing(gentle):
@@ -24,7 +24,7 @@ def test_a_gentle_pinch_is_felt_and_leaves_nothing(gentle):
     assert 0.0 < gentle.least < 1.0
     assert gentle.held_turned == gentle.left_turned == gentle.faults == 0
     assert gentle.left < 1e-4
-    assert len(gentle.seconds) == pinch.CLOSING + pinch.HOLDING + pinch.OPENING
+    assert len(gentle.seconds) == two_tools.CLOSING + two_tools.HOLDING + two_tools.OPENING
     assert gentle.seconds.min() >= 0.0
 
 
@@ -43,6 +43,6 @@ def test_bounds_take_the_worst_and_the_text_names_every_pinch(gentle):
 
 
 def test_every_pair_is_of_two_tools(tmp_path):
-    found = pinch.pairs(tmp_path)
+    found = two_tools.pairs(tmp_path)
     assert len(found) == 3
     assert all(len(tools) == 2 for _, tools in found)

@@ -10,7 +10,7 @@ from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from tissue_sim.calibration import background
 from tissue_sim.calibration.background import Reference
-from tissue_sim.calibration.cases import fit_cases
+from tissue_sim.calibration.cases import held_out_cases
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.dynamics import release
 from tissue_sim.calibration.fem import Body
@@ -29,7 +29,7 @@ def reference_of(organ, folder, cases):
 
 def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
     organ = ball(2)
-    cases = fit_cases(organ, 2, 0).scaled(np.array([0.1, 0.2]))
+    cases = held_out_cases(organ, 2, 0).scaled(np.array([0.1, 0.2]))
     reference = reference_of(organ, tmp_path, cases)
     told = []
     try:
@@ -52,7 +52,7 @@ def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
 
 def test_what_goes_wrong_there_is_raised_here(tmp_path):
     organ = ball(2)
-    reference = reference_of(replace(organ, poisson_ratio=0.5), tmp_path, fit_cases(organ, 2, 0))
+    reference = reference_of(replace(organ, poisson_ratio=0.5), tmp_path, held_out_cases(organ, 2, 0))
     try:
         with pytest.raises(UserError, match="Poisson's ratio"):
             reference.answer(lambda: None)
@@ -62,7 +62,7 @@ def test_what_goes_wrong_there_is_raised_here(tmp_path):
 
 def test_stop_ends_what_is_under_way_and_keeps_nothing_of_it(tmp_path):
     organ = ball(2)
-    reference = reference_of(organ, tmp_path, fit_cases(organ, 2000, 0))
+    reference = reference_of(organ, tmp_path, held_out_cases(organ, 2000, 0))
     reference.stop()
     kept = Checkpoint(tmp_path, {})
     for name in ("held-out", "release"):
@@ -85,7 +85,7 @@ def test_a_process_that_starts_while_all_is_stopped_is_ended(tmp_path, monkeypat
 
     monkeypatch.setattr(background, "Remote", Starting)
     organ = ball(2)
-    reference = reference_of(organ, tmp_path, fit_cases(organ, 2, 0))
+    reference = reference_of(organ, tmp_path, held_out_cases(organ, 2, 0))
     assert starting.wait(LIMIT)
     stopping = Thread(target=reference.stop)
     stopping.start()

@@ -28,7 +28,7 @@ def test_groups_name_the_kinds_of_springs():
 def test_factors_on_groups_are_found():
     group = group_of(ORGAN, MODEL)
     factors = np.array([2.0, 0.5, 3.0, 1.0, 0.1])
-    force = fit_cases(ORGAN, 16, 0).force
+    force = fit_cases(ORGAN, 16, 0)
     misfit = Misfit(SPRINGS, force, linear_answers(START * factors[group], force))
     before = misfit.evaluate(START).error.mean()
     seen = []
@@ -42,6 +42,6 @@ def test_factors_on_groups_are_found():
 
 def test_the_search_never_makes_it_worse():
     group = group_of(ORGAN, MODEL)
-    force = fit_cases(ORGAN, 10, 0).force
+    force = fit_cases(ORGAN, 10, 0)
     misfit = Misfit(SPRINGS, force, linear_answers(START, force))
     np.testing.assert_array_equal(search(START, group, misfit, 40), START)

@@ -10,7 +10,7 @@ from tissue_sim.calibration.inertia import frequencies_of, tissue_mass
 from tissue_sim.calibration.joint import Together, fit_together
 from tissue_sim.model.critical_step import largest_frequency
 
-FORCE = fit_cases(ORGAN, 12, 0).force
+FORCE = fit_cases(ORGAN, 12, 0)
 TRUTH = START * np.exp(0.2 * np.random.default_rng(7).standard_normal(len(START)))
 MISFIT = Misfit(SPRINGS, FORCE, linear_answers(TRUTH, FORCE))
 AROUND = tissue_mass(ORGAN)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from tissue_sim.bench.sizes import at_size
 from tissue_sim.calibration.calibrate import CELL_BOUNDS
-from tissue_sim.calibration.cases import fit_cases
+from tissue_sim.calibration.cases import fit_cases, principal
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
@@ -104,10 +104,10 @@ def fitted(organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
     Raises UserError when the organ can't be filled with finite elements, or its tissue leaves something free.
     """
     body = Body(organ)
-    cases = fit_cases(organ, effort.cases, SEED)
+    pushes = fit_cases(organ, effort.cases, SEED)
     model = assemble(organ)
     elastic, start = Elastic(model), first_stiffness(organ, model)
-    misfit = Misfit(elastic, cases.force, body.settle_linear(cases.force))
+    misfit = Misfit(elastic, *principal(pushes, body.settle_linear(pushes)))
     with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {kind}", leave=False) as bar:
         if kind == "groups":
             stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: bar.update())

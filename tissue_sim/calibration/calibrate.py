@@ -11,7 +11,15 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.background import Poke, Reference
-from tissue_sim.calibration.cases import DEPTH, HELD_OUT_SEED, Cases, fit_cases, held_out_cases, scale_to_depth
+from tissue_sim.calibration.cases import (
+    DEPTH,
+    HELD_OUT_SEED,
+    Cases,
+    fit_cases,
+    held_out_cases,
+    principal,
+    scale_to_depth,
+)
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.elastic import Elastic
@@ -63,18 +71,18 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     start = prepared(organ, settings)
     body = Body(start)
     held_out = held_out_cases(start, settings.smooth, settings.sharp)
-    cases = fit_cases(start, settings.cases, settings.seed)
+    pushes = fit_cases(start, settings.cases, settings.seed)
 
     def respond() -> Arrays:
         return {
-            "fit": body.settle_linear(cases.force),
+            "fit": body.settle_linear(pushes),
             "held_out": body.settle_linear(held_out.force),
             "frequencies": lowest_frequencies(body, MODES),
         }
 
     with progress.stage("linear reference", 1) as done:
         linear = checkpoint.remember("linear-reference", respond)
-        done(f"{body.n_nodes} nodes, {settings.cases} cases")
+        done(f"{body.n_nodes} nodes, {len(pushes)} cases")
     judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
     size = np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2))
     judged_linear = linear["held_out"] * size[:, None, None]
@@ -89,7 +97,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     try:
         # One core is the reference's. Threads that wait for it would take more time than they save.
         with _one_thread():
-            misfit = Misfit(elastic, cases.force, linear["fit"])
+            misfit = Misfit(elastic, *principal(pushes, linear["fit"]))
             first = first_stiffness(start, model)
             group = group_of(start, model) if settings.method == "groups" else None
             with progress.stage("fit", _most_evaluations(settings)) as done:

@@ -1,7 +1,7 @@
 """Load cases: what the calibration fits, and, drawn and built another way, what it is judged by.
 
 Which nodes a case may be centred on is settled first, by a seed of its own: the fit never sees a load at a held-out
-centre, nor the held-out loads' profile, directions or sizes.
+centre, nor the held-out loads' profile or sizes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of t
 KIDNEY = 1.34e-4  # m^3; in a smaller organ all lengths below shrink with the root of its volume
 CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
-NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp, where many cases of the fit lie
+NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp
+NEAR = 3  # one of so many places of the fit lies there
+MANY = 5  # one of so many has several patches
+AXES = 3  # cases at each place
 SMOOTH_RADIUS = (0.009, 0.013)  # m, of held-out patches
 NARROWEST = 1.5  # edges, that their radius is at the least: narrower, a load on one node would pass for a smooth one
 DEPTH = (0.002, 0.012)  # m, largest displacement of a case under the linear body
@@ -39,7 +42,7 @@ class Cases:
 
     force: Floats  # (c, n, 3) N
     centre: list[Longs]  # (c,) of the patches' centre nodes
-    kind: list[str]  # (c,) normal, tangential, oblique, pulling, many, sharp
+    kind: list[str]  # (c,) bump, pulling bump, two bumps, sharp
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -100,33 +103,39 @@ def split_centres(organ: Organ) -> tuple[Longs, Longs]:
     return np.sort(mixed[held:]), np.sort(mixed[:held])
 
 
-def fit_cases(organ: Organ, count: int, seed: int, stream: int = 1, near: int = 3) -> Cases:
-    """`count` cases for the fit: uniform tractions of 1 N on patches of five sizes; another stream draws others.
+def fit_cases(organ: Organ, count: int, seed: int) -> Floats:
+    """Forces (c, n_surface, 3) N of at least `count` cases for the fit: along x, y and z in turn at every place.
 
-    Of ten cases three press obliquely, two along the normal, two along the surface, one pulls, two have several
-    patches at once: a tool drawn over an organ shears it as much as it presses. One of `near` lies near the clamp,
-    where small errors turn the whole organ.
+    A place is a uniform traction of 1 N in all on a patch of one of five sizes, or on two to six such patches, as at
+    one of five. One of three lies near the clamp, where small errors turn the whole organ.
     """
     surface, centres = surface_of(organ), split_centres(organ)[0]
-    random = np.random.default_rng([seed, stream])
-    kinds = ("oblique", "normal", "many", "tangential", "oblique", "pulling", "tangential", "many", "oblique", "normal")
-    spread = _spread(surface.positions, centres, count, random)
-    spread[::near] = _spread(surface.positions, _nearest_to_clamp(organ, centres), len(spread[::near]), random)
-    force, centre, kind = np.zeros((count, organ.n_surface, 3)), [], []
-    for case in range(count):
-        kind.append(kinds[case % len(kinds)])
-        at = spread[case : case + 1]
-        if kind[-1] == "many":
-            at = np.concatenate([at, random.choice(centres, random.integers(1, 6))])
-        for node in at:
-            what = kind[-1] if kind[-1] != "many" else ("normal", "oblique", "pulling")[random.integers(3)]
+    random = np.random.default_rng([seed, 1])
+    places = -(-count // AXES)
+    spread = _spread(surface.positions, centres, places, random)
+    spread[::NEAR] = _spread(surface.positions, _nearest_to_clamp(organ, centres), len(spread[::NEAR]), random)
+    force = np.zeros((places, AXES, organ.n_surface, 3))
+    for place, first in enumerate(spread):
+        others = random.choice(centres, random.integers(1, 6)) if place % MANY == 0 else centres[:0]
+        for node in (first, *others):
             nodes = _patch(surface, node, FIT_RADII[random.integers(len(FIT_RADII))] * surface.size)
             share = surface.area[nodes] / surface.area[nodes].sum()
-            push = _direction(surface.normal[nodes].mean(axis=0), what, random)
-            size = random.uniform(0.5, 1.5) if len(at) > 1 else 1.0
-            force[case, nodes] += size * share[:, None] * push
-        centre.append(at)
-    return Cases(force, centre, kind)
+            size = random.uniform(0.5, 1.5) if len(others) else 1.0
+            for axis in range(AXES):
+                force[place, axis, nodes, axis] += size * share
+    return force.reshape(-1, organ.n_surface, 3)
+
+
+def principal(force: Floats, answer: Floats) -> tuple[Floats, Floats]:
+    """Cases along x, y and z at every place as cases along the principal axes of the displacement there.
+
+    force (c, n, 3) N as fit_cases has them, answer (c, n, 3) m; both again. The organ gives way most along the first
+    axis and least along the last, so that what is stiff in one direction is told apart from what turns about the clamp
+    in another: under loads of any direction nearly all displacement is of the second kind.
+    """
+    forces, answers = (part.reshape(-1, AXES, part[0].size) for part in (force, answer))
+    axes = np.linalg.eigh(answers @ answers.transpose(0, 2, 1))[1][:, :, ::-1].transpose(0, 2, 1)
+    return (axes @ forces).reshape(force.shape), (axes @ answers).reshape(answer.shape)
 
 
 def held_out_cases(organ: Organ, smooth: int, sharp: int, seed: int = HELD_OUT_SEED) -> Cases:
@@ -224,16 +233,6 @@ def _patch(surface: Surface, node: int, radius: float) -> Longs:
     near &= surface.normal @ surface.normal[node] > 0.0
     near[surface.ring[node]] = True
     return np.flatnonzero(near & surface.free)
-
-
-def _direction(normal: Floats, kind: str, random: np.random.Generator) -> Floats:
-    """Unit vector of a push on a patch with an outward normal."""
-    inward = -normal / np.linalg.norm(normal)
-    if kind == "oblique":
-        return _lean(inward, np.radians(random.uniform(20.0, 60.0)), random)
-    if kind == "tangential":
-        return _lean(inward, np.radians(90.0), random)
-    return -inward if kind == "pulling" else inward
 
 
 def _lean(axis: Floats, angle: float, random: np.random.Generator) -> Floats:

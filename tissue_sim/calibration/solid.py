@@ -62,6 +62,7 @@ class Solid:
         density: float,
     ) -> None:
         self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
+        self.ties = np.zeros(len(nodes))  # N/m, springs that pull nodes to where they are at rest
         self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
         self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
         _, slopes, weights = shape_functions(QUADRATURE)
@@ -75,6 +76,7 @@ class Solid:
         self._slots = np.ascontiguousarray(slots.reshape(keys.shape).astype(np.int32))
         self._row_start = np.searchsorted(pairs // n, np.arange(n + 1)).astype(np.int32)
         self._columns = (pairs % n).astype(np.int32)
+        self._diagonal = np.searchsorted(pairs, np.arange(n) * (n + 1))
 
     # matrices ----------------------------------------------------------------------------------
     def tangent(self, displacement: Floats) -> bsr_array:
@@ -82,13 +84,15 @@ class Solid:
         blocks = np.empty((len(self._columns), 3, 3))
         tangent(displacement, *self._fixed_arguments(), self._slots, blocks)
         n = len(self.nodes)
+        blocks[self._diagonal] += self.ties[:, None, None] * np.eye(3)
         return bsr_array((blocks, self._columns, self._row_start), shape=(3 * n, 3 * n))
 
     def energy(self, displacement: Floats) -> tuple[float, Floats, float]:
         """Elastic energy J, its gradient (n, 3) N, and the least det F; the energy of a solid turned over is inf."""
         forces = np.empty_like(self.nodes)
         energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
-        return energy, forces, least
+        pulled = self.ties[:, None] * displacement
+        return energy + 0.5 * float(np.vdot(pulled, displacement)), forces + pulled, least
 
     def _fixed_arguments(self) -> tuple[Any, ...]:
         return self.elements, self._slopes, self._inverse, self._weight, self.mu, self.lam
@@ -128,7 +132,9 @@ class Solid:
         """
 
         def fill(number: int, place: Longs, pieces: Pieces) -> None:
-            cells = self._fronts[number].cells
+            cells, inside = self._fronts[number].cells, self._fronts[number].inside
+            rows = place[inside]
+            pieces[0][rows, rows] += self.ties[inside // 3]
             count = len(cells)
             if not count:
                 return
@@ -189,6 +195,19 @@ class Solid:
             while following in ready:
                 yield ready.pop(following)
                 following += 1
+
+    def follow(self, start: Floats, load: Floats) -> tuple[Floats, bool]:
+        """Equilibrium (n, 3) m near a state (n, 3) m under nodal loads (n, 3) N, and whether one was found."""
+        if not load.any():
+            return np.zeros_like(start), True
+        run = self._newton(start, load, self._factor_or(start, None))
+        try:
+            residual = next(run)
+            while True:
+                residual = run.send(self._factor.precondition(residual.reshape(-1, 1)).reshape(residual.shape))
+        except StopIteration as end:
+            found, _, _, converged, _ = end.value
+            return found, converged
 
     def _settling(self, load: Floats) -> Settling:
         """Settle under one load; yields residuals (n, 3) N and is sent what the solid at rest makes of them."""
