@@ -5,7 +5,7 @@ import pytest
 
 from helpers.scenes import ball, changed, kidney
 from tissue_sim.model.regions import largest_motion
-from tissue_sim.model.rest import QUIET_TICKS, TURNED_TIME
+from tissue_sim.model.rest import QUIET_TICKS, TURNED_TIME, pace
 from tissue_sim.model.simulation import Simulation
 
 
@@ -50,7 +50,7 @@ def test_slack_organ_left_aside_is_led_back():
     state.position[nodes, 0] += 0.002
     state.good_position[:] = state.position
     still = state.position.copy()
-    for _ in range(QUIET_TICKS - 1):
+    for _ in range(max(QUIET_TICKS, int(1e3 / pace(simulation.model, simulation.settings)) + 1) - 1):
         simulation.step()
     np.testing.assert_array_equal(simulation.positions, still)
     assert state.count.snaps == 0
@@ -59,6 +59,21 @@ def test_slack_organ_left_aside_is_led_back():
     assert settles(simulation) < 500
     assert state.count.snaps == 1
     assert state.count.faults == 0
+
+
+def test_a_slow_organ_goes_back_at_its_own_pace():
+    """Times as heavy as the square of its slowness it does the same in so many times the time, from standing still."""
+    organ, moved = ball(2), []
+    for slowness in (5.0, 50.0):
+        simulation = Simulation(changed(organ, mass=slowness**2, damping=slowness))
+        simulation.settle(np.broadcast_to([4e-3, 0.0, 0.0], (organ.n_surface, 3)), 1e-3, 50.0)
+        away = np.abs(simulation.positions - simulation.model.rest).max()
+        assert away > 5e-4
+        for _ in range(round(15 * slowness)):
+            simulation.step()
+        assert simulation.state.count.snaps == 0
+        moved.append(np.abs(simulation.positions - simulation.model.rest).max() / away)
+    assert moved[1] == pytest.approx(moved[0], abs=0.02)
 
 
 def test_load_keeps_an_organ_that_stands_still_away_from_rest_where_it_is():

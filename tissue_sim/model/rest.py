@@ -12,7 +12,9 @@ from tissue_sim.model.regions import largest_motion, leave_region
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
 QUIET_TICKS = 20
-TREMBLING = 1.0  # 1/s, speed over displacement; a sound organ goes back at 20 or so
+TREMBLING = 1.0  # 1/s, speed over displacement of a false shape at the most
+CREEPING = 0.02  # of the organ's pace: a sound one goes back at half of that
+SLOWEST = 0.2  # 1/s, of paces
 SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
 TURNED_TIME = 0.15  # s that the inside may stay turned inside out with nothing acting
 
@@ -30,8 +32,9 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         snap(model, state, settings, scratch)
         return
     speed, away = largest_motion(model, state, scratch)
-    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back within seconds.
-    if speed > max(QUIET_SPEED, TREMBLING * away):
+    rate = pace(model, settings)
+    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
+    if speed > max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away):
         status.quiet = 0
         return
     status.quiet += 1
@@ -40,8 +43,18 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     if away <= QUIET_DISPLACEMENT:
         if speed <= QUIET_SPEED:
             fall_asleep(model, state)
-    elif away > SNAPPED_DISPLACEMENT:
+    elif away > SNAPPED_DISPLACEMENT and rate * status.quiet * settings.tick_time > 1.0:
         snap(model, state, settings, scratch)
+
+
+@kernel
+def pace(model: Any, settings: Any) -> float:
+    """How soon the organ is on its way after it is let go, 1/s: its damping rate, which is twice its lowest frequency.
+
+    So calibration has it, and the organs as built are near it; slower where parameters have made it softer or tougher.
+    """
+    softer, tougher = min(1.0, settings.stiffness_scale), max(1.0, settings.damping_scale)
+    return max(SLOWEST, model.damping_rate * softer / tougher)
 
 
 @kernel
