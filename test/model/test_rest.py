@@ -130,3 +130,15 @@ def test_inside_may_be_turned_for_a_moment_before_it_is_led_back():
     assert begun is not None
     assert begun * 1e-3 == pytest.approx(TURNED_TIME, abs=0.003)
     settles(simulation)
+
+
+def test_a_slow_organ_has_not_settled_while_it_creeps():
+    """A heavy and tough organ is still on its way where the force that is left, spread over its nodes, is small."""
+    organ = ball(2)
+    forces = np.zeros((organ.n_surface, 3))
+    forces[int(np.argmax(organ.surface_positions[:, 2]))] = [2e-3, 0.0, 0.0]
+    quick, settled = Simulation(organ).settle(forces, 1e-4, 20.0)
+    slow, settled_too = Simulation(changed(organ, mass=1e4, damping=1e2)).settle(forces, 1e-4, 200.0)
+    assert settled
+    assert settled_too
+    assert np.linalg.norm(slow - quick) < 2e-3 * np.linalg.norm(quick)

@@ -22,6 +22,7 @@ from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
 from tissue_sim.model.records import words_of
 from tissue_sim.model.reduction import reduce_model
+from tissue_sim.model.rest import pace
 from tissue_sim.model.scratch import make_scratch
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
 from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
@@ -48,6 +49,8 @@ FINE = 1e-3
 # s. In a modal region nodes are made so much heavier that they need no shorter step: on a fine organ they are tiny, and
 # how fast they shiver is nothing that a hand feels. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
+
+LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
 
 NO_TOOLS = make_shapes([], [])
 
@@ -297,7 +300,7 @@ class Simulation:
         """Displacements at rest under constant surface forces.
 
         forces (n_surface, 3) N. Steps from the rest shape until the residual force is under
-        tolerance times the load (and the organ is all but still), or for `longest` simulated
+        tolerance times the load (and the organ, by its own pace, is all but still), or for `longest` simulated
         seconds. The forces act at once, or are raised within `ramp` seconds, as a hand does, so that the organ
         doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
         """
@@ -310,6 +313,7 @@ class Simulation:
         state = self.state
         pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
         settled = False
+        coming = max(LEAST_COMING, 2.0 / pace(self.model, self.settings))
         faults = state.count.faults
         raised = max(1, math.ceil(ramp * self.rate))
         for first in range(1, math.ceil(longest * self.rate) + 1, 20):
@@ -323,7 +327,7 @@ class Simulation:
             residual = self._residual(forces)
             speed = float(np.abs(state.velocity).max())
             reach = float(np.abs(state.position - self.model.rest).max())
-            if residual <= tolerance * size and speed * 0.1 <= tolerance * max(reach, 1e-9):
+            if residual <= tolerance * size and speed * coming <= tolerance * max(reach, 1e-9):
                 settled = not self._modes_move(tolerance)
                 if settled:
                     break

@@ -9,11 +9,12 @@ import SimpleITK as sitk
 
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 
+# getrusage would tell the peak of the process that started this one, too.
 BUILD = """
-import resource, sys
+import sys
 from tissue_sim.cli import main
 code = main(sys.argv[1:])
-print("PEAK", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print("PEAK", next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 sys.exit(code)
 """
 
