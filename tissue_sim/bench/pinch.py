@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, check=True)
     parser.add_argument(
-        "--reference", action="store_true", help="squeeze finite elements alike and compare forces, some minutes"
+        "--reference",
+        action="store_true",
+        help="squeeze finite elements alike and compare forces, a quarter of an hour",
     )
 
 

@@ -1,4 +1,4 @@
-"""Force of two spheres that squeeze the organ and don't slip, beside that of finite elements squeezed alike."""
+"""Force of two spheres that squeeze the organ and don't slip, beside finite elements that are touched alike."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.printing import Bound, aligned
 from tissue_sim.bench.two_tools import Place, pinched, place
-from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import squeezed
+from tissue_sim.calibration.squeeze import organ_points, squeezed
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
 
@@ -20,8 +19,7 @@ SHARES = (0.2, 0.4)  # of the organ's width
 STEPS = 8  # for each share
 RADIUS = 0.005  # m
 FRICTION = 10.0  # at which nothing slips
-UNDER = 0.010  # m from the axis, where elements are finer
-GRADING = Grading(near=1)
+UNDER = 0.014  # m from the axis, where a sphere may touch
 MOST_OFF = 10.0  # %
 
 
@@ -63,12 +61,15 @@ def compared(organ: Organ, axis: int) -> list[Compared]:
 
 def by_elements(organ: Organ, where: Place, axis: int) -> list[tuple[Floats, float, bool]]:
     """For every share the force on the tools (2, 3) N, the least det F and whether the body settled."""
-    beside = np.linalg.norm(np.delete(organ.surface_positions - where.start[0], axis, axis=1), axis=1)
-    body = Body(organ, np.flatnonzero(beside < UNDER), GRADING)
+    surface, triangles = organ.surface_positions, organ.surface_triangles
+    touched = np.linalg.norm(np.delete(surface - where.start[0], axis, axis=1), axis=1) < UNDER
+    touched[organ.fixed] = False
+    body = Body(organ, np.flatnonzero(touched))
     deepest = 0.5 * SHARES[-1] * where.width
     count = STEPS * len(SHARES)
     paths = np.array([where.at(deepest * (step + 1) / count) for step in range(count)])
-    steps = squeezed(body.solid, np.unique(body.filling.facets), paths, RADIUS)
+    points = organ_points(body, triangles[touched[triangles].all(axis=1)])
+    steps = squeezed(body.solid, points, paths, RADIUS)
     found = []
     for number in range(len(SHARES)):
         last = steps[min(STEPS * (number + 1), len(steps)) - 1]

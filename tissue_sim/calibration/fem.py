@@ -46,7 +46,7 @@ class Body:
         held[self.filling.facets[self.filling.clamped].ravel()] = True
         tissue = organ.youngs_modulus, organ.poisson_ratio, organ.density
         self.solid = Solid(self.filling.nodes, self.filling.elements, held, *tissue)
-        self._loads = load_matrix(organ, self.filling)
+        self.load_matrix = load_matrix(organ, self.filling)  # (n, n_surface) nodal loads per surface force
 
     @property
     def n_nodes(self) -> int:
@@ -55,7 +55,7 @@ class Body:
 
     def loads(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Floats:
         """Nodal loads (n, 3) N of surface forces (n_surface, 3) N and a uniform acceleration (3,) m/s^2."""
-        found: Floats = self._loads @ np.asarray(force, dtype=np.float64)
+        found: Floats = self.load_matrix @ np.asarray(force, dtype=np.float64)
         if acceleration is not None:
             weight = np.asarray(self.solid.mass.sum(axis=1)).ravel()
             found = found + weight[:, None] * np.asarray(acceleration, dtype=np.float64)

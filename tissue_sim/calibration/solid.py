@@ -62,7 +62,8 @@ class Solid:
         density: float,
     ) -> None:
         self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
-        self.ties = np.zeros(len(nodes))  # N/m, springs that pull nodes to where they are at rest
+        # (k, n) sqrt(N/m): springs that pull weighted sums of displacements to 0, with the square of the row.
+        self.ties = csr_array((0, len(nodes)))
         self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
         self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
         _, slopes, weights = shape_functions(QUADRATURE)
@@ -76,23 +77,21 @@ class Solid:
         self._slots = np.ascontiguousarray(slots.reshape(keys.shape).astype(np.int32))
         self._row_start = np.searchsorted(pairs // n, np.arange(n + 1)).astype(np.int32)
         self._columns = (pairs % n).astype(np.int32)
-        self._diagonal = np.searchsorted(pairs, np.arange(n) * (n + 1))
 
     # matrices ----------------------------------------------------------------------------------
     def tangent(self, displacement: Floats) -> bsr_array:
-        """Stiffness (3n, 3n) N/m about a displaced state (n, 3) m, held axes included."""
+        """Stiffness (3n, 3n) N/m about a displaced state (n, 3) m, held axes included, without ties."""
         blocks = np.empty((len(self._columns), 3, 3))
         tangent(displacement, *self._fixed_arguments(), self._slots, blocks)
         n = len(self.nodes)
-        blocks[self._diagonal] += self.ties[:, None, None] * np.eye(3)
         return bsr_array((blocks, self._columns, self._row_start), shape=(3 * n, 3 * n))
 
     def energy(self, displacement: Floats) -> tuple[float, Floats, float]:
         """Elastic energy J, its gradient (n, 3) N, and the least det F; the energy of a solid turned over is inf."""
         forces = np.empty_like(self.nodes)
         energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
-        pulled = self.ties[:, None] * displacement
-        return energy + 0.5 * float(np.vdot(pulled, displacement)), forces + pulled, least
+        pulled = self.ties @ displacement
+        return energy + 0.5 * float(np.vdot(pulled, pulled)), forces + self.ties.T @ pulled, least
 
     def _fixed_arguments(self) -> tuple[Any, ...]:
         return self.elements, self._slopes, self._inverse, self._weight, self.mu, self.lam
@@ -132,9 +131,7 @@ class Solid:
         """
 
         def fill(number: int, place: Longs, pieces: Pieces) -> None:
-            cells, inside = self._fronts[number].cells, self._fronts[number].inside
-            rows = place[inside]
-            pieces[0][rows, rows] += self.ties[inside // 3]
+            cells = self._fronts[number].cells
             count = len(cells)
             if not count:
                 return
@@ -197,7 +194,10 @@ class Solid:
                 following += 1
 
     def follow(self, start: Floats, load: Floats) -> tuple[Floats, bool]:
-        """Equilibrium (n, 3) m near a state (n, 3) m under nodal loads (n, 3) N, and whether one was found."""
+        """Equilibrium (n, 3) m near a state (n, 3) m under nodal loads (n, 3) N, and whether one was found.
+
+        With ties, which the preconditioner leaves to conjugate gradients: a few steps for each.
+        """
         if not load.any():
             return np.zeros_like(start), True
         run = self._newton(start, load, self._factor_or(start, None))
@@ -285,7 +285,7 @@ class Solid:
         matrix = self.tangent(moved)
 
         def apply(way: Floats) -> Floats:
-            found: Floats = (matrix @ way.ravel()).reshape(way.shape)
+            found: Floats = (matrix @ way.ravel()).reshape(way.shape) + self.ties.T @ (self.ties @ way)
             found[self.held] = 0.0
             return found
 
