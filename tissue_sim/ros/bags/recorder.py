@@ -51,9 +51,10 @@ class _Notes:
 
     def arrays(self, n_bodies: int) -> dict[str, NDArray[Any]]:
         """The rows as arrays of records."""
+        by_body = np.array(self.body_contacts, dtype=bag.BodyContactRow.dtype)
         return {
             "contacts": np.array(self.contacts, dtype=bag.ContactRow.dtype),
-            "body_contacts": np.array(self.body_contacts, dtype=bag.BodyContactRow.dtype).reshape(-1, n_bodies),
+            "body_contacts": by_body.reshape(len(self.body_contacts), n_bodies),
             "wrenches": np.array(self.wrenches, dtype=bag.WrenchRow.dtype),
             "surfaces": np.array(self.surfaces, dtype=bag.SurfaceRow.dtype),
         }
