@@ -48,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f" default: {_DEFAULT.aim})",
     )
     parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="of the loads that are fitted")
-    parser.add_argument("--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit, three at each place")
+    parser.add_argument(
+        "--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit, three at each place"
+    )
     parser.add_argument(
         "--evaluations", type=int, default=_DEFAULT.evaluations, metavar="N", help="evaluations of the misfit"
     )
