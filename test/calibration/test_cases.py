@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, kidney
+from tissue_sim.calibration import cases
 from tissue_sim.calibration.cases import (
     DEPTH,
     MANY,
@@ -18,7 +19,7 @@ from tissue_sim.calibration.cases import (
 from tissue_sim.errors import UserError
 
 
-def test_centres_are_disjoint_and_clear_of_the_clamp():
+def test_centres_are_disjoint_and_clear_of_the_clamp(monkeypatch):
     organ = kidney()
     fit, held = split_centres(organ)
     assert not set(fit) & set(held)
@@ -26,6 +27,14 @@ def test_centres_are_disjoint_and_clear_of_the_clamp():
     assert 0.25 < len(held) / (len(fit) + len(held)) < 0.35
     judged = np.concatenate(held_out_cases(organ, 30, 10).centre)
     assert set(judged) <= set(held)
+    used, patch = [], cases._patch
+    monkeypatch.setattr(
+        cases, "_patch", lambda surface, node, radius: used.append(node) or patch(surface, node, radius)
+    )
+    for seed in (0, 1, 2):
+        fit_cases(organ, 60, seed)
+    assert len(used) >= 60
+    assert set(used) <= set(fit)
 
 
 def test_the_same_seed_draws_the_same_and_another_others():

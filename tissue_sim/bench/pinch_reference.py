@@ -9,15 +9,13 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.printing import Bound, aligned
-from tissue_sim.bench.two_tools import Place, pinched, place
+from tissue_sim.bench.two_tools import SPHERE, Place, both, pinched, place
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.squeeze import organ_points, squeezed
-from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
 
 SHARES = (0.2, 0.4)  # of the organ's width
 STEPS = 8  # for each share
-RADIUS = 0.005  # m
 FRICTION = 10.0  # at which nothing slips
 UNDER = 0.014  # m from the axis, where a sphere may touch
 MOST_OFF = 10.0  # %
@@ -49,12 +47,10 @@ def measure(organ: Organ) -> list[Compared]:
 
 def compared(organ: Organ, axis: int) -> list[Compared]:
     """One axis by every share."""
-    where = place(organ, axis, RADIUS)
+    where = place(organ, axis, SPHERE)
     found = []
     for share, reference in zip(SHARES, by_elements(organ, where, axis), strict=True):
-        one = pinched(
-            organ, "spheres", [Tool(name, radius=RADIUS) for name in ("left", "right")], axis, share, FRICTION
-        )
+        one = pinched(organ, "spheres", both(radius=SPHERE), axis, share, FRICTION)
         found.append(Compared(axis, share, one.forces, reference[0], one.least, reference[1], reference[2]))
     return found
 
@@ -69,7 +65,7 @@ def by_elements(organ: Organ, where: Place, axis: int) -> list[tuple[Floats, flo
     count = STEPS * len(SHARES)
     paths = np.array([where.at(deepest * (step + 1) / count) for step in range(count)])
     points = organ_points(body, triangles[touched[triangles].all(axis=1)])
-    steps = squeezed(body.solid, points, paths, RADIUS)
+    steps = squeezed(body.solid, points, paths, SPHERE)
     found = []
     for number in range(len(SHARES)):
         last = steps[min(STEPS * (number + 1), len(steps)) - 1]

@@ -16,6 +16,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.model.cells import swelling
 from tissue_sim.organ.organ import Organ
 
+SPHERE = 0.005  # m, radius
 CLEAR = 0.006  # m between tool and organ at the start
 NEAR = 0.006  # m from the axis, where the organ's width is taken
 CLOSING, HOLDING, OPENING, FREE = 800, 400, 300, 3000  # ticks of 1 ms; the last at the most
@@ -57,17 +58,19 @@ class Place(NamedTuple):
         return self.start + deep * self.ways
 
 
+def both(**given: Any) -> list[Tool]:
+    """Two tools of the same shape."""
+    return [Tool("left", **given), Tool("right", **given)]
+
+
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:
     """Names and tools; a mesh file goes into a folder."""
     jaw = trimesh.creation.box((0.012, 0.012, 0.004))
     jaw.apply_translation([0.0, 0.0, -0.002])
     jaw.export(folder / "jaw.stl")
 
-    def both(**given: Any) -> list[Tool]:
-        return [Tool("left", **given), Tool("right", **given)]
-
     return [
-        ("spheres of 5 mm", both(radius=0.005)),
+        ("spheres of 5 mm", both(radius=SPHERE)),
         ("grippers", both(shape="gripper", radius=0.003, length=0.03)),
         ("flat jaws", both(shape="mesh", mesh=str(folder / "jaw.stl"))),
     ]

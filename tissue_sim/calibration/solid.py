@@ -63,7 +63,7 @@ class Solid:
     ) -> None:
         self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
         # (k, n) sqrt(N/m): springs that pull weighted sums of displacements to 0, with the square of the row.
-        self.ties = csr_array((0, len(nodes)))
+        self.ties: csr_array | None = None
         self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
         self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
         _, slopes, weights = shape_functions(QUADRATURE)
@@ -90,8 +90,10 @@ class Solid:
         """Elastic energy J, its gradient (n, 3) N, and the least det F; the energy of a solid turned over is inf."""
         forces = np.empty_like(self.nodes)
         energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
-        pulled = self.ties @ displacement
-        return energy + 0.5 * float(np.vdot(pulled, pulled)), forces + self.ties.T @ pulled, least
+        if self.ties is not None:
+            pull = self.ties.T @ (self.ties @ displacement)
+            return energy + 0.5 * float(np.vdot(pull, displacement)), forces + pull, least
+        return energy, forces, least
 
     def _fixed_arguments(self) -> tuple[Any, ...]:
         return self.elements, self._slopes, self._inverse, self._weight, self.mu, self.lam
@@ -198,9 +200,7 @@ class Solid:
 
         With ties, which the preconditioner leaves to conjugate gradients: a few steps for each.
         """
-        if not load.any():
-            return np.zeros_like(start), True
-        run = self._newton(start, load, self._factor_or(start, None))
+        run = self._newton(start, load, None)
         try:
             residual = next(run)
             while True:
@@ -246,7 +246,7 @@ class Solid:
         pull = np.where(held, 0.0, load)
         size = math.sqrt(max(float(np.vdot(pull, (yield pull))), 0.0))
         if size == 0.0:
-            return moved, 0, 0, True, factor
+            return np.zeros_like(moved), 0, 0, True, factor
         energy, inner, _ = self.energy(moved)
         potential = energy - np.vdot(load, moved)
         before: float | None = None
@@ -285,7 +285,9 @@ class Solid:
         matrix = self.tangent(moved)
 
         def apply(way: Floats) -> Floats:
-            found: Floats = (matrix @ way.ravel()).reshape(way.shape) + self.ties.T @ (self.ties @ way)
+            found: Floats = (matrix @ way.ravel()).reshape(way.shape)
+            if self.ties is not None:
+                found += self.ties.T @ (self.ties @ way)
             found[self.held] = 0.0
             return found
 

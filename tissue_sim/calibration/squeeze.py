@@ -91,5 +91,5 @@ def squeezed(solid: Solid, points: Points, paths: Floats, radius: float) -> list
         found.append(Squeezed(moved, forces, np.flatnonzero(owner >= 0), least, settled))
         if not settled:
             break
-    solid.ties = solid.ties[:0]
+    solid.ties = None
     return found
