@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from tissue_sim.model.assembly import assemble
+from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 from tissue_sim.organ.topology import assemble_like, assemble_organ
@@ -66,6 +67,13 @@ def kidney() -> Organ:
 def filled(organ: Organ, count: int) -> Organ:
     """The organ assembled anew with `count` interior atoms."""
     return assemble_like(organ, name="filled", interior_atoms=count, provenance=None)
+
+
+@cache
+def ball_of_cells() -> Organ:
+    """The fine ball with atoms in a layer under its surface, and cells between all of them."""
+    organ = assemble_like(ball(3), interior_atoms=300, interior_layer=0.7, provenance=None)
+    return with_cells(organ)
 
 
 def near(organ, *directions):

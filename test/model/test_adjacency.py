@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from helpers.naive import hops_from
-from helpers.scenes import assembled, ball, kidney, near
-from tissue_sim.model.adjacency import adjacency_of
+from helpers.scenes import assembled, ball, ball_of_cells, kidney, near
+from tissue_sim.model.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.cell_mesh import with_cells
 
 
 def slots_with(nodes, constants, stiff_rows):
@@ -34,6 +35,40 @@ def test_rows_are_those_of_a_naive_loop(organ, variant):
         assert len(start) == organ.n_nodes + 1
         for node in range(organ.n_nodes):
             assert list(slots[start[node] : start[node + 1]]) == expected.get(node, []), node
+
+
+def test_rows_of_cells_and_neighbours_along_their_edges_are_those_of_a_naive_loop():
+    organ = with_cells(ball(2))
+    model = with_cell_neighbours(assembled(organ))
+    made = adjacency_of(model)
+    cells = model.tissue.nodes.reshape(-1, 4)
+    real = {slot for slots in slots_with(*model.tissue[:2], (8,)).values() for slot in slots}
+    assert len(real) == len(organ.cell_nodes) < len(cells)
+    for node in range(organ.n_nodes):
+        slots = [slot for slot in sorted(real) if node in cells[slot]]
+        assert list(made.cells[made.cell_start[node] : made.cell_start[node + 1]]) == slots
+        others = {int(other) for slot in slots for other in cells[slot]} - {node}
+        row = model.neighbours[model.neighbour_start[node] : model.neighbour_start[node + 1]]
+        assert list(row) == sorted(others)
+
+
+def test_lists_of_a_region_of_cells_are_those_of_naive_sets():
+    organ = ball_of_cells()
+    simulation = Simulation(organ, local_region="modal")
+    state, scratch = simulation.state, simulation.scratch
+    node = near(organ, (0.0, 0.0, 1.0))[0]
+    for _ in range(3):
+        simulation.apply_force(node, [0.0, 0.0, -0.01])
+        simulation.step()
+    touching = [set(cell) for cell in organ.cell_nodes.tolist() if node in cell]
+    region = set().union(*touching)
+    cells = sorted(sorted(cell) for cell in organ.cell_nodes.tolist() if region & set(cell))
+    assert scratch.region_node[: state.status.region_nodes].tolist() == sorted(region)
+    assert state.status.region_cells == len(cells) > 16
+    listed = scratch.cells.nodes.reshape(-1, 4)[: len(cells)].tolist()
+    assert sorted(sorted(cell) for cell in listed) == cells
+    edge = {other for cell in cells for other in cell} - region
+    assert set(scratch.boundary_node[: state.status.region_boundary].tolist()) == edge
 
 
 @pytest.mark.parametrize("organ", [ball(3), kidney()], ids=["ball", "kidney"])

@@ -133,11 +133,18 @@ def test_cells_are_refused_where_there_are_none_or_with_what_they_do_not_have():
         assemble(ball(), "cells")
     with pytest.raises(UserError, match="use return target rest"):
         assemble(with_cells(ball()), "cells", "implied")
-    with pytest.raises(UserError, match="cells move as a whole; use local region off or auto, or model hybrid"):
-        Simulation(with_cells(ball()), model="cells", local_region="modal")
+    with pytest.raises(UserError, match="frozen region is one of springs; use local region off, modal or auto"):
+        Simulation(with_cells(ball()), model="cells", local_region="frozen")
+
+
+def test_auto_takes_a_region_of_cells_only_where_the_whole_takes_long(monkeypatch):
     by_itself = Simulation(with_cells(ball()), local_region="auto")
     assert (by_itself.variant, by_itself.local_region) == ("cells", "off")
     assert by_itself.model.adjacency is None
+    monkeypatch.setattr("tissue_sim.model.simulation.MOST_WHOLE", len(by_itself.model.cells) - 1)
+    larger = Simulation(with_cells(ball()), local_region="auto")
+    assert larger.local_region == "auto"
+    assert larger.model.adjacency is not None
 
 
 def test_surface_variant_leaves_the_atoms_at_rest():

@@ -11,7 +11,20 @@ from helpers.scenes import RADIUS, ball
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.cells import PENALTY, SQUEEZED, STEEPEST, STIFF, cell_energy, cell_forces, cells_of, tissue_of
+from tissue_sim.model.cells import (
+    PENALTY,
+    SQUEEZED,
+    STEEPEST,
+    STIFF,
+    cell_energy,
+    cell_forces,
+    cell_forces_among,
+    cell_slopes,
+    cells_of,
+    slots_of,
+    subtract_linear_cells,
+    tissue_of,
+)
 from tissue_sim.model.cells import swelling as told
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.modes import stiffness_matrix
@@ -246,3 +259,40 @@ def test_cells_can_be_stepped_implicitly():
         Simulation(ORGAN, model="cells", integrator=name).settle(force, 1e-5)[0] for name in ("symplectic", "implicit")
     ]
     assert np.abs(found[0] - found[1]).max() < 1e-4 * np.abs(found[0]).max()
+
+
+# some of them ----------------------------------------------------------------------------------
+def some_of(model, step=3):
+    """The same tissue's every third block, the nodes of it, and which of the cells these are."""
+    nodes, constants = model.tissue.nodes[::step].copy(), model.tissue.constants[::step].copy()
+    slots = slots_of(model.tissue)
+    chosen = slots[(slots // BLOCK) % step == 0]
+    return nodes, constants, np.unique(nodes), model.tissue.nodes.reshape(-1, 4)[chosen]
+
+
+def test_forces_of_some_cells_are_those_of_an_organ_that_has_no_others():
+    nodes, constants, among, cells = some_of(MODEL)
+    slots = {tuple(cell) for cell in cells.tolist()}
+    kept = np.array([tuple(cell) in slots for cell in ORGAN.cell_nodes.tolist()])
+    fewer = replace(
+        ORGAN, cell_nodes=ORGAN.cell_nodes[kept], cell_mu=ORGAN.cell_mu[kept], cell_lambda=ORGAN.cell_lambda[kept]
+    )
+    assert 0 < kept.sum() < 0.5 * len(kept)
+    x, found = shaken(0.2), np.zeros_like(MODEL.rest)
+    tissue = tissue_of(MODEL.rest, fewer.cell_nodes, fewer.cell_mu, fewer.cell_lambda)
+    # The penalty is each organ's own: none here.
+    constants[:, 9 * BLOCK :] = 0.0
+    cell_forces_among(x, among, nodes, constants, MODEL.tissue, np.zeros(9 * BLOCK), found)
+    wanted = np.zeros_like(x)
+    cell_forces(x, tissue, np.zeros(9 * BLOCK), wanted)
+    assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
+    assert not found[np.setdiff1d(np.arange(len(x)), among)].any()
+
+
+def test_linear_forces_that_are_subtracted_are_those_of_the_tangent_at_rest():
+    x = shaken(0.3)
+    slopes, found = cell_slopes(MODEL.tissue, MODEL.rest), np.zeros_like(x)
+    every = np.arange(len(x), dtype=np.int32)
+    subtract_linear_cells(x, every, MODEL.tissue.nodes, slopes, MODEL.tissue, np.zeros(9 * BLOCK), found)
+    wanted = stiffness_matrix(MODEL) @ (x - MODEL.rest).ravel()
+    assert np.abs(found.ravel() - wanted).max() < 1e-11 * np.abs(wanted).max()

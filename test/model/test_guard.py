@@ -194,12 +194,12 @@ def test_turned_cells_are_counted_within_one_pass_and_forgotten_within_the_next(
     state.status.next_cell = len(expected) // 2
     once_round = -(-len(expected) // CELLS_A_TICK)
     for _ in range(once_round):
-        check_cells(model, state)
+        check_cells(model, state, simulation.scratch)
     assert state.status.turned == expected.sum()
     np.testing.assert_array_equal(state.is_turned, expected)
     state.position[:] = model.rest
     for _ in range(once_round):
-        check_cells(model, state)
+        check_cells(model, state, simulation.scratch)
     assert state.status.turned == 0
     assert not state.is_turned.any()
 

@@ -5,11 +5,12 @@ import pytest
 from scipy.sparse.linalg import splu
 
 from helpers.naive import hops_from
-from helpers.scenes import assembled, ball, kidney, near
+from helpers.scenes import assembled, ball, ball_of_cells, kidney, near
 from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model import reduction
+from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE, turn_of_edge
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.regions import CALM_TIME, RETURN_SHARE
 from tissue_sim.model.simulation import Simulation
@@ -89,6 +90,37 @@ def test_stiff_region_is_made_heavier_instead_of_stepped_more_often_and_settles_
     assert error(found, expected) <= 0.025
 
 
+@pytest.mark.parametrize("tabled", [True, False], ids=["table", "modes alone"])
+def test_cells_under_a_small_load_settle_near_the_linear_model(tabled, monkeypatch):
+    if not tabled:
+        monkeypatch.setattr(reduction.reduce_model, "__defaults__", (10,))
+    organ = ball_of_cells()
+    _, forces = patch(organ, UP)
+    forces *= 1e-3
+    expected = linear_answer(organ, forces)
+    simulation = Simulation(organ, local_region="modal")
+    assert (len(simulation.model.reduction.compliance) > 0) == tabled
+    found, settled = simulation.settle(forces, tolerance=1e-4)
+    assert settled
+    assert simulation.state.status.region == Region.MODAL
+    assert simulation.state.status.active < 0.3 * organ.n_nodes
+    assert error(found, expected) <= (0.01 if tabled else 0.1)
+
+
+def test_dented_cells_settle_near_the_whole_model_and_nearer_than_linear_ones():
+    organ = ball_of_cells()
+    _, forces = patch(organ, UP)
+    forces *= 0.003 / np.abs(linear_answer(organ, forces)).max()
+    expected, _ = Simulation(organ).settle(forces, tolerance=1e-4)
+    simulation = Simulation(organ, local_region="modal")
+    found, settled = simulation.settle(forces, tolerance=1e-4)
+    assert settled
+    assert simulation.state.status.turned == 0, "cells outside wait to be looked at, and are not inside out"
+    linear = error(linear_answer(organ, forces), expected)
+    assert error(found, expected) < 0.7 * linear
+    assert linear > 0.02
+
+
 BENDS_OUTSIDE = pytest.mark.xfail(
     strict=True, reason="pole and hilum bend outside the region, where springs are linear"
 )
@@ -138,6 +170,54 @@ def test_ticks_longer_than_the_far_field_takes_move_the_whole_organ(kind, rate, 
         simulation.apply_force(nodes, 0.05 * forces[nodes])
         simulation.step()
         assert simulation.state.status.region == region
+
+
+@pytest.mark.parametrize("organ", [ball(3), ball_of_cells()], ids=["springs", "cells"])
+def test_what_joins_a_new_region_is_at_rest_whatever_the_last_one_did(organ):
+    used, new = (Simulation(organ, local_region="modal") for _ in range(2))
+    nodes, forces = patch(organ, UP)
+    for _ in range(200):
+        used.apply_force(nodes, 0.5 * forces[nodes])
+        used.step()
+    used.reset()
+    nodes, forces = patch(organ, SIDE)
+    for simulation in (used, new):
+        simulation.apply_force(nodes, 0.1 * forces[nodes])
+        simulation.step()
+    np.testing.assert_array_equal(used.positions, new.positions)
+
+
+def test_turn_of_the_edge_is_that_of_the_best_fit():
+    organ = ball(3)
+    simulation = Simulation(organ, local_region="modal")
+    model, state, scratch = simulation.model, simulation.state, simulation.scratch
+    simulation.apply_force(near(organ, UP)[0], [0.0, 0.0, -0.01])
+    simulation.step()
+    edge = model.rest[scratch.boundary_node[: state.status.region_boundary]]
+    axis = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
+    moved = np.cross(0.03 * axis, edge) + [0.001, 0.002, -0.004]
+    # Neither what grows nor what goes along turns it.
+    scratch.edge_move[: edge.size] = (moved + 0.02 * (edge - edge.mean(axis=0))).ravel()
+    assert turn_of_edge(model, state, scratch) == pytest.approx(0.03, rel=1e-4)
+
+
+def test_auto_hands_over_when_the_load_turns_what_is_around_it_and_stays_whole_under_it():
+    organ = ball(3)
+    simulation = Simulation(organ, local_region="auto")
+    nodes, forces = patch(organ, SIDE)
+    simulation.settings.region_force = np.inf
+    size = 0.006 / np.abs(linear_answer(organ, forces)).max()
+    expected, _ = Simulation(organ).settle(size * forces, tolerance=1e-4)
+    found, settled = simulation.settle(size * forces, tolerance=1e-4)
+    assert settled
+    assert simulation.state.status.region == Region.WHOLE
+    assert 0 < simulation.state.count.modal_ticks < 500
+    assert error(found, expected) < 1e-3
+    modal_ticks = simulation.state.count.modal_ticks
+    for _ in range(int(2500 * CALM_TIME)):
+        simulation.apply_force(nodes, size * forces[nodes])
+        simulation.step()
+    assert simulation.state.count.modal_ticks == modal_ticks
 
 
 # what is moved and looked at -------------------------------------------------------------------

@@ -1,8 +1,10 @@
-"""`tissue_sim bench region`: how far the local regions are off the whole model, patch by patch."""
+"""`tissue_sim bench region`: how far the local regions are off the whole model, place by place and size by size."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,109 +12,178 @@ from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
-from tissue_sim.bench.organs import PATCH_NODES, node_normals, patch
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.organs import PATCH_NODES, bean, node_normals, patch, patch_load
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
+from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
+from tissue_sim.calibration.stiffness import Settings, prepared
 from tissue_sim.errors import UserError
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.modes import free_axes, stiffness_matrix
+from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import Region
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
+from tissue_sim.organ.shipped import shipped_organ
 
 SMALL = 0.02  # N, under which the whole model is as good as linear
-DENT = 3e-3  # m
-CORE_HOPS = 2  # around the patch
-WHOLE_LINEAR, CORE_LINEAR, WHOLE_NONLINEAR = 2.5, 4.0, 5.0  # %, bounds on the modal region
+DENTS = (3e-3, 6e-3)  # m
+FAR_HOPS = 5  # from what is held: nearer than that hardly anything moves
+WHOLE_LINEAR, WHOLE_NONLINEAR = 2.5, 5.0  # %, bounds on the modal region and on `auto`
 SEED = 5
+NEAR_DENT, MOST_TRIES = 0.02, 4  # of a dent that is wanted, and settled shapes on the way to it
+TOLERANCE, LONGEST = 1e-4, 10.0  # of settling, and s
+PRESS = 0.1  # N on the patch of the smallest organ whose ticks are timed; the same pressure on the others
 
 
-class PatchErrors(NamedTuple):
-    """One patch under one force; errors in percent, relative L2 of the settled surface or of the core."""
+class PlaceErrors(NamedTuple):
+    """One place under one force; errors in percent, relative L2 of the settled surface."""
 
-    patch: int
+    place: int
     force: float  # N
     dent: float  # m, of the whole model
-    settled: bool
+    settled: bool  # the whole model and `auto`
     modal_linear: float  # against the linear whole model
-    modal_linear_core: float
     modal: float  # against the whole model
-    modal_core: float
-    frozen: float
-    frozen_core: float
+    auto: float  # likewise, of a region that hands over by itself
+    handed_over: bool  # to the whole model
+    frozen: float | None  # None for cells, which have no such region
     linear: float  # the linear whole model against the whole model
+
+
+class SizeErrors(NamedTuple):
+    """A bean of cells of some size: ticks of the whole and of a region, and its worst errors, % of the whole model."""
+
+    points: int
+    cells: int
+    whole: Timing
+    modal: Timing
+    auto: bool  # whether `auto` takes a region there
+    small: float  # under SMALL
+    dented: float  # under the force that dents by the first of DENTS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser, organ=AS_BUILT_ORGAN, check=True)
-    parser.add_argument("--patches", type=int, default=6, help="how many patches, drawn at random")
+    add_shared(parser, seconds=1.0, check=True)
+    parser.add_argument("--places", type=int, default=6, help="how many places, drawn at random, beside the outermost")
+    parser.add_argument("--points", type=int, nargs="+", default=[], help="sizes of a bean to be timed, too")
 
 
 def run(args: argparse.Namespace) -> int:
     """Settle every case in every region and print errors; returns 1 with --check when a bound is missed, else 0."""
     check_shared(args)
-    if not 1 <= args.patches <= 1000:
-        raise UserError(f"--patches {args.patches} is outside 1..1000")
-    organ = Organ.load(args.organ or shipped_organ(AS_BUILT))
-    cases = measure(organ, args.patches)
-    found = as_json(cases)
-    emit(found, text(organ, cases, found), args.json)
+    if not 0 <= args.places <= 1000:
+        raise UserError(f"--places {args.places} is outside 0..1000")
+    if args.points and not 100 <= min(args.points) <= max(args.points) <= 64_000:
+        raise UserError(f"--points {min(args.points)}..{max(args.points)} are outside 100..64000")
+    organ = Organ.load(args.organ or shipped_organ())
+    cases, sizes = measure(organ, args.places), measure_sizes(sorted(args.points), args.seconds)
+    found = as_json(cases, sizes)
+    emit(found, text(organ, cases, sizes, found), args.json)
     return exit_code(found, check=args.check)
 
 
-def measure(organ: Organ, patches: int) -> list[PatchErrors]:
-    """For each patch a small force, the one that dents by 3 mm, and the one at which `auto` hands over."""
-    whole = Simulation(organ)
-    modal, frozen = (Simulation(organ, local_region=region) for region in ("modal", "frozen"))
-    for simulation in (modal, frozen):
-        simulation.settings.region_force = np.inf  # no handing over here
-    model = whole.model
-    free = free_axes(model)
-    linear = splu(stiffness_matrix(model)[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A")
-    normals = node_normals(organ.surface_positions, organ.surface_triangles)
-    hops = hop_table(model, organ.n_surface)
-    far = hops[organ.fixed].min(axis=0) > 5 if len(organ.fixed) else np.ones(organ.n_surface, dtype=bool)
-    centres = np.random.default_rng(SEED).choice(np.flatnonzero(far), patches)
-    largest = whole.settings.region_force
+def measure(organ: Organ, count: int) -> list[PlaceErrors]:
+    """For each of the outermost places and of `count` others a small force, and those that dent by DENTS."""
+    whole, modal, auto = Simulation(organ), regional(organ, "modal"), regional(organ, "modal")
+    auto.settings.local_region = LocalRegion.AUTO
+    frozen = None if whole.variant == "cells" else regional(organ, "frozen")
+    free = free_axes(whole.model)
+    tangent = stiffness_matrix(whole.model)[free][:, free].tocsc()
+    linear = splu(tangent, permc_spec="MMD_AT_PLUS_A")
     cases = []
-    for number, centre in enumerate(tqdm(centres, disable=None, desc="region", unit="patch")):
-        nodes = patch(organ, int(centre), PATCH_NODES)
-        core = np.flatnonzero(hops[nodes].min(axis=0) <= CORE_HOPS)
-        unit = np.zeros((organ.n_surface, 3))
-        unit[nodes] = -normals[centre] / len(nodes)
-        wanted = SMALL
-        for step in range(4):
-            force = wanted if step < 3 else largest
-            forces = force * unit
-            answer, settled = whole.settle(forces, 1e-4, 10.0)
-            dent = float(np.linalg.norm(answer[centre]))
-            wanted = force * DENT / dent  # twice, since the dent is not proportional to the force
-            if step == 1:
-                continue
+    for place in tqdm(places(organ, count), disable=None, desc="region", unit="place"):
+        unit = unit_load(organ, place)
+        for force, answer, whole_settled in answers(whole, unit, place):
             load = np.zeros(3 * organ.n_nodes)
-            load[: 3 * organ.n_surface] = forces.ravel()
+            load[: 3 * organ.n_surface] = force * unit.ravel()
             straight = np.zeros_like(load)
             straight[free] = linear.solve(load[free])
             surface = straight[: 3 * organ.n_surface].reshape(-1, 3)
-            by_modes, modes_settled = modal.settle(forces, 1e-4, 10.0)
-            by_freezing, _ = frozen.settle(forces, 1e-4, 10.0)
+            by_modes, _ = modal.settle(force * unit, TOLERANCE, LONGEST)
+            by_choice, choice_settled = auto.settle(force * unit, TOLERANCE, LONGEST)
+            by_freezing = None if frozen is None else frozen.settle(force * unit, TOLERANCE, LONGEST)[0]
             cases.append(
-                PatchErrors(
-                    number,
-                    float(force),
-                    dent,
-                    bool(settled and modes_settled),
+                PlaceErrors(
+                    place,
+                    force,
+                    float(np.linalg.norm(answer[place])),
+                    bool(whole_settled and choice_settled),
                     off(by_modes, surface),
-                    off(by_modes[core], surface[core]),
                     off(by_modes, answer),
-                    off(by_modes[core], answer[core]),
-                    off(by_freezing, answer),
-                    off(by_freezing[core], answer[core]),
+                    off(by_choice, answer),
+                    bool(auto.state.status.region == Region.WHOLE),
+                    None if by_freezing is None else off(by_freezing, answer),
                     off(surface, answer),
                 )
             )
     return cases
+
+
+def regional(organ: Organ, kind: str) -> Simulation:
+    """A simulation with a local region under any load."""
+    simulation = Simulation(organ, local_region=kind)
+    simulation.settings.region_force = np.inf
+    return simulation
+
+
+def places(organ: Organ, count: int) -> list[int]:
+    """Surface nodes to press: the outermost along each axis, and `count` at random; none near what is held."""
+    hops = hop_table(Simulation(organ).model, organ.n_surface)
+    far = np.flatnonzero(hops[organ.fixed].min(axis=0) > FAR_HOPS) if len(organ.fixed) else np.arange(organ.n_surface)
+    along = organ.surface_positions[far]
+    ends = np.concatenate([far[along.argmax(axis=0)], far[along.argmin(axis=0)]])
+    drawn = np.random.default_rng(SEED).choice(far, count)
+    return [int(node) for node in dict.fromkeys([*ends.tolist(), *drawn.tolist()])]
+
+
+def unit_load(organ: Organ, place: int) -> Floats:
+    """1 N on the patch around a surface node, inwards, as forces (n_surface, 3) N."""
+    nodes = patch(organ, place, PATCH_NODES)
+    load = np.zeros((organ.n_surface, 3))
+    load[nodes] = -node_normals(organ.surface_positions, organ.surface_triangles)[place] / len(nodes)
+    return load
+
+
+def answers(whole: Simulation, unit: Floats, place: int) -> Iterator[tuple[float, Floats, bool]]:
+    """Force, N, and settled surface (n_surface, 3) m under the small load and those that dent by DENTS."""
+    force = SMALL
+    answer, settled = whole.settle(force * unit, TOLERANCE, LONGEST)
+    yield force, answer, settled
+    for wanted in DENTS:
+        for _ in range(MOST_TRIES):
+            force *= wanted / float(np.linalg.norm(answer[place]))
+            answer, settled = whole.settle(force * unit, TOLERANCE, LONGEST)
+            if abs(float(np.linalg.norm(answer[place])) - wanted) <= NEAR_DENT * wanted:
+                break
+        yield force, answer, settled
+
+
+def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
+    """Beans of cells as they are before a calibration: ticks, each timed for some seconds, and errors of a region."""
+    made = {}
+    for count in tqdm(points, disable=None, desc="sizes", unit="organ"):
+        organ = prepared(bean(count), Settings())
+        made[count] = organ, Simulation(organ), regional(organ, "modal"), Simulation(organ, local_region="auto")
+    bursts: dict[str, Ticks] = {}
+    for count, (organ, whole, modal, _) in made.items():
+        nodes, forces = patch_load(organ, PRESS * min(points) / count)
+        bursts[f"whole {count}"], bursts[f"modal {count}"] = Ticks(whole, nodes, forces), Ticks(modal, nodes, forces)
+    timings = interleave(Phase(bursts, seconds, "sizes")) if bursts else {}
+    found = []
+    for count, (organ, whole, modal, auto) in made.items():
+        errors: list[tuple[float, float]] = []
+        for place in tqdm(places(organ, 0), disable=None, desc=f"{count} points", unit="place"):
+            unit = unit_load(organ, place)
+            cases = [(force, answer) for force, answer, _ in islice(answers(whole, unit, place), 2)]
+            small, dented = (off(modal.settle(force * unit, TOLERANCE, LONGEST)[0], answer) for force, answer in cases)
+            errors.append((small, dented))
+        small, dented = np.max(errors, axis=0)
+        times = timings[f"whole {count}"], timings[f"modal {count}"]
+        taken = auto.local_region == "auto"
+        found.append(SizeErrors(count, len(organ.cell_nodes), *times, taken, float(small), float(dented)))
+    return found
 
 
 def off(found: Floats, wanted: Floats) -> float:
@@ -120,27 +191,36 @@ def off(found: Floats, wanted: Floats) -> float:
     return float(100.0 * np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
 
-def as_json(cases: list[PatchErrors]) -> dict[str, Any]:
-    """The bounds on the worst errors of the modal region, and every case."""
+def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]:
+    """The bounds on the worst errors of the modal region and of `auto`, every case and every size."""
     small = [case for case in cases if case.force == SMALL]
     bounds = [
-        Bound("modal, whole against linear, small forces", max(case.modal_linear for case in small), WHOLE_LINEAR, "%"),
-        Bound(
-            "modal, core against linear, small forces", max(case.modal_linear_core for case in small), CORE_LINEAR, "%"
-        ),
-        Bound("modal, whole against nonlinear, all forces", max(case.modal for case in cases), WHOLE_NONLINEAR, "%"),
+        Bound("modal against linear, small forces", max(case.modal_linear for case in small), WHOLE_LINEAR, "%"),
+        Bound("auto against the whole model, all forces", max(case.auto for case in cases), WHOLE_NONLINEAR, "%"),
         Bound("cases that settle", 100.0 * float(np.mean([case.settled for case in cases])), 100.0, "%", least=True),
     ]
-    return {"bounds": [bound.as_json() for bound in bounds], "cases": [case._asdict() for case in cases]}
+    return {
+        "bounds": [bound.as_json() for bound in bounds],
+        "cases": [case._asdict() for case in cases],
+        "sizes": [size._asdict() | {"whole": size.whole._asdict(), "modal": size.modal._asdict()} for size in sizes],
+    }
 
 
-def text(organ: Organ, cases: list[PatchErrors], found: dict[str, Any]) -> str:
-    """The table and the bounds as text."""
-    head = ["patch", "N", "dent mm", "modal/linear %", "core %", "modal %", "core %", "frozen %", "core %", "linear %"]
-    rows = [head]
+def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found: dict[str, Any]) -> str:
+    """The tables and the bounds as text."""
+    rows = [["place", "N", "dent mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
     for case in cases:
-        errors = case[4:]
-        numbers = [f"{error:.1f}" for error in errors]
-        rows.append([str(case.patch), f"{case.force:.2f}", f"{1e3 * case.dent:.2f}", *numbers])
-    first = f"organ '{organ.name}': settled surface, {PATCH_NODES}-node patches, relative L2"
-    return "\n".join([first, *aligned(rows), "", *bound_lines(found["bounds"])])
+        frozen = "-" if case.frozen is None else f"{case.frozen:.1f}"
+        errors = [f"{case.modal_linear:.1f}", f"{case.modal:.1f}", f"{case.auto:.1f}"]
+        taken = ("whole" if case.handed_over else "region") + ("" if case.settled else ", not settled")
+        number = [str(case.place), f"{case.force:.2f}", f"{1e3 * case.dent:.2f}"]
+        rows.append([*number, *errors, taken, frozen, f"{case.linear:.1f}"])
+    lines = [f"organ '{organ.name}': settled surface, {PATCH_NODES}-node patches, relative L2", *aligned(rows)]
+    if sizes:
+        rows = [["points", "cells", "whole us", "modal us", "modal %, small", "3 mm", "auto takes"]]
+        for size in sizes:
+            times = [figure(1e6 * size.whole.median), figure(1e6 * size.modal.median)]
+            errors = [f"{size.small:.1f}", f"{size.dented:.1f}", "a region" if size.auto else "the whole"]
+            rows.append([str(size.points), str(size.cells), *times, *errors])
+        lines += ["", "beans of cells, not calibrated; errors of the worst of the outermost places", *aligned(rows)]
+    return "\n".join([*lines, "", *bound_lines(found["bounds"])])

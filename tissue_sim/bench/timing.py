@@ -167,7 +167,7 @@ def _time_ticks(
         if guarded:  # once more, after a tick as in it
             start = _now(clock)
             guard(model, state, settings, scratch)
-            check_cells(model, state)
+            check_cells(model, state, scratch)
         times[index] = _now(clock) - start
 
 

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.model.blocks import BLOCK, Blocks, aligned, empty_blocks, pack
-from tissue_sim.model.cells import Tissue, shapes_of, tissue_of, with_penalty
+from tissue_sim.model.cells import SLOPES, Tissue, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
 from tissue_sim.organ.medial import nearest_atoms
@@ -29,12 +29,14 @@ MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
 
 
 class Adjacency(NamedTuple):
-    """Which springs each node has, as compressed rows."""
+    """Which springs or cells each node has, as compressed rows."""
 
     edge_start: Ints  # (n + 1,)
     edges: Ints  # slots in Model.edges, block after block
     link_start: Ints  # (n + 1,)
     links: Ints  # slots in Model.links
+    cell_start: Ints  # (n + 1,)
+    cells: Ints  # slots in Model.tissue
 
 
 class Reduction(NamedTuple):
@@ -46,6 +48,7 @@ class Reduction(NamedTuple):
     compliance: NDArray[np.float32]  # (3n, 3n) m/N of the model about rest; (0, 0) when it would be too large
     edge_slopes: Floats  # (b, 21 BLOCK) what forces.subtract_linear_edges takes
     link_slopes: Floats  # (b, 6 BLOCK) what forces.subtract_linear_springs takes
+    cell_slopes: Floats  # (b, SLOPES BLOCK) what cells.subtract_linear_cells takes
 
 
 class Factor(NamedTuple):
@@ -103,6 +106,7 @@ NO_REDUCTION = Reduction(
     compliance=np.zeros((0, 0), dtype=np.float32),
     edge_slopes=np.zeros((0, 21 * BLOCK)),
     link_slopes=np.zeros((0, 6 * BLOCK)),
+    cell_slopes=np.zeros((0, SLOPES * BLOCK)),
 )
 
 

@@ -28,6 +28,7 @@ STIFF = 0.35  # of the volume at rest, from which on a cell asks for shorter sub
 # squeezed cells do together, with 0.1 cells are turned inside out (measured under a pinch).
 PENALTY = 0.3
 CONSTANTS = 10
+SLOPES = 20  # constants of a cell that is linear about rest
 
 
 class Tissue(NamedTuple):
@@ -155,9 +156,106 @@ def _resist(work: Any, constant: Any) -> int:
     return stiff
 
 
+@kernel
+def cell_forces_among(
+    position: Any, among: Any, nodes: Any, constants: Any, tissue: Any, work: Any, force: Any
+) -> None:
+    """The same of some of the cells, which have no other nodes than those `among` (k,), in blocks of their own."""
+    wide, push = tissue.position, tissue.force
+    stiff = 0
+    for index in range(len(among)):
+        node = among[index]
+        x, y, z = position[node, 0], position[node, 1], position[node, 2]
+        wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
+        push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
+    for block in range(len(nodes)):
+        gather_arms(wide, nodes[block], work)
+        stiff += _resist(work, constants[block])
+        scatter_arms(push, nodes[block], work)
+    for index in range(len(among)):
+        node = among[index]
+        for axis in range(3):
+            force[node, axis] += push[node, axis]
+    tissue.stiff[0] = stiff
+
+
+@kernel
+def subtract_linear_cells(
+    position: Any, among: Any, nodes: Any, slopes: Any, tissue: Any, work: Any, force: Any
+) -> None:
+    """Subtract what some of the cells would push if they were linear about rest; slopes as cell_slopes has them."""
+    wide, push = tissue.position, tissue.force
+    for index in range(len(among)):
+        node = among[index]
+        x, y, z = position[node, 0], position[node, 1], position[node, 2]
+        wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
+        push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
+    for block in range(len(nodes)):
+        gather_arms(wide, nodes[block], work)
+        _resist_linearly(work, slopes[block])
+        scatter_arms(push, nodes[block], work)
+    for index in range(len(among)):
+        node = among[index]
+        for axis in range(3):
+            force[node, axis] -= push[node, axis]
+
+
+@kernel
+def _resist_linearly(work: Any, slope: Any) -> None:
+    """Turn the arms of a block into the pulls of its last three nodes on the first, by Hooke's law."""
+    for c in range(BLOCK):
+        jx, jy, jz = work[c] - slope[c], work[BLOCK + c] - slope[BLOCK + c], work[2 * BLOCK + c] - slope[2 * BLOCK + c]
+        kx, ky = work[3 * BLOCK + c] - slope[3 * BLOCK + c], work[4 * BLOCK + c] - slope[4 * BLOCK + c]
+        kz, mx = work[5 * BLOCK + c] - slope[5 * BLOCK + c], work[6 * BLOCK + c] - slope[6 * BLOCK + c]
+        my, mz = work[7 * BLOCK + c] - slope[7 * BLOCK + c], work[8 * BLOCK + c] - slope[8 * BLOCK + c]
+        ax, ay, az = slope[9 * BLOCK + c], slope[10 * BLOCK + c], slope[11 * BLOCK + c]
+        bx, by, bz = slope[12 * BLOCK + c], slope[13 * BLOCK + c], slope[14 * BLOCK + c]
+        dx, dy, dz = slope[15 * BLOCK + c], slope[16 * BLOCK + c], slope[17 * BLOCK + c]
+        shear = slope[18 * BLOCK + c]
+        hxx, hyy, hzz = jx * ax + kx * bx + mx * dx, jy * ay + ky * by + my * dy, jz * az + kz * bz + mz * dz
+        hxy = jx * ay + kx * by + mx * dy + jy * ax + ky * bx + my * dx
+        hyz = jy * az + ky * bz + my * dz + jz * ay + kz * by + mz * dy
+        hzx = jz * ax + kz * bx + mz * dx + jx * az + kx * bz + mx * dz
+        swell = slope[19 * BLOCK + c] * (hxx + hyy + hzz)
+        sxx, syy, szz = 2.0 * shear * hxx + swell, 2.0 * shear * hyy + swell, 2.0 * shear * hzz + swell
+        sxy, syz, szx = shear * hxy, shear * hyz, shear * hzx
+        work[c] = sxx * ax + sxy * ay + szx * az
+        work[BLOCK + c] = sxy * ax + syy * ay + syz * az
+        work[2 * BLOCK + c] = szx * ax + syz * ay + szz * az
+        work[3 * BLOCK + c] = sxx * bx + sxy * by + szx * bz
+        work[4 * BLOCK + c] = sxy * bx + syy * by + syz * bz
+        work[5 * BLOCK + c] = szx * bx + syz * by + szz * bz
+        work[6 * BLOCK + c] = sxx * dx + sxy * dy + szx * dz
+        work[7 * BLOCK + c] = sxy * dx + syy * dy + syz * dz
+        work[8 * BLOCK + c] = szx * dx + syz * dy + szz * dz
+
+
+def cell_slopes(tissue: Tissue, rest: Floats) -> Floats:
+    """Rows (b, SLOPES BLOCK) for subtract_linear_cells, in the blocks of the tissue at rest (n, 3) m.
+
+    From the first node to the others, m; the slopes of these nodes' shape functions, 1/m; mu and lambda times the
+    volume, J.
+    """
+    nodes, constants = tissue.nodes.reshape(-1, 4), _rows_of(tissue)
+    slope, volume = shapes_of(rest, nodes)
+    arms = (rest[nodes[:, 1:]] - rest[nodes[:, :1]]).reshape(-1, 9)
+    moduli = np.stack([6.0 * constants[:, 8], 12.0 * constants[:, 7]], axis=1) * volume[:, None]
+    return pack(nodes, np.concatenate([arms, slope[:, 1:].reshape(-1, 9), moduli], axis=1), np.zeros(SLOPES)).constants
+
+
+def _rows_of(tissue: Tissue) -> Floats:
+    """Constants (b BLOCK, CONSTANTS) of every slot."""
+    return tissue.constants.reshape(-1, CONSTANTS, BLOCK).transpose(0, 2, 1).reshape(-1, CONSTANTS)
+
+
+def slots_of(tissue: Tissue) -> Longs:
+    """Slots in the blocks that hold a cell, in ascending order; the others only fill up."""
+    return np.flatnonzero(_rows_of(tissue)[:, 8] > 0.0)
+
+
 def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
     """The cells (c, 4) again, their moduli mu and lambda (2, c) Pa, and the penalty of each, J/m^3."""
-    rows = tissue.constants.reshape(-1, CONSTANTS, BLOCK).transpose(0, 2, 1).reshape(-1, CONSTANTS)
+    rows = _rows_of(tissue)
     order = np.argsort(_apart(len(rows)))
     order = order[rows[order, 8] > 0.0]  # the others only fill up
     rows = rows[order]

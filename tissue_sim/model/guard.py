@@ -7,7 +7,7 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy, copy_nodes
-from tissue_sim.model.regions import modes_are_finite, restore_shape, watched_nodes
+from tissue_sim.model.regions import are_placed, modes_are_finite, restore_shape, watched_nodes
 from tissue_sim.model.state import Fault, Region
 
 MAX_BACKOFF = 8
@@ -135,7 +135,7 @@ def keep(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def check_cells(model: Any, state: Any) -> None:
+def check_cells(model: Any, state: Any, scratch: Any) -> None:
     """Note which of the next few cells are inside out; state.status.turned tells how many are."""
     status, cells, x, is_turned = state.status, model.cells, state.position, state.is_turned
     if len(cells) == 0:
@@ -147,7 +147,7 @@ def check_cells(model: Any, state: Any) -> None:
         bx, by, bz = x[b, 0] - x[d, 0], x[b, 1] - x[d, 1], x[b, 2] - x[d, 2]
         cx, cy, cz = x[c, 0] - x[d, 0], x[c, 1] - x[d, 1], x[c, 2] - x[d, 2]
         volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        turned = 1 if volume < 0.0 else 0
+        turned = 1 if volume < 0.0 and are_placed(model, state, scratch, a, b, c, d) else 0
         status.turned += turned - is_turned[cell]
         is_turned[cell] = turned
         cell = cell + 1 if cell + 1 < len(cells) else 0

@@ -1,4 +1,4 @@
-"""The modal local region: nonlinear springs around the load, the rest of the organ as a linear body.
+"""The modal local region: nonlinear springs or cells around the load, the rest of the organ as a linear body.
 
 Freezing the rest of the organ is wrong for a body that is loaded for longer than a few
 milliseconds. Here the nodes around the load move by their own springs, as in the paper's region, and the nodes
@@ -16,11 +16,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import kernel, part
+from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model import local_region
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.blocks import BLOCK
+from tissue_sim.model.cells import subtract_linear_cells
 from tissue_sim.model.forces import subtract_linear_edges, subtract_linear_springs
+from tissue_sim.model.local_region import driving
 from tissue_sim.model.tool_motion import add_tip_forces
 
 MOST_BOUNDARY = 256  # nodes at the edge of a region; one that has more is no local region
@@ -35,7 +37,7 @@ def forget_region(state: Any) -> None:
     """No region, and nothing that one has left behind."""
     state.region_hop[:] = -1
     state.status.region_nodes = state.status.region_boundary = 0
-    state.status.region_springs = state.status.region_hinges = 0
+    state.status.region_springs = state.status.region_hinges = state.status.region_cells = 0
     state.contact_impulse[:] = 0.0
     state.static_load[:] = 0.0
     state.offset[:] = 0.0
@@ -45,24 +47,16 @@ def forget_region(state: Any) -> None:
 
 
 @kernel
+def hops_of(model: Any) -> int:
+    """Layers around the load that move by themselves."""
+    return local_region.MODAL_HOPS if len(model.reduction.compliance) > 0 else local_region.UNTABLED_HOPS
+
+
+@kernel
 def fits(state: Any) -> bool:
     """True while the region is small enough to be a local one."""
     boundary = state.status.region_boundary
     return boundary <= MOST_BOUNDARY and state.status.region_nodes + boundary <= MOST_DRIVE
-
-
-@kernel
-def list_drive(state: Any, scratch: Any) -> None:
-    """List the nodes of the region and those at its edge, in scratch.drive_node."""
-    nodes, drive = state.status.region_nodes, driving(state, scratch)
-    copy(scratch.region_node[:nodes], drive[:nodes])
-    copy(scratch.boundary_node[: state.status.region_boundary], drive[nodes:])
-
-
-@part
-def driving(state: Any, scratch: Any) -> Any:
-    """Nodes whose loads and springs drive the rest of the organ, as list_drive has them."""
-    return scratch.drive_node[: state.status.region_nodes + state.status.region_boundary]
 
 
 @kernel
@@ -196,8 +190,8 @@ def add_rows(total: Any, first: Any, second: Any, third: Any, load: Any, scale: 
 
 
 @kernel
-def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    """Put the nodes at the region's edge where the rest of the organ has them."""
+def move_edge(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Where the rest of the organ moves the nodes at the region's edge, into scratch.edge_move (3b,) m."""
     boundary = state.status.region_boundary
     share, move, columns = scratch.edge_share, scratch.mode_move, 0
     if len(model.reduction.compliance) > 0:
@@ -206,15 +200,57 @@ def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
             share[index] /= settings.stiffness_scale
     for k in range(len(move)):
         share[columns + k] = move[k]
-    moved = scratch.edge_move[: 3 * boundary]
-    combine(scratch.edge_rows, share, columns + len(move), moved)
+    combine(scratch.edge_rows, share, columns + len(move), scratch.edge_move[: 3 * boundary])
+
+
+@kernel
+def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
+    """Put the nodes at the region's edge where the rest of the organ has them."""
+    move_edge(model, state, settings, scratch)
     nodes, position, rest, offset = scratch.boundary_node, state.position, model.rest, state.offset
-    blend = state.blend[0]
-    for b in range(boundary):
+    moved, blend = scratch.edge_move, state.blend[0]
+    for b in range(state.status.region_boundary):
         node = nodes[b]
         if model.inverse_mass[node] > 0.0:
             for c in range(3):
                 position[node, c] = rest[node, c] + moved[3 * b + c] + blend * offset[node, c]
+
+
+@kernel
+def turn_of_edge(model: Any, state: Any, scratch: Any) -> float:
+    """By how much the rest of the organ has turned the region's edge, rad: the best fit to what move_edge found.
+
+    What is linear goes on straight where it ought to go around: it is off by about as large a share.
+    """
+    count, nodes, moved, rest = state.status.region_boundary, scratch.boundary_node, scratch.edge_move, model.rest
+    mean_x = mean_y = mean_z = 0.0
+    for b in range(count):
+        node = nodes[b]
+        mean_x += rest[node, 0] / count
+        mean_y += rest[node, 1] / count
+        mean_z += rest[node, 2] / count
+    xx = yy = zz = xy = yz = zx = turn_x = turn_y = turn_z = 0.0
+    for b in range(count):
+        node = nodes[b]
+        x, y, z = rest[node, 0] - mean_x, rest[node, 1] - mean_y, rest[node, 2] - mean_z
+        u, v, w = moved[3 * b], moved[3 * b + 1], moved[3 * b + 2]
+        xx += y * y + z * z
+        yy += z * z + x * x
+        zz += x * x + y * y
+        xy -= x * y
+        yz -= y * z
+        zx -= z * x
+        turn_x += y * w - z * v
+        turn_y += z * u - x * w
+        turn_z += x * v - y * u
+    first, second, third = yy * zz - yz * yz, zx * yz - xy * zz, xy * yz - zx * yy
+    determinant = xx * first + xy * second + zx * third
+    if not determinant > 1e-9 * (xx + yy + zz) ** 3:  # no edge, or one along a line
+        return 0.0
+    about_x = first * turn_x + second * turn_y + third * turn_z
+    about_y = second * turn_x + (xx * zz - zx * zx) * turn_y + (zx * xy - xx * yz) * turn_z
+    about_z = third * turn_x + (zx * xy - xx * yz) * turn_y + (xx * yy - xy * xy) * turn_z
+    return math.sqrt(about_x * about_x + about_y * about_y + about_z * about_z) / determinant
 
 
 @kernel
@@ -302,19 +338,36 @@ def _move_outside(
 
 
 @kernel
-def measure_drive(state: Any, settings: Any, scratch: Any) -> None:
+def measure_drive(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """By how much the region's springs push differently from springs linear about rest, into scratch.drive (n, 3) N.
 
     scratch.force holds what they push now.
     """
     drive, nodes = scratch.drive, driving(state, scratch)
     copy_nodes(scratch.force, drive, nodes)
-    hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
-    subtract_linear_edges(state.position, scratch.edges.nodes[:hinges], scratch.edge_slopes, scratch.work, drive)
-    subtract_linear_springs(state.position, scratch.links.nodes[:springs], scratch.link_slopes, scratch.work, drive)
+    subtract_linear(model, state, scratch, drive)
     scale = settings.stiffness_scale
     if scale != 1.0:
         local_region.scale_nodes(drive, nodes, scale)
+
+
+@kernel
+def _subtract_springs(model: Any, state: Any, scratch: Any, force: Any) -> None:
+    hinges, springs = -(-state.status.region_hinges // BLOCK), -(-state.status.region_springs // BLOCK)
+    subtract_linear_edges(state.position, scratch.edges.nodes[:hinges], scratch.edge_slopes, scratch.work, force)
+    subtract_linear_springs(state.position, scratch.links.nodes[:springs], scratch.link_slopes, scratch.work, force)
+
+
+@kernel
+def _subtract_cells(model: Any, state: Any, scratch: Any, force: Any) -> None:
+    nodes, blocks = driving(state, scratch), -(-state.status.region_cells // BLOCK)
+    cells, slopes = scratch.cells.nodes[:blocks], scratch.cell_slopes
+    subtract_linear_cells(state.position, nodes, cells, slopes, model.tissue, scratch.work, force)
+
+
+@chosen(lambda model, *_: _subtract_cells if has(model, "tissue") else _subtract_springs)
+def subtract_linear(model: Any, state: Any, scratch: Any, force: Any) -> None:
+    """Subtract what the region would push if it were linear about rest from force (n, 3) N."""
 
 
 @kernel

@@ -10,8 +10,9 @@ from scipy.linalg import lapack
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import Model, Reduction
+from tissue_sim.model.assembly import NO_REDUCTION, Model, Reduction
 from tissue_sim.model.blocks import BLOCK, pack
+from tissue_sim.model.cells import cell_slopes
 from tissue_sim.model.modes import angular_slope, free_axes, lowest_modes, stiffness_matrix
 from tissue_sim.store import remembered
 
@@ -34,6 +35,7 @@ def reduce_model(model: Model, largest: int = LARGEST_TABLE) -> Reduction:
         compliance=made["compliance"],
         edge_slopes=_edge_slopes(model),
         link_slopes=_link_slopes(model),
+        cell_slopes=NO_REDUCTION.cell_slopes if model.tissue is None else cell_slopes(model.tissue, model.rest),
     )
 
 
@@ -56,6 +58,7 @@ def _key(model: Model, tabled: bool) -> str:
         model.angular_stiffness,
         model.return_nodes,
         model.return_stiffness,
+        *(() if model.tissue is None else (model.tissue.nodes, model.tissue.constants)),
     ):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

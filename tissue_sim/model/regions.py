@@ -18,9 +18,13 @@ from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import freshness
 
-RETURN_SHARE = 0.5  # of the region force: under it, an organ that moved as a whole takes a region again
+# Of the region force and of the largest turn: under both, an organ that moved as a whole takes a region again.
+RETURN_SHARE = 0.5
 CALM_TIME = 0.2  # s for which it has to be
 SLOWEST = 1.01  # of the time in which the far field takes up a load: the longest tick that a modal region bears
+# rad, by which the rest of the organ may turn a region's edge before the whole model moves: a modal region is then
+# off by 5 % at the most, wherever the load is (`bench region`).
+LARGEST_TURN = 0.035
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 
@@ -40,6 +44,7 @@ def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         state.status.region = Region.WHOLE
         return
     modal_region.forget_region(state)
+    scratch.mode_move[:] = 0.0  # what joins the region is at rest
     state.status.calm = 0
     state.status.region = Region.FROZEN if settings.local_region == LocalRegion.FROZEN else Region.MODAL
 
@@ -72,7 +77,7 @@ def _prepare(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     if fresh > 0:
         nodes = status.region_nodes
         local_region.spread(
-            model, state, scratch, fresh, local_region.MODAL_HOPS if modal else local_region.FROZEN_HOPS
+            model, state, scratch, fresh, modal_region.hops_of(model) if modal else local_region.FROZEN_HOPS
         )
         if modal:
             modal_region.place_joined(model, state, settings, scratch, nodes)
@@ -99,7 +104,7 @@ def _forces(model: Any, state: Any, settings: Any, scratch: Any, last: bool) -> 
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
     if state.status.region == Region.MODAL and last:
-        modal_region.measure_drive(state, settings, scratch)
+        modal_region.measure_drive(model, state, settings, scratch)
     local_region.region_return_forces(model, state, scratch)
     local_region.scale_force(state, scratch, settings.stiffness_scale)
 
@@ -130,7 +135,7 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
     """Make the region's lists from its nodes."""
     local_region.collect(model, state, scratch)
     if state.status.region == Region.MODAL:
-        modal_region.list_drive(state, scratch)
+        local_region.list_drive(state, scratch)
         if modal_region.fits(state):
             modal_region.gather_rows(model, state, scratch)
     scratch.stale[0] = 0
@@ -147,7 +152,7 @@ def _change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) ->
         return
     load = total_load(state, settings)
     if status.region != Region.WHOLE:
-        if load > settings.region_force:
+        if load > settings.region_force or is_turned(model, state, scratch, 1.0):
             leave_region(model, state, settings, scratch)
             status.calm = 0
         return
@@ -168,7 +173,14 @@ def _no_change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any)
 
 @_or(_change, _no_change)
 def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Under a load too large for a region the whole model moves; under a small one it takes a region again."""
+    """Under a load too large for a region, or that bends the organ, the whole model moves; later a region again."""
+
+
+@kernel
+def is_turned(model: Any, state: Any, scratch: Any, share: float) -> bool:
+    """True when the rest of the organ turns a modal region's edge by more than a share of what it may."""
+    modal = state.status.region == Region.MODAL
+    return modal and modal_region.turn_of_edge(model, state, scratch) > share * LARGEST_TURN
 
 
 @kernel
@@ -240,8 +252,25 @@ def watched_nodes(model: Any, state: Any, scratch: Any) -> Any:
     if state.status.region == Region.WHOLE:
         return model.moving
     if state.status.region == Region.MODAL:
-        return modal_region.driving(state, scratch)
+        return local_region.driving(state, scratch)
     return scratch.region_node[: state.status.region_nodes]
+
+
+@kernel
+def _are_moved(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> bool:
+    mark, stamp = scratch.node_mark, scratch.stamp[0]
+    listed = mark[a] == stamp and mark[b] == stamp and mark[c] == stamp and mark[d] == stamp
+    return listed or state.status.region != Region.MODAL
+
+
+@kernel
+def _always(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> bool:
+    return True
+
+
+@_or(_are_moved, _always)
+def are_placed(model: Any, state: Any, scratch: Any, a: int, b: int, c: int, d: int) -> Any:
+    """True when positions of four nodes are those of this tick; outside a modal region they wait to be looked at."""
 
 
 @kernel
@@ -300,7 +329,7 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
     modal_region.forget_region(state)
     state.status.region = Region.MODAL
     fresh = local_region.mark_loaded(state, scratch)
-    local_region.spread(model, state, scratch, fresh, local_region.MODAL_HOPS)
+    local_region.spread(model, state, scratch, fresh, modal_region.hops_of(model))
     collect(model, state, scratch)
     if not modal_region.fits(state):
         state.status.region = Region.WHOLE
@@ -308,9 +337,12 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
     add_contact_impulses(state, shapes, scratch, state.status.substeps, state.contact_impulse)
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
-    modal_region.measure_drive(state, settings, scratch)
+    modal_region.measure_drive(model, state, settings, scratch)
     modal_region.absorb_load(state, settings, scratch, 1.0)
     modal_region.keep_offset(model, state, settings, scratch)
+    modal_region.move_edge(model, state, settings, scratch)
+    if is_turned(model, state, scratch, RETURN_SHARE):
+        drop_region(state)
 
 
 @kernel

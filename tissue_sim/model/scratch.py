@@ -8,6 +8,7 @@ import numpy as np
 
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.blocks import BLOCK, empty_blocks
+from tissue_sim.model.cells import CONSTANTS
 from tissue_sim.model.contact_constraint import MOST_NEAR
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 
@@ -44,10 +45,13 @@ class Scratch(NamedTuple):
     boundary_node: Any  # (n,)
     edges: Any  # Blocks
     links: Any  # Blocks
+    cells: Any  # Blocks
     edge_slopes: Any  # their rows of Model.reduction
     link_slopes: Any
+    cell_slopes: Any
     edge_mark: Any
     link_mark: Any
+    cell_mark: Any
     node_mark: Any
     stamp: Any  # (1,) what marks hold for the lists that are valid
     stale: Any  # (1,) 1 when the region's lists have to be made again
@@ -73,6 +77,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
     # Only a model that has a local region needs room for one.
     local = 0 if model.adjacency is None else n
     region_hinges, region_links = (hinges, links) if local else (0, 0)
+    region_cells = 0 if not local or model.tissue is None else len(model.tissue.nodes) * BLOCK
     modal = modes > 0
     rows = 3 * MOST_BOUNDARY if modal else 0
     columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
@@ -118,10 +123,13 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         boundary_node=ints(local),
         edges=empty_blocks(region_hinges, 4, 8),
         links=empty_blocks(region_links, 2, 2),
+        cells=empty_blocks(region_cells, 4, CONSTANTS),
         edge_slopes=empty(*model.reduction.edge_slopes.shape),
         link_slopes=empty(*model.reduction.link_slopes.shape),
+        cell_slopes=empty(*model.reduction.cell_slopes.shape),
         edge_mark=longs(region_hinges),
         link_mark=longs(region_links),
+        cell_mark=longs(region_cells),
         node_mark=longs(local),
         stamp=longs(1),
         stale=longs(1),

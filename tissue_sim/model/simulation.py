@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle
-from tissue_sim.model.adjacency import adjacency_of
+from tissue_sim.model.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.assembly import Model, assemble, model_of
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
@@ -50,6 +50,9 @@ FINE = 1e-3
 # how fast they shiver is nothing that a hand feels. The organ's own motion is that of its modes.
 REGION_STEP = 1e-3 / 6
 
+# Cells that move as a whole with local_region auto: 0.3 ms a tick (`bench region`). A region is never so accurate.
+MOST_WHOLE = 20_000
+
 LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
 
 NO_TOOLS = make_shapes([], [])
@@ -60,9 +63,10 @@ class Simulation:
 
     organ: the organ; model: surface, volume or hybrid, as in the paper, or cells; auto: cells
     where the organ has them, or else hybrid; rate: ticks a second, Hz;
-    local_region: off; frozen (the paper's: two layers around a small load move alone); modal (one layer moves by its
-    springs, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal while the load is small,
-    else the whole model; off for cells, which move as a whole);
+    local_region: off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer
+    or two move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal
+    while the load is small and hardly turns what is around it, else the whole model; off where that takes little
+    time, which is up to MOST_WHOLE cells);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
     or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
     skeleton, so for soft return springs; not with a modal region, whose modes are those about rest);
@@ -95,9 +99,9 @@ class Simulation:
         if return_target != "rest" and local_region in ("modal", "auto"):
             raise UserError(f"return target {return_target} goes with local region off or frozen, not {local_region}")
         model = model_of(organ) if model == "auto" else model
-        if model == "cells" and local_region in ("frozen", "modal"):
-            raise UserError(f"cells move as a whole; use local region off or auto, or model hybrid, not {local_region}")
-        if model == "cells":
+        if model == "cells" and local_region == "frozen":
+            raise UserError("a frozen region is one of springs; use local region off, modal or auto, or model hybrid")
+        if model == "cells" and local_region == "auto" and len(organ.cell_nodes) <= MOST_WHOLE:
             local_region = "off"
         self.organ = organ
         self.local_region = local_region
@@ -141,7 +145,11 @@ class Simulation:
         """The model with what its local region needs."""
         if local_region == "off":
             return model
-        model = model._replace(hops=hop_table(model), adjacency=adjacency_of(model))
+        if model.tissue is None:
+            model = model._replace(hops=hop_table(model))
+        else:
+            model = with_cell_neighbours(model)
+        model = model._replace(adjacency=adjacency_of(model))
         if local_region == "frozen":
             return model
         return model._replace(reduction=reduce_model(model))

@@ -56,6 +56,7 @@ class Status(Record):
     region_nodes: int  # nodes in the local region
     region_springs: int
     region_hinges: int
+    region_cells: int
     region_boundary: int  # nodes at the region's edge that follow the modes
 
 

@@ -68,7 +68,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     if status.snapped:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
-            check_cells(model, state)
+            check_cells(model, state, scratch)
             follow_held(state)
             return
         status.snapped = False
@@ -80,22 +80,27 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     implicit = settings.integrator == Integrator.IMPLICIT
     whole = status.region == Region.WHOLE and (not implicit or steps_implicitly(model, state, settings))
     begun = status.region == Region.WHOLE and not steps_implicitly(model, state, settings)
+    # The first forces tell how stiff the cells are.
     if begun:
-        whole_forces(model, state.position, settings, scratch)  # these tell how stiff the cells are
+        whole_forces(model, state.position, settings, scratch)
+    regional = is_region_of_cells(model, state)
+    if regional:
+        region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if whole else settings.region_substeps
-    substeps = wanted * status.backoff * caution(model, state, begun)
+    substeps = wanted * status.backoff * caution(model, state, begun or regional)
     looking = begun and begin_look(state, substeps, scratch)
     eased = substeps < status.substeps
     status.substeps = substeps
     set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
     for substep in range(substeps):
         first = substep == 0
-        advance_substep(model, state, shapes, settings, scratch, substep, substeps, begun and first, eased and first)
+        known = first and (begun or (regional and substeps > 1))  # the last one of a region tells more
+        advance_substep(model, state, shapes, settings, scratch, substep, substeps, known, eased and first)
     if looking:
         end_look(state, scratch)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
-    check_cells(model, state)
+    check_cells(model, state, scratch)
     report_wrenches(state, shapes, settings, scratch)
     change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
@@ -144,6 +149,21 @@ def has_stiff_cells(model: Any) -> Any:
 
 
 @kernel
+def _in_a_region(model: Any, state: Any) -> bool:
+    return state.status.region != Region.WHOLE
+
+
+@kernel
+def _in_none(model: Any, state: Any) -> bool:
+    return False
+
+
+@chosen(lambda model, *_: _in_a_region if has(model, "tissue") and has(model, "adjacency") else _in_none)
+def is_region_of_cells(model: Any, state: Any) -> Any:
+    """True when this tick moves the cells around a load."""
+
+
+@kernel
 def caution(model: Any, state: Any, begun: bool) -> int:
     """Factor on the substeps while cells are squeezed or inside out, or nodes shiver: tissue is stiffer then.
 
@@ -179,7 +199,7 @@ def advance_substep(
             whole_forces(model, scratch.predicted, settings, scratch)
         elif not begun:
             whole_forces(model, state.position, settings, scratch)
-    else:
+    elif not begun:
         region_forces(model, state, settings, scratch, substep == substeps - 1)
     add_loads(state, settings, scratch.force)
     if implicit and eased:
