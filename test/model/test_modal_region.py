@@ -10,7 +10,7 @@ from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import reduction
-from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE, turn_of_edge
+from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE, edge_gradient
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.regions import CALM_TIME, RETURN_SHARE
 from tissue_sim.model.simulation import Simulation
@@ -187,21 +187,21 @@ def test_what_joins_a_new_region_is_at_rest_whatever_the_last_one_did(organ):
     np.testing.assert_array_equal(used.positions, new.positions)
 
 
-def test_turn_of_the_edge_is_that_of_the_best_fit():
-    organ = ball(3)
+@pytest.mark.parametrize("organ", [ball(3), ball_of_cells()], ids=["springs", "cells"])
+def test_gradient_at_the_edge_is_that_of_the_best_fit(organ):
     simulation = Simulation(organ, local_region="modal")
     model, state, scratch = simulation.model, simulation.state, simulation.scratch
     simulation.apply_force(near(organ, UP)[0], [0.0, 0.0, -0.01])
     simulation.step()
     edge = model.rest[scratch.boundary_node[: state.status.region_boundary]]
-    axis = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
-    moved = np.cross(0.03 * axis, edge) + [0.001, 0.002, -0.004]
-    # Neither what grows nor what goes along turns it.
-    scratch.edge_move[: edge.size] = (moved + 0.02 * (edge - edge.mean(axis=0))).ravel()
-    assert turn_of_edge(model, state, scratch) == pytest.approx(0.03, rel=1e-4)
+    gradient = 0.03 * np.random.default_rng(1).standard_normal((3, 3))
+    scratch.edge_move[: edge.size] = (edge @ gradient.T + [0.001, 0.002, -0.004]).ravel()
+    assert edge_gradient(model, state, scratch) == pytest.approx(np.linalg.norm(gradient), rel=0.02)
+    state.status.region_boundary = 0
+    assert edge_gradient(model, state, scratch) == 0.0
 
 
-def test_auto_hands_over_when_the_load_turns_what_is_around_it_and_stays_whole_under_it():
+def test_auto_hands_over_when_the_load_bends_what_is_around_it_and_stays_whole_under_it():
     organ = ball(3)
     simulation = Simulation(organ, local_region="auto")
     nodes, forces = patch(organ, SIDE)

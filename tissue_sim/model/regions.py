@@ -18,13 +18,13 @@ from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import freshness
 
-# Of the region force and of the largest turn: under both, an organ that moved as a whole takes a region again.
+# Of the region force and of the steepest edge: under both, an organ that moved as a whole takes a region again.
 RETURN_SHARE = 0.5
 CALM_TIME = 0.2  # s for which it has to be
 SLOWEST = 1.01  # of the time in which the far field takes up a load: the longest tick that a modal region bears
-# rad, by which the rest of the organ may turn a region's edge before the whole model moves: a modal region is then
-# off by 5 % at the most, wherever the load is (`bench region`).
-LARGEST_TURN = 0.035
+# Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
+# at the most, wherever the load is (`bench region`).
+STEEPEST_EDGE = 0.04
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 
 
@@ -152,7 +152,7 @@ def _change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) ->
         return
     load = total_load(state, settings)
     if status.region != Region.WHOLE:
-        if load > settings.region_force or is_turned(model, state, scratch, 1.0):
+        if load > settings.region_force or is_bent(model, state, scratch, 1.0):
             leave_region(model, state, settings, scratch)
             status.calm = 0
         return
@@ -177,10 +177,10 @@ def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: A
 
 
 @kernel
-def is_turned(model: Any, state: Any, scratch: Any, share: float) -> bool:
-    """True when the rest of the organ turns a modal region's edge by more than a share of what it may."""
+def is_bent(model: Any, state: Any, scratch: Any, share: float) -> bool:
+    """True when a load turns and strains what is around a modal region by more than a share of what it may."""
     modal = state.status.region == Region.MODAL
-    return modal and modal_region.turn_of_edge(model, state, scratch) > share * LARGEST_TURN
+    return modal and modal_region.edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
 
 
 @kernel
@@ -341,7 +341,7 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
     modal_region.absorb_load(state, settings, scratch, 1.0)
     modal_region.keep_offset(model, state, settings, scratch)
     modal_region.move_edge(model, state, settings, scratch)
-    if is_turned(model, state, scratch, RETURN_SHARE):
+    if is_bent(model, state, scratch, RETURN_SHARE):
         drop_region(state)
 
 

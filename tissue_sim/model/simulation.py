@@ -65,7 +65,7 @@ class Simulation:
     where the organ has them, or else hybrid; rate: ticks a second, Hz;
     local_region: off; frozen (the paper's: two layers around a small load move alone; of springs only); modal (a layer
     or two move by their springs or cells, the rest as a linear body; below 200 Hz the whole organ moves); auto (modal
-    while the load is small and hardly turns what is around it, else the whole model; off where that takes little
+    while the load is small and hardly bends what is around it, else the whole model; off where that takes little
     time, which is up to MOST_WHOLE cells);
     shapes: the rigid tools that may touch it; return_target: where return springs pull to, the rest position
     or the boundary that the skeleton, as it stands, has implied (once a tick, and without pushing back on the
