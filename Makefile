@@ -23,11 +23,11 @@ demo: .venv/.installed-demo ## node, scripted haptic bridge and viewer (http://1
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
 
 # Kernels are compiled before several processes would all do it. Three at once, as those with real processes mostly wait;
-# loadfile: a file's nodes and organs are made once. What shares cores has no threads of its own, that would only wait.
-# 5: none was selected.
+# loadfile: a file's nodes and organs are made once, in the order of test/conftest.py. What shares cores has no threads of
+# its own, that would only wait. 5: none was selected.
 test: lint ## checks and tests; PYTEST="-k node" for some of them
 	@$(PY) .ci/compile
-	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist loadfile $(PYTEST) || [ $$? = 5 ]
+	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)

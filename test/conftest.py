@@ -45,3 +45,8 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(
             "_ROS_WHEELS_BOOTSTRAP_COMPLETE is set but LD_LIBRARY_PATH lacks the ROS wheels; unset it and run again"
         )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What starts processes comes first: it takes long and waits, and would go on alone at the end."""
+    items.sort(key=lambda item: not {"ros", "bench"} & set(item.path.parts))

@@ -62,10 +62,16 @@ def test_jaws_open_from_the_page_and_only_when_somebody_asks(tmp_path, open_page
         page.wait(lambda: False, 1.0)
         listener.spin(0.1)
         assert not heard
-        page.slide(40.0)
-        assert page.wait(lambda: abs(np.degrees(page.view.opening or 0.0) - 40.0) < 0.1), node.text()
-        assert page.wait(lambda: not page.poke.jaws._jaws.moving)
-        assert listener.spin_until(lambda: heard and heard[-1].position[0] == pytest.approx(np.radians(40.0), abs=1e-3))
+
+        def is_heard(degrees):
+            page.slide(degrees)
+            assert page.wait(lambda: abs(np.degrees(page.view.opening or 0.0) - degrees) < 0.1), node.text()
+            assert page.wait(lambda: not page.poke.jaws._jaws.moving)
+            wanted = pytest.approx(np.radians(degrees), abs=1e-3)
+            return listener.spin_until(lambda: heard and heard[-1].position[0] == wanted, timeout=5.0)
+
+        # The last of a move may be lost, as best effort allows, and jaws that stand are silent.
+        assert any(is_heard(degrees) for degrees in (40.0, 35.0, 40.0, 35.0, 40.0))
 
         bridge = listener.node.create_publisher(JointState, "left/gripper/measured_js", qos_profile_sensor_data)
         page.wait(lambda: False, 1.5)
