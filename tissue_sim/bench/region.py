@@ -52,7 +52,7 @@ class PlaceErrors(NamedTuple):
 
 
 class SizeErrors(NamedTuple):
-    """A bean of cells of some size: ticks of the whole and of a region, and its worst errors, % of the whole model."""
+    """A bean of cells of some size: ticks of the whole and of a region, and worst errors of one that hands over, %."""
 
     points: int
     cells: int
@@ -173,6 +173,7 @@ def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
     timings = interleave(Phase(bursts, seconds, "sizes")) if bursts else {}
     found = []
     for count, (organ, whole, modal, auto) in made.items():
+        modal.settings.local_region = LocalRegion.AUTO  # from here on it hands over
         errors: list[tuple[float, float]] = []
         for place in tqdm(places(organ, 0), disable=None, desc=f"{count} points", unit="place"):
             unit = unit_load(organ, place)
@@ -217,7 +218,7 @@ def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found:
         rows.append([*number, *errors, taken, frozen, f"{case.linear:.1f}"])
     lines = [f"organ '{organ.name}': settled surface, {PATCH_NODES}-node patches, relative L2", *aligned(rows)]
     if sizes:
-        rows = [["points", "cells", "whole us", "modal us", "modal %, small", "3 mm", "auto takes"]]
+        rows = [["points", "cells", "whole us", "modal us", "handing over %, small", "3 mm", "auto takes"]]
         for size in sizes:
             times = [figure(1e6 * size.whole.median), figure(1e6 * size.modal.median)]
             errors = [f"{size.small:.1f}", f"{size.dented:.1f}", "a region" if size.auto else "the whole"]
