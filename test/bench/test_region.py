@@ -8,7 +8,7 @@ import pytest
 from helpers.scenes import ball, ball_of_cells, kidney
 from tissue_sim.bench.region import SMALL, WHOLE_NONLINEAR, as_json, measure, measure_sizes, off, places
 from tissue_sim.cli import main
-from tissue_sim.model.simulation import MOST_WHOLE
+from tissue_sim.model.simulation import MOST_WHOLE, Simulation
 
 
 @pytest.fixture(scope="module", params=["springs", "cells"])
@@ -43,7 +43,7 @@ def test_missed_bound_is_told(cases):
 
 def test_places_are_away_from_what_is_held_and_reach_the_ends():
     organ = kidney()
-    found = places(organ, 3)
+    found = places(Simulation(organ), 3)
     assert len(found) == len(set(found)) >= 6
     x = organ.surface_positions
     apart = np.linalg.norm(x[found][:, None] - x[organ.fixed], axis=2).min(axis=1)

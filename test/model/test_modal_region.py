@@ -10,7 +10,7 @@ from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model import reduction
-from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE, edge_gradient
+from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.regions import CALM_TIME, RETURN_SHARE
 from tissue_sim.model.simulation import Simulation
@@ -185,20 +185,6 @@ def test_what_joins_a_new_region_is_at_rest_whatever_the_last_one_did(organ):
         simulation.apply_force(nodes, 0.1 * forces[nodes])
         simulation.step()
     np.testing.assert_array_equal(used.positions, new.positions)
-
-
-@pytest.mark.parametrize("organ", [ball(3), ball_of_cells()], ids=["springs", "cells"])
-def test_gradient_at_the_edge_is_that_of_the_best_fit(organ):
-    simulation = Simulation(organ, local_region="modal")
-    model, state, scratch = simulation.model, simulation.state, simulation.scratch
-    simulation.apply_force(near(organ, UP)[0], [0.0, 0.0, -0.01])
-    simulation.step()
-    edge = model.rest[scratch.boundary_node[: state.status.region_boundary]]
-    gradient = 0.03 * np.random.default_rng(1).standard_normal((3, 3))
-    scratch.edge_move[: edge.size] = (edge @ gradient.T + [0.001, 0.002, -0.004]).ravel()
-    assert edge_gradient(model, state, scratch) == pytest.approx(np.linalg.norm(gradient), rel=0.02)
-    state.status.region_boundary = 0
-    assert edge_gradient(model, state, scratch) == 0.0
 
 
 def test_auto_hands_over_when_the_load_bends_what_is_around_it_and_stays_whole_under_it():

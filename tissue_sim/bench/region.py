@@ -21,7 +21,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.settings import LocalRegion
-from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.simulation import Simulation, moves_whole
 from tissue_sim.model.state import Region
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -93,7 +93,7 @@ def measure(organ: Organ, count: int) -> list[PlaceErrors]:
     tangent = stiffness_matrix(whole.model)[free][:, free].tocsc()
     linear = splu(tangent, permc_spec="MMD_AT_PLUS_A")
     cases = []
-    for place in tqdm(places(organ, count), disable=None, desc="region", unit="place"):
+    for place in tqdm(places(whole, count), disable=None, desc="region", unit="place"):
         unit = unit_load(organ, place)
         for force, answer, whole_settled in answers(whole, unit, place):
             load = np.zeros(3 * organ.n_nodes)
@@ -128,9 +128,10 @@ def regional(organ: Organ, kind: str) -> Simulation:
     return simulation
 
 
-def places(organ: Organ, count: int) -> list[int]:
+def places(whole: Simulation, count: int) -> list[int]:
     """Surface nodes to press: the outermost along each axis, and `count` at random; none near what is held."""
-    hops = hop_table(Simulation(organ).model, organ.n_surface)
+    organ = whole.organ
+    hops = hop_table(whole.model, organ.n_surface)
     far = np.flatnonzero(hops[organ.fixed].min(axis=0) > FAR_HOPS) if len(organ.fixed) else np.arange(organ.n_surface)
     along = organ.surface_positions[far]
     ends = np.concatenate([far[along.argmax(axis=0)], far[along.argmin(axis=0)]])
@@ -165,25 +166,25 @@ def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
     made = {}
     for count in tqdm(points, disable=None, desc="sizes", unit="organ"):
         organ = prepared(bean(count), Settings())
-        made[count] = organ, Simulation(organ), regional(organ, "modal"), Simulation(organ, local_region="auto")
+        made[count] = organ, Simulation(organ), regional(organ, "modal")
     bursts: dict[str, Ticks] = {}
-    for count, (organ, whole, modal, _) in made.items():
+    for count, (organ, whole, modal) in made.items():
         nodes, forces = patch_load(organ, PRESS * min(points) / count)
         bursts[f"whole {count}"], bursts[f"modal {count}"] = Ticks(whole, nodes, forces), Ticks(modal, nodes, forces)
     timings = interleave(Phase(bursts, seconds, "sizes")) if bursts else {}
     found = []
-    for count, (organ, whole, modal, auto) in made.items():
+    for count, (organ, whole, modal) in made.items():
         modal.settings.local_region = LocalRegion.AUTO  # from here on it hands over
         errors: list[tuple[float, float]] = []
-        for place in tqdm(places(organ, 0), disable=None, desc=f"{count} points", unit="place"):
+        for place in tqdm(places(whole, 0), disable=None, desc=f"{count} points", unit="place"):
             unit = unit_load(organ, place)
             cases = [(force, answer) for force, answer, _ in islice(answers(whole, unit, place), 2)]
             small, dented = (off(modal.settle(force * unit, TOLERANCE, LONGEST)[0], answer) for force, answer in cases)
             errors.append((small, dented))
         small, dented = np.max(errors, axis=0)
         times = timings[f"whole {count}"], timings[f"modal {count}"]
-        taken = auto.local_region == "auto"
-        found.append(SizeErrors(count, len(organ.cell_nodes), *times, taken, float(small), float(dented)))
+        taken, cells = not moves_whole(organ), len(organ.cell_nodes)
+        found.append(SizeErrors(count, cells, *times, taken, float(small), float(dented)))
     return found
 
 

@@ -157,25 +157,37 @@ def _resist(work: Any, constant: Any) -> int:
 
 
 @kernel
-def cell_forces_among(
-    position: Any, among: Any, nodes: Any, constants: Any, tissue: Any, work: Any, force: Any
-) -> None:
-    """The same of some of the cells, which have no other nodes than those `among` (k,), in blocks of their own."""
+def _spread(position: Any, among: Any, tissue: Any) -> None:
+    """Put the positions of nodes among (k,) where blocks are gathered from, and clear where they are scattered to."""
     wide, push = tissue.position, tissue.force
-    stiff = 0
     for index in range(len(among)):
         node = among[index]
         x, y, z = position[node, 0], position[node, 1], position[node, 2]
         wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
         push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
-    for block in range(len(nodes)):
-        gather_arms(wide, nodes[block], work)
-        stiff += _resist(work, constants[block])
-        scatter_arms(push, nodes[block], work)
+
+
+@kernel
+def _add_scattered(tissue: Any, among: Any, share: float, force: Any) -> None:
+    """Add a share of what was scattered to nodes among (k,) to force (n, 3) N."""
     for index in range(len(among)):
         node = among[index]
         for axis in range(3):
-            force[node, axis] += push[node, axis]
+            force[node, axis] += share * tissue.force[node, axis]
+
+
+@kernel
+def cell_forces_among(
+    position: Any, among: Any, nodes: Any, constants: Any, tissue: Any, work: Any, force: Any
+) -> None:
+    """The same of some of the cells, which have no other nodes than those `among` (k,), in blocks of their own."""
+    stiff = 0
+    _spread(position, among, tissue)
+    for block in range(len(nodes)):
+        gather_arms(tissue.position, nodes[block], work)
+        stiff += _resist(work, constants[block])
+        scatter_arms(tissue.force, nodes[block], work)
+    _add_scattered(tissue, among, 1.0, force)
     tissue.stiff[0] = stiff
 
 
@@ -184,20 +196,12 @@ def subtract_linear_cells(
     position: Any, among: Any, nodes: Any, slopes: Any, tissue: Any, work: Any, force: Any
 ) -> None:
     """Subtract what some of the cells would push if they were linear about rest; slopes as cell_slopes has them."""
-    wide, push = tissue.position, tissue.force
-    for index in range(len(among)):
-        node = among[index]
-        x, y, z = position[node, 0], position[node, 1], position[node, 2]
-        wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
-        push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
+    _spread(position, among, tissue)
     for block in range(len(nodes)):
-        gather_arms(wide, nodes[block], work)
+        gather_arms(tissue.position, nodes[block], work)
         _resist_linearly(work, slopes[block])
-        scatter_arms(push, nodes[block], work)
-    for index in range(len(among)):
-        node = among[index]
-        for axis in range(3):
-            force[node, axis] -= push[node, axis]
+        scatter_arms(tissue.force, nodes[block], work)
+    _add_scattered(tissue, among, -1.0, force)
 
 
 @kernel

@@ -29,7 +29,6 @@ MOST_BOUNDARY = 256  # nodes at the edge of a region; one that has more is no lo
 MOST_DRIVE = 640  # nodes in the region and at its edge
 LOAD_TIME = 0.005  # s in which the far field takes up a changed load; shorter, a held tool and it would swing
 OFFSET_TIME = 0.25  # s in which an offset fades
-FLAT = 1e-3  # of an edge's extent, squared, that it has every way: one that lies in a plane tells nothing across
 FASTEST = 1.0  # rad in a tick; modes above it would kick the region's edge, and follow the load without inertia instead
 
 
@@ -215,44 +214,6 @@ def place_boundary(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         if model.inverse_mass[node] > 0.0:
             for c in range(3):
                 position[node, c] = rest[node, c] + moved[3 * b + c] + blend * offset[node, c]
-
-
-@kernel
-def edge_gradient(model: Any, state: Any, scratch: Any) -> float:
-    """By how much the rest of the organ turns and strains the region's edge: the displacement's gradient there.
-
-    Frobenius norm, of the best fit to what move_edge found. What is linear goes on straight where it ought to go
-    around, and is off by about as large a share.
-    """
-    count, nodes, moved, rest = state.status.region_boundary, scratch.boundary_node, scratch.edge_move, model.rest
-    mean_x = mean_y = mean_z = 0.0
-    for b in range(count):
-        node = nodes[b]
-        mean_x += rest[node, 0] / count
-        mean_y += rest[node, 1] / count
-        mean_z += rest[node, 2] / count
-    xx = yy = zz = xy = yz = zx = 0.0
-    ux = uy = uz = vx = vy = vz = wx = wy = wz = 0.0
-    for b in range(count):
-        node = nodes[b]
-        x, y, z = rest[node, 0] - mean_x, rest[node, 1] - mean_y, rest[node, 2] - mean_z
-        u, v, w = moved[3 * b], moved[3 * b + 1], moved[3 * b + 2]
-        xx, yy, zz, xy, yz, zx = xx + x * x, yy + y * y, zz + z * z, xy + x * y, yz + y * z, zx + z * x
-        ux, uy, uz = ux + u * x, uy + u * y, uz + u * z
-        vx, vy, vz = vx + v * x, vy + v * y, vz + v * z
-        wx, wy, wz = wx + w * x, wy + w * y, wz + w * z
-    flat = FLAT * (xx + yy + zz)
-    xx, yy, zz = xx + flat, yy + flat, zz + flat
-    ax, ay, az = yy * zz - yz * yz, zx * yz - xy * zz, xy * yz - zx * yy
-    by, bz, cz = xx * zz - zx * zx, zx * xy - xx * yz, xx * yy - xy * xy
-    determinant = xx * ax + xy * ay + zx * az
-    if not determinant > 0.0:  # no edge
-        return 0.0
-    square = 0.0
-    for x, y, z in ((ux, uy, uz), (vx, vy, vz), (wx, wy, wz)):
-        p, q, r = ax * x + ay * y + az * z, ay * x + by * y + bz * z, az * x + bz * y + cz * z
-        square += p * p + q * q + r * r
-    return math.sqrt(square) / determinant
 
 
 @kernel

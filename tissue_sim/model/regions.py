@@ -14,6 +14,7 @@ from tissue_sim.jit import chosen, has, kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.contact_constraint import add_contact_impulses
+from tissue_sim.model.edge_gradient import edge_gradient
 from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import freshness
@@ -180,7 +181,7 @@ def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: A
 def is_bent(model: Any, state: Any, scratch: Any, share: float) -> bool:
     """True when a load turns and strains what is around a modal region by more than a share of what it may."""
     modal = state.status.region == Region.MODAL
-    return modal and modal_region.edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
+    return modal and edge_gradient(model, state, scratch) > share * STEEPEST_EDGE
 
 
 @kernel

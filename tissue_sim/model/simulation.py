@@ -101,7 +101,7 @@ class Simulation:
         model = model_of(organ) if model == "auto" else model
         if model == "cells" and local_region == "frozen":
             raise UserError("a frozen region is one of springs; use local region off, modal or auto, or model hybrid")
-        if model == "cells" and local_region == "auto" and len(organ.cell_nodes) <= MOST_WHOLE:
+        if model == "cells" and local_region == "auto" and moves_whole(organ):
             local_region = "off"
         self.organ = organ
         self.local_region = local_region
@@ -358,6 +358,11 @@ class Simulation:
         if self.state.status.region != Region.WHOLE:
             nodes = self.scratch.moved_node[: self.scratch.moved[0]]
         return float(np.linalg.norm(force[nodes]))
+
+
+def moves_whole(organ: Organ) -> bool:
+    """True for an organ whose cells `auto` moves as a whole."""
+    return len(organ.cell_nodes) <= MOST_WHOLE
 
 
 def sphere_tools(radius: ArrayLike) -> Shapes:
