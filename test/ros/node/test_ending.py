@@ -42,6 +42,13 @@ def test_what_was_left_half_made_is_deleted_without_a_traceback():
     assert (done.returncode, done.stderr) == (0, "tissue_node: ended while starting\n")
 
 
+def test_nothing_is_raised_inside_the_compiler():
+    """It may crash on what it leaves half made: the process ends without it."""
+    body = "import os, signal, time; os.kill(os.getpid(), signal.SIGTERM); time.sleep(0.1); print(1, flush=True)"
+    done = run(f'exec("{body}", {{"__name__": "llvmlite.binding"}})')
+    assert (done.returncode, done.stdout, done.stderr) == (0, "1\n", "tissue_node: ended while starting\n")
+
+
 def test_other_errors_there_are_still_shown():
     assert "ZeroDivisionError" in run("1 / 0", then_sleeps=0.0).stderr
 

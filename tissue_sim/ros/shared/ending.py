@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -21,10 +22,10 @@ class Interrupted(BaseException):
 class Ending:
     """Notices the signals, also while the main thread is inside the compiler, which no Python handler interrupts.
 
-    While starting, a signal raises Interrupted in the main thread; where that comes too late, the process ends
-    without it: no bag is open yet, and no force was published. Once running, the node closes; one that
-    can't in 5 s ends as it is. Further signals change nothing: a launcher often sends its own after the
-    terminal's. Make it in the main thread.
+    While starting, a signal raises Interrupted in the main thread; where that comes too late, and inside the
+    compiler, which may crash on what it would leave half made, the process ends without it: no bag is open yet, and
+    no force was published. Once running, the node closes; one that can't in 5 s ends as it is. Further signals change
+    nothing: a launcher often sends its own after the terminal's. Make it in the main thread.
     """
 
     def __init__(self) -> None:
@@ -48,15 +49,16 @@ class Ending:
         """The main thread is able to close what there is."""
         self._starting = False
 
-    def _on_signal(self, *_: Any) -> None:
+    def _on_signal(self, _: int, frame: FrameType | None) -> None:
         """In the main thread, as soon as it is back in Python."""
         self.asked.set()
-        if self._starting and not self._raised:  # a second one must not disturb what the first one has begun
+        # A second one must not disturb what the first one has begun.
+        if self._starting and not self._raised and not _is_compiling(frame):
             self._raised = True
             raise Interrupted
 
     def _on_unraisable(self, unraisable: Any) -> None:
-        """Interrupted is lost in a callback from C, as the compiler has them; what it left half made fails once more.
+        """Interrupted is lost in a callback from C, and what it left half made fails once more.
 
         The process ends all the same.
         """
@@ -73,6 +75,15 @@ class Ending:
             _leave(0, "ended while starting")
         time.sleep(GRACE)
         _leave(1, f"could not close in {GRACE:g} s")
+
+
+def _is_compiling(frame: FrameType | None) -> bool:
+    """Whether the compiler's code is running, or what it calls."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").partition(".")[0] in ("numba", "llvmlite"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _leave(code: int, line: str) -> None:
