@@ -40,3 +40,16 @@ def test_winding_number_changes_sign_with_the_triangles():
     flipped = organ.surface_triangles[:, ::-1]
     assert signed_volume(organ.surface_positions, flipped) < 0.0
     assert winding_number(np.zeros((1, 3)), organ.surface_positions, flipped)[0] == pytest.approx(-1.0)
+
+
+def test_winding_number_is_that_of_the_solid_angles_in_numpy():
+    organ = kidney()
+    corners = organ.surface_positions[organ.surface_triangles]
+    points = organ.surface_positions.mean(axis=0) + np.random.default_rng(1).normal(0.0, 0.02, (40, 3))
+    a, b, c = (corners[None, :, k] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+    below = la * lb * lc + (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
+    angles = 2.0 * np.arctan2(np.linalg.det(np.stack([a, b, c], axis=2)), below)
+    expected = angles.sum(axis=1) / (4.0 * np.pi)
+    found = winding_number(points, organ.surface_positions, organ.surface_triangles)
+    np.testing.assert_allclose(found, expected, atol=1e-12)

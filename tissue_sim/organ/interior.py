@@ -15,12 +15,12 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.medial import nearest_atoms
+from tissue_sim.organ.surfaces.intersections import is_crossed
 from tissue_sim.organ.winding import inside
 
 _SHARES = np.linspace(0.1, 0.9, 17)  # of a spoke's length, from the medial atom
 _WALL = 2.0  # atoms keep half as far from the boundary as from each other
 _LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, half of how thick it is, what is deeper
-_PROBES = np.linspace(0.04, 1.0, 24)  # of the way from the medial atom to an interior atom, looked at from inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,7 @@ def place_interior_atoms(
     share = np.tile(_SHARES, len(surface))
     places = atoms[spoke[:, 0]] + share[:, None] * (surface[spoke[:, 1]] - atoms[spoke[:, 0]])
     apart, depth = cKDTree(atoms).query(places)[0], cKDTree(surface).query(places)[0]
+    corners, within, tree = surface[triangles], inside(atoms, surface, triangles), cKDTree(places)
     chosen: list[int] = []
 
     def choose(until: int, room: Floats) -> None:
@@ -67,11 +68,12 @@ def place_interior_atoms(
             best = int(room.argmax())
             if room[best] <= 0.0:
                 return
-            start = atoms[spoke[best, 0]]
-            way = start + _PROBES[:, None] * (places[best] - start)
-            if np.all(inside(way, surface, triangles)):
+            atom = spoke[best, 0]
+            if within[atom] and not is_crossed(atoms[atom], places[best], corners):
                 chosen.append(best)
-                room[:] = np.minimum(room, np.linalg.norm(places - places[best], axis=1))
+                # No place has more room than this one, so only nearer ones lose any.
+                near = tree.query_ball_point(places[best], room[best])
+                room[near] = np.minimum(room[near], np.linalg.norm(places[near] - places[best], axis=1))
                 room[best] = 0.0
             else:
                 last = (best // len(_SHARES) + 1) * len(_SHARES)

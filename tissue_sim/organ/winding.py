@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Ints
+from tissue_sim.jit import kernel
 
 
 def winding_number(points: Floats, positions: Floats, triangles: Ints) -> Floats:
@@ -14,20 +18,30 @@ def winding_number(points: Floats, positions: Floats, triangles: Ints) -> Floats
     points (p, 3), positions (n, 3), triangles (t, 3). Sum of the triangles' solid angles
     (van Oosterom & Strackee 1983).
     """
-    corners = positions[triangles]
-    total = np.empty(len(points))
-    for start in range(0, len(points), 256):
-        a, b, c = (corners[None, :, k] - points[start : start + 256, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
-        numerator = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
-        denominator = la * lb * lc
-        denominator += np.einsum("ijk,ijk->ij", a, b) * lc
-        denominator += np.einsum("ijk,ijk->ij", b, c) * la
-        denominator += np.einsum("ijk,ijk->ij", c, a) * lb
-        total[start : start + 256] = np.arctan2(numerator, denominator).sum(axis=1) / (2.0 * np.pi)
-    return total
+    found = np.empty(len(points))
+    _add_angles(np.asarray(points, dtype=np.float64), np.asarray(positions[triangles], dtype=np.float64), found)
+    return found
 
 
 def inside(points: Floats, positions: Floats, triangles: Ints) -> NDArray[np.bool_]:
     """Whether each of points (p, 3) lies inside the closed outward surface."""
     return winding_number(points, positions, triangles) > 0.5
+
+
+@kernel
+def _add_angles(points: Any, corners: Any, found: Any) -> None:
+    for p in range(len(points)):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        total = 0.0
+        for t in range(len(corners)):
+            ax, ay, az = corners[t, 0, 0] - x, corners[t, 0, 1] - y, corners[t, 0, 2] - z
+            bx, by, bz = corners[t, 1, 0] - x, corners[t, 1, 1] - y, corners[t, 1, 2] - z
+            cx, cy, cz = corners[t, 2, 0] - x, corners[t, 2, 1] - y, corners[t, 2, 2] - z
+            la = math.sqrt(ax * ax + ay * ay + az * az)
+            lb = math.sqrt(bx * bx + by * by + bz * bz)
+            lc = math.sqrt(cx * cx + cy * cy + cz * cz)
+            volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            below = la * lb * lc + (ax * bx + ay * by + az * bz) * lc
+            below += (bx * cx + by * cy + bz * cz) * la + (cx * ax + cy * ay + cz * az) * lb
+            total += math.atan2(volume, below)
+        found[p] = total / (2.0 * math.pi)

@@ -1,4 +1,4 @@
-"""Places where a triangle surface cuts through itself."""
+"""Places where a triangle surface cuts through itself, and segments that run through it."""
 
 from __future__ import annotations
 
@@ -20,6 +20,15 @@ def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
     low, cell, shape = cells_of(corner)
     start, member = _cells(corner, low, cell, shape)
     return _pairs(corner, np.ascontiguousarray(triangles), low, cell, shape, start, member)
+
+
+@kernel
+def is_crossed(start, end, corner):  # type: ignore[no-untyped-def]
+    """Does the segment between two points (3,) run through any triangle of (t, 3, 3)?"""
+    for t in range(corner.shape[0]):  # noqa: SIM110
+        if _hits(start, end, corner[t]):
+            return True
+    return False
 
 
 @kernel
