@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.array_types import Floats, Ints
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 
 
-def winding_number(points: Floats, positions: Floats, triangles: Ints) -> Floats:
+def winding_number(points: Floats, positions: Floats, triangles: Ints | Longs) -> Floats:
     """Winding number of a closed surface about each point, (p,): 1 inside, 0 outside.
 
     points (p, 3), positions (n, 3), triangles (t, 3). Sum of the triangles' solid angles

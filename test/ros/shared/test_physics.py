@@ -11,11 +11,8 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.shared.physics import Physics
 
 
-def test_contact_forces_never_vanish_while_pressed():
-    """Whenever they are read, an organ that is pressed shows it: no frame of a viewer goes dark.
-
-    One read in a hundred falls into a substep's iterations, where they are not yet those of the wrench.
-    """
+def test_contact_forces_are_of_whole_ticks():
+    """Whenever they are read, an organ that is pressed shows who presses it: no frame of a viewer goes dark."""
     organ = ball(2)
     scene = Scene(organ, [Tool("left", "sphere", 0.005)])
     scene.simulation.settings.stale_time = 1e9  # a busy machine is no stale hand
@@ -31,14 +28,12 @@ def test_contact_forces_never_vanish_while_pressed():
     try:
         while physics.results().status.touching == 0:
             time.sleep(1e-3)
-        ratios = []
         for _ in range(300):
             physics.post_pose(0, held)
             _, wrenches = physics.wrenches()
-            ratios.append(physics.contact_forces().sum() / np.linalg.norm(wrenches[0, :3]))
+            forces = physics.contact_forces()
+            assert forces.sum() == pytest.approx(np.linalg.norm(wrenches[0, :3]), rel=0.3)
             time.sleep(3e-4)  # at other phases of a tick
     finally:
         physics.stop()
     assert wrenches[0, 2] > 0.01, "N, in the hand"
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.1)
-    assert min(ratios) > 0.1

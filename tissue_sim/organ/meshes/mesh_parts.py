@@ -21,10 +21,10 @@ from tissue_sim.organ.meshes.mesh_repair import (
     holes,
     longest_side,
     once_used_edges,
-    winds_around,
     without_doubles,
     wound_alike,
 )
+from tissue_sim.organ.winding import winding_number
 
 _DOMINANT = 0.9  # of the volume of all parts: the largest is meant, the others are scraps
 _HOLLOW = 0.5  # of the outer surface's volume: an inner surface that takes more makes a shell
@@ -161,7 +161,7 @@ def _inside(outer: Part, other: Part) -> bool:
     few = other.positions[np.linspace(0, len(other.positions) - 1, 5).astype(int)]
     filled = fill(outer.positions, outer.triangles, outer.gaps) if outer.gaps else None
     triangles = outer.triangles if filled is None else filled
-    return bool(np.all(winds_around(outer.positions, triangles, few)))
+    return bool(np.all(np.abs(winding_number(few, outer.positions, triangles)) > 0.5))  # wound either way
 
 
 def _volume(volume: float) -> str:

@@ -266,16 +266,3 @@ def area_of(positions: Floats, triangles: Longs) -> float:
     """Area of the triangles."""
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
-
-
-def winds_around(positions: Floats, triangles: Longs, points: Floats) -> NDArray[np.bool_]:
-    """Whether the surface encloses each of points (k, 3): winding number by solid angles (van Oosterom 1983)."""
-    found = []
-    for point in points:
-        a, b, c = (positions[triangles[:, k]] - point for k in range(3))
-        la, lb, lc = (np.linalg.norm(p, axis=1) for p in (a, b, c))
-        top = np.einsum("ij,ij->i", a, np.cross(b, c))
-        ab, bc, ca = (np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a)))
-        bottom = la * lb * lc + ab * lc + bc * la + ca * lb
-        found.append(abs(float(np.arctan2(top, bottom).sum())) / (2.0 * np.pi) > 0.5)
-    return np.array(found, dtype=bool)

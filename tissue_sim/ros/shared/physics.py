@@ -189,10 +189,7 @@ class Physics:
 
     # For colours: read beside the running loop, so that a tick may write in between. Nothing else may rest on them.
     def contact_forces(self) -> Floats:
-        """Size of the contact force on each node, (n,) N, for display: read beside the running loop.
-
-        It is the last substep's, or what the running one has found so far.
-        """
+        """Size of the contact force on each node, (n,) N, as the last substep had it."""
         state, contacts = self.simulation.state, self.simulation.state.contacts
         status = self.results().status  # of a whole tick: the running one has counted no contact so far
         forces = np.zeros(len(state.position))
