@@ -125,11 +125,12 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
             weight = state.contacts.weight[entry, c]
             compliance += weight * weight * mobility[state.contacts.node[entry, c]]
         plane[7] = compliance * step + scratch.give[body]
-        held, last_held = scratch.near_tangent[found], state.contact_held[0, entry]
+        given = spread and pressed > 0.0
+        held, last_held = scratch.near_tangent[found], state.contact_held[1 if given else 0, entry]
         along = last_held[0] * plane[0] + last_held[1] * plane[1] + last_held[2] * plane[2]
         for c in range(3):
             held[c] = last_held[c] - along * plane[c]
-        scratch.near_normal[found] = along if spread and pressed > 0.0 else pressed
+        scratch.near_normal[found] = along if given else pressed
         found += 1
     return found
 
@@ -185,12 +186,12 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 
 @kernel
 def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, target: Any) -> None:
-    """Add the last substep's contact impulses, N s, times a scale to target (n, 3), and keep them whole as held."""
+    """Add the last substep's contact impulses, N s, times a scale to target (n, 3), and keep them whole in held[1]."""
     shares = state.contacts.weight
     for entry in range(state.contacts.header.points):
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
-            held = state.contact_held[0, entry]
+            held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for whoever reads beside the loop
             held[0], held[1], held[2] = push
             for corner in range(3):
                 node, share = state.contacts.node[entry, corner], scale * shares[entry, corner]

@@ -120,7 +120,7 @@ class State(NamedTuple):
     body_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
     felt: Floats  # (T, 6) the wrench before it fades with a stale pose
     contact_pressed: Floats  # (2, C) N s along the tool's normal in the last substep; row 1 is room
-    contact_held: Floats  # (2, C, 3) N s across it
+    contact_held: Floats  # (2, C, 3) N s across it; row 1 is room, within a substep for the whole of what was given
     loaded_node: Longs  # (n,) the nodes that nodal_force loads in this tick
     is_loaded: Longs  # (n,) 1 for those
     is_turned: Longs  # (c,) 1 for cells of the inside that are turned inside out
