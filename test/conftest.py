@@ -2,31 +2,11 @@
 
 import importlib.util
 import os
-import random
-import socket
 import sys
 
 import pytest
 
-# 101 is the last domain whose ports lie below Linux's range of ephemeral ports.
-DOMAINS = range(1, 102)
-
-
-def claim_domain() -> tuple[int, socket.socket]:
-    """A random ROS domain that nobody on this machine uses, with the socket that holds the claim."""
-    for domain in random.sample(DOMAINS, len(DOMAINS)):
-        # An abstract name, free again when this process ends: keeps two sessions from choosing the same domain.
-        claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            claim.bind(f"\0tissue_sim_test_domain_{domain}")
-            # The first participant of a domain receives discovery at this port (DDSI-RTPS 9.6.1).
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                probe.bind(("", 7410 + 250 * domain))
-        except OSError:
-            claim.close()
-            continue
-        return domain, claim
-    raise pytest.UsageError("every ROS domain from 1 to 101 is in use on this machine")
+from tissue_sim.ros.shared.domains import claim_domain
 
 
 def pytest_configure(config: pytest.Config) -> None:

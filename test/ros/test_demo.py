@@ -95,10 +95,12 @@ def test_wrong_use_is_one_line_and_exit_code_2(words, message, capfd):
 
 def test_the_users_graph_is_kept_and_a_free_one_is_found():
     chosen = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
-    demo.choose_graph(chosen)
+    with demo.chosen_graph(chosen):
+        pass
     assert chosen == {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     empty: dict[str, str] = {}
-    demo.choose_graph(empty)
+    with demo.chosen_graph(empty):
+        pass
     assert empty["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert 1 <= int(empty["ROS_DOMAIN_ID"]) <= 101
 

@@ -6,26 +6,24 @@ import argparse
 import contextlib
 import json
 import os
-import random
 import shlex
 import shutil
-import socket
 import sys
 import time
-from collections.abc import Mapping, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from datetime import datetime
 from pathlib import Path
 
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.children import Child, stop_all, wait_a_little
+from tissue_sim.ros.shared.domains import claim_domain
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.viewer.view import check_port, shown_host
 
 NODE = "tissue_sim"
 PRIORITY = 20  # of the node, where the system allows it
 WAIT = 600.0  # s that the bridge waits for the node, which may compile its kernels first
-DOMAINS = range(1, 102)  # those whose ports lie below Linux's range of ephemeral ports
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,10 +54,9 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(
             f"cannot make the folder {folder}: {error.strerror}; choose another with --bag-folder"
         ) from None
-    choose_graph(os.environ)
 
     watch = Watch(args.seconds)
-    with client.Stop() as stop:
+    with chosen_graph(os.environ), client.Stop() as stop:
         # The node first: the others wait for it. Stopped the other way round.
         # A browser that draws without a GPU takes every core there is: the node goes first where it may.
         priority = PRIORITY if is_allowed(PRIORITY) else 0
@@ -87,25 +84,17 @@ def run(args: argparse.Namespace) -> int:
     return _conclude(watch, dead, last_words, killed)
 
 
-def choose_graph(environment: MutableMapping[str, str]) -> None:
+@contextlib.contextmanager
+def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
     """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise."""
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if "ROS_DOMAIN_ID" not in environment:
-        environment["ROS_DOMAIN_ID"] = str(free_domain())
-
-
-def free_domain() -> int:
-    """A ROS domain whose discovery ports are free. Raises UserError when there is none."""
-    for domain in random.sample(DOMAINS, len(DOMAINS)):
-        try:
-            # The first participants of a domain receive discovery at these ports (DDSI-RTPS 9.6.1).
-            for participant in range(4):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(("", 7410 + 250 * domain + 2 * participant))
-        except OSError:
-            continue
-        return domain
-    raise UserError("every ROS domain from 1 to 101 is in use on this machine; name one with ROS_DOMAIN_ID")
+    if "ROS_DOMAIN_ID" in environment:
+        yield
+        return
+    domain, claim = claim_domain()
+    with claim:
+        environment["ROS_DOMAIN_ID"] = str(domain)
+        yield
 
 
 def node_command(organ: str | None, folder: Path, priority: int) -> list[str]:

@@ -11,8 +11,8 @@ from contextlib import ExitStack
 from typing import Self
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.demo import free_domain
 from tissue_sim.ros.shared.children import Child
+from tissue_sim.ros.shared.domains import claim_domain
 
 NODE = "tissue_sim"
 START_TIME = 240.0  # s for the node to be there, with kernels to compile
@@ -44,7 +44,9 @@ class Graph(ExitStack):
     def __init__(self, reach: str = "LOCALHOST") -> None:
         super().__init__()
         check_rclpy()
-        self._place = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": reach}
+        domain, claim = claim_domain()
+        self.enter_context(claim)
+        self._place = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": reach}
 
     def __enter__(self) -> Self:
         for name, value in self._place.items():

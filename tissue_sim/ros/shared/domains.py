@@ -1,0 +1,36 @@
+"""A ROS domain that no other process on this machine uses, nor is about to use."""
+
+from __future__ import annotations
+
+import random
+import socket
+from contextlib import ExitStack
+
+from tissue_sim.errors import UserError
+
+DOMAINS = range(1, 102)  # those whose ports lie below Linux's range of ephemeral ports
+PARTICIPANTS = 4  # of a domain that are looked for
+
+
+def claim_domain() -> tuple[int, socket.socket]:
+    """A free ROS domain, and the socket that keeps others from claiming it, until it is closed.
+
+    Participants come and go in a domain that is in use: their ports alone don't tell. Raises UserError when none is
+    free.
+    """
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        # Ports of a domain (DDSI-RTPS 9.6.1): its first two and those from the tenth on are for participants, the
+        # third one is nobody's, and so can hold the claim.
+        first = 7400 + 250 * domain
+        claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            claim.bind(("127.0.0.1", first + 2))
+            with ExitStack() as probes:
+                for participant in range(PARTICIPANTS):
+                    probe = probes.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                    probe.bind(("", first + 10 + 2 * participant))
+        except OSError:
+            claim.close()
+            continue
+        return domain, claim
+    raise UserError("every ROS domain from 1 to 101 is in use on this machine; name one with ROS_DOMAIN_ID")
