@@ -28,7 +28,7 @@ def reference_of(organ, folder, cases):
 
 
 def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
-    organ = ball(2)
+    organ = ball(1)
     cases = held_out_cases(organ, 2, 0).scaled(np.array([0.1, 0.2]))
     reference = reference_of(organ, tmp_path, cases)
     told = []
@@ -51,7 +51,7 @@ def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
 
 
 def test_what_goes_wrong_there_is_raised_here(tmp_path):
-    organ = ball(2)
+    organ = ball(1)
     reference = reference_of(replace(organ, poisson_ratio=0.5), tmp_path, held_out_cases(organ, 2, 0))
     try:
         with pytest.raises(UserError, match="Poisson's ratio"):
@@ -61,7 +61,7 @@ def test_what_goes_wrong_there_is_raised_here(tmp_path):
 
 
 def test_stop_ends_what_is_under_way_and_keeps_nothing_of_it(tmp_path):
-    organ = ball(2)
+    organ = ball(1)
     reference = reference_of(organ, tmp_path, held_out_cases(organ, 2000, 0))
     reference.stop()
     kept = Checkpoint(tmp_path, {})
@@ -84,7 +84,7 @@ def test_a_process_that_starts_while_all_is_stopped_is_ended(tmp_path, monkeypat
             closed.set()
 
     monkeypatch.setattr(background, "Remote", Starting)
-    organ = ball(2)
+    organ = ball(1)
     reference = reference_of(organ, tmp_path, held_out_cases(organ, 2, 0))
     assert starting.wait(LIMIT)
     stopping = Thread(target=reference.stop)
