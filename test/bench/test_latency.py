@@ -42,7 +42,7 @@ def test_bounds_follow_from_the_echo_and_the_bare_loop():
 
 def test_short_run_with_real_processes(tmp_path):
     file = tmp_path / "latency.json"
-    assert main(["bench", "latency", "--seconds", "5", "--json", str(file)]) == 0
+    assert main(["bench", "latency", "--seconds", "2", "--json", str(file)]) == 0
     found = json.loads(file.read_text())
     assert set(found["round_trips"]) == set(TRIPS)
     assert all(one["trips"] > 0 for one in found["round_trips"].values())

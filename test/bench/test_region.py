@@ -52,8 +52,8 @@ def test_places_are_away_from_what_is_held_and_reach_the_ends():
 
 
 def test_a_bean_is_timed_and_auto_goes_by_its_cells():
-    (size,) = measure_sizes([150], 1.0)
-    assert size.points == 150
+    (size,) = measure_sizes([80], 0.2)
+    assert size.points == 80
     assert size.modal.median > 0.0
     assert 0.0 < min(size.small, size.dented) < 50.0
     assert size.auto == (size.cells > MOST_WHOLE)
