@@ -10,7 +10,7 @@ from helpers.scenes import RADIUS, ball, free_ball, kidney
 from helpers.states import is_finite
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact_constraint import count_impulse, give_impulse, set_plane
+from tissue_sim.model.contact_constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_plane
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.organ.winding import inside
 
@@ -351,6 +351,23 @@ def test_stale_tool_lets_the_organ_go_and_a_new_pose_engages_at_once():
     pose = top_of(ball(2)) + [0.01, 0.0, 0.02]
     scene.move(0, pose)
     np.testing.assert_array_equal(scene.simulation.state.body_pose[0, :3], pose)
+
+
+def test_tissue_that_closed_around_a_tool_comes_off_it_evenly():
+    """As deep as a jaw that was let go and is taken in hand again, without the node's look whether it is outside."""
+    organ = kidney()
+    scene = Scene(organ, [PROBE])
+    place = top_of(organ) + [0.0, 0.0, 0.004]
+    fastest, deep = 0.0, []
+    for _ in range(300):
+        scene.move(0, place)
+        scene.step()
+        fastest = max(fastest, float(np.abs(scene.simulation.velocities).max()))
+        deep.append(deepest(scene))
+    assert deep[0] > 0.0035, "it is not thrown out in a tick"
+    assert max(deep[100:]) < 1e-4, "but comes out"
+    assert fastest < 1.1 * RECOVERY_SPEED, "pushed out in a substep it is 5.8 m/s"
+    assert is_sound(scene)
 
 
 # external force --------------------------------------------------------------------------------

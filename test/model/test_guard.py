@@ -10,6 +10,7 @@ from tissue_sim.model.guard import (
     MAX_BACKOFF,
     MOST_TURNED,
     RUNAWAY_RATE,
+    WAY_BACK,
     check,
     check_cells,
     is_bounded,
@@ -146,6 +147,19 @@ def test_shape_that_comes_back_is_one_of_the_last_few():
         simulation.velocities[simulation.model.moving[0]] = np.nan
         poke(simulation, 1)
         assert any(np.array_equal(simulation.positions, shape) for shape in last)
+
+
+def test_good_shape_that_leads_to_nothing_but_faults_is_led_back():
+    simulation = Simulation(ball(2))
+    poke(simulation, 20)
+    away = []
+    for _ in range(12):
+        away.append(simulation.positions - simulation.model.rest)
+        poke(simulation, 1, [0.0, 1e8, 0.0])
+    assert simulation.state.count.faults == 12
+    left = np.linalg.norm(away, axis=(1, 2)) / np.linalg.norm(away[1])
+    back = np.exp(-WAY_BACK * 1e-3)
+    np.testing.assert_allclose(left[1:], [1.0] * 3 + [back] * 4 + [back**2] * 4, rtol=1e-9)
 
 
 def test_substeps_double_with_each_fault_and_start_again_after_eight():

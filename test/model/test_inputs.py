@@ -77,6 +77,22 @@ def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():
     assert not unknown.state.bodies[0].engaged
 
 
+def test_body_that_was_let_go_engages_once_a_set_has_let_go_of_it_too():
+    simulation = engaged_at(FAR)
+    for _ in range(71):
+        simulation.step()
+    body = simulation.state.bodies[0]
+    simulation.take_pose(0, FAR, 2)
+    take_set(simulation, 2)  # by a thread that saw nothing of it
+    assert body.lapsed
+    assert not body.engaged
+    take_set(simulation, 3, engaged=0)
+    assert not body.lapsed
+    assert not body.engaged
+    take_set(simulation, 4)
+    assert body.engaged
+
+
 def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():
     organ = free_ball()
     simulation = Simulation(organ, shapes=sphere_tools(0.005))

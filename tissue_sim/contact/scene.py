@@ -74,7 +74,7 @@ class Scene:
 
     def _find(self) -> None:
         state = self.simulation.state
-        fresh = (state.bodies.age >= 0).astype(np.int64)
+        fresh = ((state.bodies.age >= 0) & ~state.bodies.lapsed.astype(bool)).astype(np.int64)
         pushing = (state.bodies.force_age >= 0).astype(np.int64)
         goal = state.body_goal.copy()
         margins = np.zeros(len(fresh))

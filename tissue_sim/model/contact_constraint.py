@@ -19,6 +19,7 @@ INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a 
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep
+RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
 
@@ -119,6 +120,7 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
             continue
+        forgive_depth(state, scratch, found, gap, step)
         plane = scratch.near_plane[found]
         compliance = 0.0
         for c in range(3):
@@ -153,6 +155,24 @@ def set_plane(state: Any, shapes: Any, scratch: Any, near: int) -> float:
 
 
 @kernel
+def forgive_depth(state: Any, scratch: Any, near: int, gap: float, step: float) -> None:
+    """Let a contact point that lay inside its tool before this substep, s, come out little by little; gap m at its end.
+
+    Tissue can close around a tool that was let go. Pushed out at once, a point would be as fast as a substep is short.
+    """
+    entry, plane = scratch.near_entry[near], scratch.near_plane[near]
+    origin = scratch.origin[state.contacts.body[entry]]
+    approach = 0.0
+    for c in range(3):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        for axis in range(3):
+            approach -= plane[axis] * weight * step * state.velocity[node, axis]
+    for axis in range(3):
+        approach += plane[axis] * (plane[4 + axis] + origin[axis])
+    plane[3] -= max(0.0, -gap - approach - step * RECOVERY_SPEED)
+
+
+@kernel
 def is_outside(state: Any, scratch: Any, near: int) -> bool:
     """True when the tool is on the tissue's outer side at a contact point, as gap_from_outside has it."""
     normal, plane = state.contacts.normal[scratch.near_entry[near]], scratch.near_plane[near]
@@ -163,10 +183,10 @@ def is_outside(state: Any, scratch: Any, near: int) -> bool:
 
 
 @kernel
-def look_again(state: Any, shapes: Any, scratch: Any, near: int) -> None:
+def look_again(state: Any, shapes: Any, scratch: Any, near: int, step: float) -> None:
     """Take the tool as it is where a contact point has got to; what was pressed and held is split anew."""
     px, py, pz = whole_impulse(scratch, near)
-    set_plane(state, shapes, scratch, near)
+    forgive_depth(state, scratch, near, set_plane(state, shapes, scratch, near), step)
     plane, held = scratch.near_plane[near], scratch.near_tangent[near]
     pressed = max(0.0, px * plane[0] + py * plane[1] + pz * plane[2])
     scratch.near_normal[near] = pressed
@@ -227,7 +247,7 @@ def resolve_contacts(
         change = total = 0.0
         for near in range(found):
             if turn == 0 and not spread:
-                look_again(state, shapes, scratch, near)
+                look_again(state, shapes, scratch, near, step)
             change += resolve_contact(state, shapes, mobility, scratch, near, friction, step)
             total += scratch.near_normal[near]
         if change <= TOLERANCE * total:

@@ -25,8 +25,8 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
     Bounded: no node farther from rest than the organ's own size, none faster than that in a tick, and not all of
     them together faster than a hundred times that in a second. After a fault the substeps double, up to 8 times and
-    then from 1 again, until the organ has slept. An organ of which more than
-    half is inside out is led back a little in each tick.
+    then from 1 again, until the organ has slept; where these are no remedy, the good shape is led back a little. So is,
+    in each tick, an organ of which more than half is inside out.
     """
     status, count = state.status, state.count
     span = settings.runaway_span
@@ -59,8 +59,15 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     scratch.impulse[:] = 0.0
     count.faults += 1
     status.fault_kind = fault
-    # A load that stays too much for the shortest substeps is not the substeps' fault.
-    status.backoff = 2 * status.backoff if status.backoff < MAX_BACKOFF else 1
+    again, status.good_age = status.good_age > KEEP_EVERY, KEEP_EVERY + 1
+    if status.backoff < MAX_BACKOFF:
+        status.backoff *= 2
+        return
+    # What stays too much for the shortest substeps is not their fault but the load's, or that of the shape itself.
+    status.backoff = 1
+    if again:
+        lead_back(model, state, settings)
+        copy(state.position, state.good_position)
 
 
 @kernel

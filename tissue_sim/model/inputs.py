@@ -48,7 +48,10 @@ def take_contacts(state: Any, found: Any, sequence: int) -> None:
         contacts.words[index] = found.words[index]
     contacts.header.sequence = sequence
     for body in range(len(state.bodies)):
-        state.bodies[body].engaged = contacts.engaged[body] == 1 and state.bodies[body].age >= 0
+        status = state.bodies[body]
+        # The organ has closed around a body that was let go: whoever finds contacts has to look at it anew.
+        status.lapsed = status.lapsed and contacts.engaged[body] == 1
+        status.engaged = contacts.engaged[body] == 1 and status.age >= 0 and not status.lapsed
 
 
 @kernel
@@ -128,6 +131,6 @@ def reset_state(model: Any, state: Any) -> None:
         status = state.bodies[body]
         status.age = status.force_age = -1
         status.remaining = status.pose_sequence = status.force_sequence = 0
-        status.engaged = False
+        status.engaged = status.lapsed = False
         for c in range(3):
             state.contacts.tip_node[body, c] = -1

@@ -51,7 +51,7 @@ class Status(Record):
     loaded: int  # nodes that nodal_force holds something for in this tick, listed in loaded_node
     turned: int  # cells of the inside that are turned inside out
     next_cell: int  # where the rolling check of the cells goes on
-    good_age: int  # ticks since the last good shape was kept
+    good_age: int  # ticks since the last good shape was kept; more than KEEP_EVERY right after a fault
     shown: int  # tick in which the nodes outside a modal region were last put where they belong
     region_nodes: int  # nodes in the local region
     region_springs: int
@@ -80,6 +80,7 @@ class BodyStatus(Record):
     remaining: int  # ticks until the tool stands at the newest pose
     force_age: int  # ticks since the newest external force; -1 before the first one
     engaged: bool  # it may touch: fresh, and outside the organ when it appeared
+    lapsed: bool  # let go since poses stopped; a contact set has to let go of it, too, before one engages it again
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
 

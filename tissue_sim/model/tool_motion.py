@@ -30,7 +30,8 @@ def advance_held(state: Any, settings: Any, scratch: Any) -> None:
         if status.age >= 0:
             status.age += 1
             if status.age * settings.tick_time > settings.stale_time + settings.ramp_time:
-                status.engaged = 0
+                status.lapsed = status.lapsed or status.engaged
+                status.engaged = False
         if status.force_age >= 0:
             status.force_age += 1
         if status.remaining > 0:

@@ -23,8 +23,11 @@ class Port:
     pose_freshness, force_freshness = SimpleNamespace(counts=True), SimpleNamespace(counts=False)
 
     def __init__(self, position):
-        self._pose = np.append(position, (0.0, 0.0, 0.0, 1.0))
         self._sequence = 0
+        self.move(position)
+
+    def move(self, position):
+        self._pose = np.append(position, (0.0, 0.0, 0.0, 1.0))
 
     @property
     def newest(self):
@@ -39,16 +42,17 @@ def scene():
     physics = Physics(Simulation(organ, shapes=tools.shapes))
     finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
-    warned = []
+    warned, port = [], Port(top + (0.0, 0.0, 0.006))
     worker = ContactWorker(
         finder,
         physics,
-        [Port(top + (0.0, 0.0, 0.006))],
+        [port],
         SimpleNamespace(contacts=lambda *_: None),
         threading.Event(),
         warned.append,
     )
-    yield SimpleNamespace(worker=worker, finder=finder, warned=warned)
+    middle = organ.surface_positions.mean(axis=0)
+    yield SimpleNamespace(worker=worker, finder=finder, physics=physics, port=port, middle=middle, warned=warned)
     worker.stop()
 
 
@@ -56,6 +60,24 @@ def report_of(worker):
     report = Report()
     worker.report(report)
     return report
+
+
+def test_a_tool_that_the_loop_let_go_is_looked_at_anew(scene, monkeypatch):
+    """The thread had no time while poses stopped; as they go on, it finds none of them old."""
+    lapsed, taken = [False], []
+    monkeypatch.setattr(scene.physics, "results", lambda: SimpleNamespace(bodies=[SimpleNamespace(lapsed=lapsed[0])]))
+    monkeypatch.setattr(scene.physics, "post_contacts", lambda found: taken.append(int(found.engaged[0])) or len(taken))
+    scene.worker.start()
+    wait_for(lambda: 1 in taken)
+    scene.port.move(scene.middle)
+    wait_for(lambda: len(taken) > 5)
+    assert taken[-1] == 1, "outside when it appeared"
+    lapsed[0] = True
+    wait_for(lambda: taken[-1] == 0)
+    lapsed[0] = False
+    wait_for(lambda: scene.warned)
+    assert "appeared inside the organ" in scene.warned[0]
+    assert taken[-1] == 0
 
 
 def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene, monkeypatch):

@@ -114,8 +114,10 @@ class ContactWorker:
         elapsed = max(now - self._last_time, 1e-4)
         reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (self.rate * elapsed))
         margins = np.zeros(len(poses))
+        bodies = self._physics.results().bodies
         for body, is_fresh in enumerate(fresh):
-            if not is_fresh:
+            # A thread that had no time may never see poses stop: the loop does.
+            if not is_fresh or bodies[body].lapsed:
                 self._engaged[body] = 0
                 continue
             if not self._engaged[body]:
