@@ -6,12 +6,16 @@ import sys
 
 import pytest
 
+from tissue_sim.errors import UserError
 from tissue_sim.ros.shared.domains import claim_domain
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Set the environment before any test imports rclpy; child processes inherit it."""
-    domain, claim = claim_domain()
+    try:
+        domain, claim = claim_domain()
+    except UserError as error:
+        raise pytest.UsageError(str(error)) from None
     config.add_cleanup(claim.close)
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -101,8 +101,8 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
     spread: they are those that add_contact_impulses has given already, whatever the tool's normal has become since.
 
     For each scratch.near_plane (N, 11): the tool's outward normal and how far its surface lies along that from the
-    tool's origin, m; how far the tool moves there in the substep, less its origin, m; how far an impulse moves the
-    point out of the tool, m/(N s); and where that is, from the tool's origin, m.
+    tool's origin, m, less the depth that is forgiven; how far the tool moves there in the substep, less its origin, m;
+    how far an impulse moves the point out of the tool, m/(N s); and where that is, from the tool's origin, m.
 
     Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
     forgotten.

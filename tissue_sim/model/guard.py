@@ -59,7 +59,8 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     scratch.impulse[:] = 0.0
     count.faults += 1
     status.fault_kind = fault
-    again, status.good_age = status.good_age > KEEP_EVERY, KEEP_EVERY + 1
+    again = status.good_age > KEEP_EVERY
+    status.good_age = KEEP_EVERY + 1
     if status.backoff < MAX_BACKOFF:
         status.backoff *= 2
         return

@@ -50,8 +50,9 @@ def take_contacts(state: Any, found: Any, sequence: int) -> None:
     for body in range(len(state.bodies)):
         status = state.bodies[body]
         # The organ has closed around a body that was let go: whoever finds contacts has to look at it anew.
-        status.lapsed = status.lapsed and contacts.engaged[body] == 1
-        status.engaged = contacts.engaged[body] == 1 and status.age >= 0 and not status.lapsed
+        wanted = contacts.engaged[body] == 1
+        status.lapsed = status.lapsed and wanted
+        status.engaged = wanted and status.age >= 0 and not status.lapsed
 
 
 @kernel
