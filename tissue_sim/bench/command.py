@@ -28,6 +28,7 @@ BENCHMARKS = {
     "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
+    "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
 }
 

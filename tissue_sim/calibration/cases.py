@@ -183,7 +183,7 @@ def scale_to_depth(
     random = np.random.default_rng([seed, 3])
     surface = surface_of(organ)
     reach = np.linalg.norm(compliance, axis=2).max(axis=1)
-    traction = (np.linalg.norm(cases.force, axis=2) / surface.area).max(axis=1) / organ.youngs_modulus
+    traction = tractions(cases.force, organ) / organ.youngs_modulus
     wanted = surface.size * random.uniform(*depth, len(cases)) / reach
     pressed = random.uniform(*SHARP_TRACTION, len(cases)) / traction
     sharp = np.array([kind == "sharp" for kind in cases.kind], dtype=bool)
@@ -198,12 +198,19 @@ def strongest(force: Floats, patches: ArrayLike, organ: Organ) -> Floats:
     The traction stays under 0.4 of Young's modulus, the mean force of a patch under 0.5 N on an organ like the kidney.
     """
     size = np.linalg.norm(force, axis=2)
-    traction = (size / surface_of(organ).area).max(axis=1) / organ.youngs_modulus
+    traction = tractions(force, organ) / organ.youngs_modulus
     push = size.sum(axis=1) / np.asarray(patches)
     most: Floats = np.minimum(
         MOST_TRACTION / traction, MOST_FORCE * organ.youngs_modulus * organ.volume ** (2.0 / 3.0) / push
     )
     return most
+
+
+def tractions(force: Floats, organ: Organ) -> Floats:
+    """Largest traction (c,) Pa of loads (c, n, 3) N at any node."""
+    area = node_area(organ.surface_positions, organ.surface_triangles)
+    found: Floats = (np.linalg.norm(force, axis=2) / area).max(axis=1)
+    return found
 
 
 def _nearest_to_clamp(organ: Organ, nodes: Longs) -> Longs:

@@ -144,7 +144,7 @@ def _simulation(
     if mass_ratio > 0.0:
         made = with_mass_ratio(made, mass_ratio)
     shapes = sphere_tools(PROBE.radius) if tool else NO_TOOLS
-    model = "auto" if local_region == "off" else "hybrid"  # cells move as a whole
+    model = "hybrid" if local_region == "frozen" else "auto"  # cells have no frozen region
     simulation = Simulation(
         made, model=model, rate=DEFAULT_RATE, local_region=local_region, shapes=shapes, integrator=integrator
     )

@@ -1,0 +1,120 @@
+"""`tissue_sim bench fall`: loads let fall on the organ at once, against the same ones raised as a hand does.
+
+Let fall, a load swings the organ past where it comes to rest. Where that turns tissue over, a dent may stay that the
+load alone doesn't make.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.array_types import Floats
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.calibration.cases import held_out_cases, tractions
+from tissue_sim.calibration.judge import LONGEST, RAMP, TOLERANCE
+from tissue_sim.errors import UserError
+from tissue_sim.model.cells import swelling
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+TRACTIONS = (0.2, 0.4, 0.6, 0.8)  # of Young's modulus, the largest at any node
+JUDGED = 0.4  # up to where nothing may stay
+SHARP = 3  # one load in so many is on a node and its neighbours, the others are bumps
+MOST_OFF = 1.0  # %
+
+
+class Fallen(NamedTuple):
+    """One load, raised and let fall."""
+
+    traction: float  # of Young's modulus
+    kind: str
+    newton: float
+    deepest: float  # m, of the raised one
+    off: float  # relative L2 of the settled surface, raised and let fall
+    settled: bool  # both
+    turned: int  # cells inside out that only the fall has left
+    least: float  # volume of a cell over that at rest, after the fall
+    faults: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, check=True)
+    parser.add_argument("--loads", type=int, default=30, help="how many for each traction, spread over the surface")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Settle, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    if not SHARP <= args.loads <= 1000:
+        raise UserError(f"--loads {args.loads} is outside {SHARP}..1000")
+    organ = Organ.load(args.organ or shipped_organ())
+    found = as_json(in_one_thread(measure, organ, args.loads))
+    emit(found, text(organ, found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> list[Fallen]:
+    """`count` loads for each share of Young's modulus. Raises UserError when the organ has too few free nodes."""
+    sharp = count // SHARP
+    cases = held_out_cases(organ, count - sharp, sharp)
+    cases = cases.scaled(organ.youngs_modulus / tractions(cases.force, organ))
+    simulation = Simulation(organ)
+    todo = [(share, case) for share in shares for case in range(count)]
+    return [
+        fallen(simulation, share, cases.kind[case], share * cases.force[case])
+        for share, case in tqdm(todo, disable=None, desc="fall", unit="load")
+    ]
+
+
+def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fallen:
+    """One load (n_surface, 3) N."""
+    raised, rose = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
+    turned = swelling(simulation.model, simulation.positions) <= 0.0
+    dropped, fell = simulation.settle(force, TOLERANCE, LONGEST)
+    volume = swelling(simulation.model, simulation.positions)
+    return Fallen(
+        traction=share,
+        kind=kind,
+        newton=float(np.linalg.norm(force, axis=1).sum()),
+        deepest=float(np.linalg.norm(raised, axis=1).max()),
+        off=float(np.linalg.norm(dropped - raised) / np.linalg.norm(raised)),
+        settled=rose and fell,
+        turned=int(np.count_nonzero((volume <= 0.0) & ~turned)),
+        least=float(volume.min(initial=1.0)),
+        faults=int(simulation.state.count.faults),
+    )
+
+
+def as_json(found: Sequence[Fallen]) -> dict[str, Any]:
+    """All figures, and the bounds on loads of at most JUDGED."""
+    judged = [one for one in found if one.traction <= JUDGED]
+    up_to = f"up to {JUDGED:g} E"
+    bounds = [
+        Bound(f"off what the raised load leaves, {up_to}", 100.0 * max(one.off for one in judged), MOST_OFF, "%"),
+        Bound(f"cells inside out, {up_to}", max(one.turned for one in judged), 0.0, "cells"),
+        Bound(f"loads that settle, {up_to}", 100.0 * float(np.mean([one.settled for one in judged])), 100.0, "%", True),
+    ]
+    return {"loads": [one._asdict() for one in found], "bounds": [bound.as_json() for bound in bounds]}
+
+
+def text(organ: Organ, found: dict[str, Any]) -> str:
+    """The figures as a table, a row for each traction."""
+    rows = [["traction / E", "loads", "settled", "deepest mm", "off % worst", "inside out", "least volume", "faults"]]
+    for share in dict.fromkeys(one["traction"] for one in found["loads"]):
+        some = [one for one in found["loads"] if one["traction"] == share]
+        deep, off = 1e3 * max(one["deepest"] for one in some), 100.0 * max(one["off"] for one in some)
+        counts = [str(len(some)), str(sum(one["settled"] for one in some))]
+        turned, faults = max(one["turned"] for one in some), sum(one["faults"] for one in some)
+        least = f"{min(one['least'] for one in some):.2f}"
+        rows.append([f"{share:g}", *counts, f"{deep:.1f}", f"{off:.2f}", str(turned), least, str(faults)])
+    lines = [f"organ '{organ.name}': loads let fall at once, against the same ones raised within {RAMP:g} s"]
+    return "\n".join([*lines, *aligned(rows), "", *bound_lines(found["bounds"])])
