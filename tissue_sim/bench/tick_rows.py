@@ -35,6 +35,7 @@ SUBSTEP = "substep of the hybrid tick"
 C_PLAIN, C_NATIVE = "the same substep in C, -O3", "the same substep in C, for this processor"
 CELL_SUBSTEP, CELL_C = "substep of these cells", "the same cells in C, for this processor"
 MODAL, MODAL_TOOL = "modal, 19-node patch", "modal, sphere tool"
+MODAL_CELLS = "modal region of these cells"
 FROZEN, ASLEEP = "frozen, 19-node patch", "asleep"
 FLEX = "MuJoCo flex, 1 ms step"
 PRODUCT, ALL_PRODUCT = "compliance, one patch", "compliance, all points"
@@ -64,6 +65,7 @@ def makers_of(organ: Organ) -> dict[str, Maker]:
         CELLS: partial(_ticks, cells),
         CELL_SUBSTEP: partial(_substep, cells),
         CELL_C: partial(_c_substep, cells, NATIVE),
+        MODAL_CELLS: partial(_ticks, cells, local_region="modal"),
     }
     makers |= {f"{name}, symplectic": partial(_ticks, organ, model=name) for name in ("surface", "volume")}
     return makers | {
