@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from helpers.vtp_file import read_vtp
+from helpers.vtk_file import read_vtk
 from tissue_sim.cli import main
 from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.reporting.exchange import bones
 from tissue_sim.organ.shipped import shipped_organ
 
-KIDNEY = str(shipped_organ("kidney"))
+KIDNEY, AS_BUILT = str(shipped_organ("kidney")), str(shipped_organ("kidney_as_built"))
 UNITS = pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3)])
 
 
@@ -48,7 +48,7 @@ def test_surfaces_read_back(kidney, tmp_path, capsys, suffix, precision, unit, s
 @UNITS
 def test_a_vtp_surface_keeps_every_bit_and_the_model(kidney, tmp_path, capsys, unit, scale):
     export(capsys, tmp_path / "kidney.vtp", "--unit", unit)
-    found, attributes = read_vtp(tmp_path / "kidney.vtp")
+    found, attributes = read_vtk(tmp_path / "kidney.vtp")
     assert (attributes["NumberOfPoints"], attributes["NumberOfPolys"], attributes["NumberOfLines"]) == (
         *("994", "1984", "0"),
     )
@@ -70,7 +70,7 @@ def test_skeletons_read_back(kidney, tmp_path, capsys, suffix, unit, scale):
     assert f"48 atoms, 47 lines, {unit}" in text
     radius = None
     if suffix == "vtp":
-        found, _ = read_vtp(path)
+        found, _ = read_vtk(path)
         positions, lines = found["Points/Points"], found["Lines/connectivity"].reshape(-1, 2)
         radius = found[f"PointData/radius_{unit}"]
         np.testing.assert_array_equal(found["PointData/parent"], kidney.atom_parent)
@@ -91,6 +91,25 @@ def test_skeletons_read_back(kidney, tmp_path, capsys, suffix, unit, scale):
     if radius is not None:
         np.testing.assert_allclose(radius, kidney.atom_radius * scale, rtol=1e-15)
     assert {"m": b"in metres", "mm": b"in millimetres"}[unit] in path.read_bytes()[:400]
+
+
+@UNITS
+def test_cells_keep_every_bit_and_fill_the_surface(kidney, tmp_path, capsys, unit, scale):
+    path = tmp_path / "cells.vtu"
+    text = export(capsys, tmp_path / "kidney.stl", "--cells", path, "--unit", unit)
+    assert f"{kidney.n_nodes} nodes, {len(kidney.cell_nodes)} cells, {unit}" in text
+    found, attributes = read_vtk(path, "UnstructuredGrid")
+    assert attributes["NumberOfCells"] == str(len(kidney.cell_nodes))
+    positions, cells = found["Points/Points"], found["Cells/connectivity"].reshape(-1, 4)
+    np.testing.assert_array_equal(positions, kidney.rest_positions * scale)
+    np.testing.assert_array_equal(cells, kidney.cell_nodes)
+    np.testing.assert_array_equal(found["Cells/offsets"], 4 * np.arange(1, len(cells) + 1))
+    assert set(found["Cells/types"]) == {10}
+    np.testing.assert_array_equal(found["CellData/mu_Pa"], kidney.cell_mu)
+    np.testing.assert_array_equal(found["CellData/lambda_Pa"], kidney.cell_lambda)
+    np.testing.assert_array_equal(np.flatnonzero(found["PointData/held"]), kidney.fixed)
+    edges = positions[cells[:, 1:]] - positions[cells[:, :1]]
+    assert np.linalg.det(edges).sum() / 6.0 == pytest.approx(kidney.volume * scale**3, rel=0.01)
 
 
 def test_trimesh_reads_the_obj_skeleton_as_lines(kidney, tmp_path, capsys):
@@ -120,7 +139,7 @@ def test_a_strange_name_stays_in_its_comment(kidney, tmp_path):
         skeleton = [] if suffix == "stl" else ["--skeleton", str(tmp_path / f"bones.{suffix}")]
         assert main(["export", str(tmp_path / "odd.npz"), str(path), *skeleton]) == 0
         if suffix == "vtp":
-            assert read_vtp(path)[0]["Points/Points"].shape == (994, 3)
+            assert read_vtk(path)[0]["Points/Points"].shape == (994, 3)
         else:
             assert len(trimesh.load(path, process=False).faces) == 1984
 
@@ -133,6 +152,8 @@ def test_a_strange_name_stays_in_its_comment(kidney, tmp_path):
         ([KIDNEY, "kidney.ply", "--skeleton", "s.stl"], "no format for the skeleton"),
         ([KIDNEY, "kidney.ply", "--skeleton", "./kidney.ply"], "name two files"),
         ([KIDNEY, "nowhere/kidney.ply"], "folder nowhere"),
+        ([KIDNEY, "kidney.ply", "--cells", "cells.vtp"], "no format for the cells; let its name end in .vtu"),
+        ([AS_BUILT, "kidney.ply", "--cells", "cells.vtu"], "has no cells for cells.vtu; tissue_sim calibrate"),
         (["none.npz", "kidney.ply"], "none.npz does not exist"),
     ],
 )

@@ -1,4 +1,4 @@
-"""`tissue_sim export`: an organ's surface, and its skeleton, for other programs."""
+"""`tissue_sim export`: an organ's surface, its skeleton and its cells for other programs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.reporting.exchange import LINES, SURFACES, UNITS, Writer, bones
+from tissue_sim.organ.reporting.exchange import CELLS, LINES, SURFACES, UNITS, Writer, bones
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,16 +16,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
     parser.add_argument("out", metavar="OUT", help=f"surface to write, by its ending: {', '.join(SURFACES)}")
     parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
+    parser.add_argument("--cells", metavar="FILE", help=f"write nodes and cells too, with moduli: {', '.join(CELLS)}")
     parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="length unit (default: %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the surface, and the skeleton where asked; returns 0. Raises UserError."""
+    """Write the surface, and skeleton and cells where asked; returns 0. Raises UserError."""
     surface = _writer(args.out, SURFACES, "surface")
     lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
+    cells = _writer(args.cells, CELLS, "cells") if args.cells else None
     if args.skeleton and Path(args.skeleton).resolve() == Path(args.out).resolve():
         raise UserError(f"--skeleton and the surface are both {args.out}; name two files")
     organ = Organ.load(args.organ)
+    if cells is not None and not len(organ.cell_nodes):
+        raise UserError(f"organ '{organ.name}' has no cells for {args.cells}; tissue_sim calibrate gives it some")
     scale = UNITS[args.unit]
     _write(args.out, surface(organ, args.unit))
     low, high = (getattr(organ.surface_positions, side)(axis=0) * scale for side in ("min", "max"))
@@ -34,6 +38,9 @@ def run(args: argparse.Namespace) -> int:
     if lines is not None:
         _write(args.skeleton, lines(organ, args.unit))
         print(f"{args.skeleton}: {organ.n_atoms} atoms, {len(bones(organ))} lines, {args.unit}")
+    if cells is not None:
+        _write(args.cells, cells(organ, args.unit))
+        print(f"{args.cells}: {organ.n_nodes} nodes, {len(organ.cell_nodes)} cells, {args.unit}")
     return 0
 
 

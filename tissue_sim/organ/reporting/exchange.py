@@ -1,7 +1,7 @@
-"""An organ's surface, and its skeleton, as files of other programs.
+"""An organ's surface, its skeleton and its cells as files of other programs.
 
 Positions stand in the frame and order of the organ file, in metres or millimetres; no format here has a field for
-the unit, so every file names it in a comment. OBJ and VTP keep double precision, PLY and STL surfaces single.
+the unit, so every file names it in a comment. OBJ, VTP and VTU keep double precision, PLY and STL surfaces single.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Ints
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.reporting.vtp import polydata
+from tissue_sim.organ.reporting.vtk_xml import polydata, tetrahedra
 
 Writer = Callable[[Organ, str], bytes]
 
@@ -129,6 +129,20 @@ def skeleton_vtp(organ: Organ, unit: str) -> bytes:
     return polydata(positions, data, lines=bones(organ), comment=_comment(organ, unit, "skeleton"))
 
 
+# cells ---------------------------------------------------------------------------------------------
+
+
+def cells_vtu(organ: Organ, unit: str) -> bytes:
+    """All nodes and the cells between them as a VTK XML UnstructuredGrid, with what the model knows of each."""
+    held = np.zeros(organ.n_nodes, dtype=np.uint8)
+    held[organ.fixed] = 1
+    nodes: dict[str, NDArray[Any]] = {"held": held, "mass_kg": organ.mass, "damping_kg_per_s": organ.damping}
+    moduli: dict[str, NDArray[Any]] = {"mu_Pa": organ.cell_mu, "lambda_Pa": organ.cell_lambda}
+    positions = organ.rest_positions * UNITS[unit]
+    return tetrahedra(positions, organ.cell_nodes, nodes, moduli, comment=_comment(organ, unit, "cells"))
+
+
 # Writers by a file's ending: of the organ, in a unit of UNITS.
 SURFACES: dict[str, Writer] = {".ply": surface_ply, ".obj": surface_obj, ".stl": surface_stl, ".vtp": surface_vtp}
 LINES: dict[str, Writer] = {".ply": skeleton_ply, ".obj": skeleton_obj, ".vtp": skeleton_vtp}
+CELLS: dict[str, Writer] = {".vtu": cells_vtu}

@@ -1,4 +1,4 @@
-"""A reader of .vtp files as the VTK file formats describe them."""
+"""A reader of .vtp and .vtu files as the VTK file formats describe them."""
 
 import base64
 import struct
@@ -7,13 +7,13 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 
 
-def read_vtp(path):
-    """Arrays of a .vtp file by their place in it, decoded as the VTK file format says."""
+def read_vtk(path, kind="PolyData"):
+    """Arrays of a .vtp or .vtu file by their place in it, decoded as the VTK file format says."""
     root = ElementTree.parse(path).getroot()
-    assert root.attrib["type"] == "PolyData"
+    assert root.attrib["type"] == kind
     assert root.attrib["header_type"] == "UInt64"
     assert root.attrib["byte_order"] == "LittleEndian"
-    piece = root.find("PolyData/Piece")
+    piece = root.find(f"{kind}/Piece")
     kinds = {"Float64": "<f8", "Int32": "<i4", "Int64": "<i8", "UInt8": "<u1"}
     found = {}
     for group in piece:
