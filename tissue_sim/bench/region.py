@@ -33,6 +33,7 @@ WHOLE_LINEAR, WHOLE_NONLINEAR = 2.5, 5.0  # %, bounds on the modal region and on
 SEED = 5
 NEAR_DENT, MOST_TRIES = 0.02, 4  # of a dent that is wanted, and settled shapes on the way to it
 TOLERANCE, LONGEST = 1e-4, 10.0  # of settling, and s
+MOST_JUDGED = 5000  # points; a larger organ takes many minutes to settle at every place
 PRESS = 0.1  # N on the patch of the smallest organ whose ticks are timed; the same pressure on the others
 
 
@@ -59,8 +60,8 @@ class SizeErrors(NamedTuple):
     whole: Timing
     modal: Timing
     auto: bool  # whether `auto` takes a region there
-    small: float  # under SMALL
-    dented: float  # under the force that dents by the first of DENTS
+    small: float | None  # under SMALL; None for more than MOST_JUDGED points
+    dented: float | None  # under the force that dents by the first of DENTS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -174,18 +175,22 @@ def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
     timings = interleave(Phase(bursts, seconds, "sizes")) if bursts else {}
     found = []
     for count, (organ, whole, modal) in made.items():
-        modal.settings.local_region = LocalRegion.AUTO  # from here on it hands over
-        errors: list[tuple[float, float]] = []
-        for place in tqdm(places(whole, 0), disable=None, desc=f"{count} points", unit="place"):
-            unit = unit_load(organ, place)
-            cases = [(force, answer) for force, answer, _ in islice(answers(whole, unit, place), 2)]
-            small, dented = (off(modal.settle(force * unit, TOLERANCE, LONGEST)[0], answer) for force, answer in cases)
-            errors.append((small, dented))
-        small, dented = np.max(errors, axis=0)
-        times = timings[f"whole {count}"], timings[f"modal {count}"]
         taken, cells = not moves_whole(organ), len(organ.cell_nodes)
-        found.append(SizeErrors(count, cells, *times, taken, float(small), float(dented)))
+        errors = _errors_handing_over(whole, modal, count) if count <= MOST_JUDGED else (None, None)
+        found.append(SizeErrors(count, cells, timings[f"whole {count}"], timings[f"modal {count}"], taken, *errors))
     return found
+
+
+def _errors_handing_over(whole: Simulation, modal: Simulation, count: int) -> tuple[float, float]:
+    """Worst errors at the outermost places, %, of a region that hands over from here on: under SMALL, and dented."""
+    modal.settings.local_region = LocalRegion.AUTO
+    errors = []
+    for place in tqdm(places(whole, 0), disable=None, desc=f"{count} points", unit="place"):
+        unit = unit_load(whole.organ, place)
+        cases = [(force, answer) for force, answer, _ in islice(answers(whole, unit, place), 2)]
+        errors.append([off(modal.settle(force * unit, TOLERANCE, LONGEST)[0], answer) for force, answer in cases])
+    small, dented = np.max(errors, axis=0)
+    return float(small), float(dented)
 
 
 def off(found: Floats, wanted: Floats) -> float:
@@ -222,7 +227,8 @@ def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found:
         rows = [["points", "cells", "whole us", "modal us", "handing over %, small", "3 mm", "auto takes"]]
         for size in sizes:
             times = [figure(1e6 * size.whole.median), figure(1e6 * size.modal.median)]
-            errors = [f"{size.small:.1f}", f"{size.dented:.1f}", "a region" if size.auto else "the whole"]
+            errors = ["-" if error is None else f"{error:.1f}" for error in (size.small, size.dented)]
+            errors += ["a region" if size.auto else "the whole"]
             rows.append([str(size.points), str(size.cells), *times, *errors])
         lines += ["", "beans of cells, not calibrated; errors of the worst of the outermost places", *aligned(rows)]
     return "\n".join([*lines, "", *bound_lines(found["bounds"])])
