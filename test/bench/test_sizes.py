@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, filled, kidney
-from tissue_sim.bench.sizes import assembled_anew, at_size, interpolation, sized
-from tissue_sim.organ.topology import node_area
+from tissue_sim.bench.sizes import assembled_anew, at_size, divided, interpolation, sized
+from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.topology import node_area, triangle_area
 
 COARSE, FINE = ball(2), ball(3)
+DIVIDED = assembled_anew(COARSE, *divided(COARSE.surface_positions, COARSE.surface_triangles, 700), 0)
 MATRIX = np.array([[0.02, 0.01, 0.0], [-0.01, 0.03, 0.02], [0.0, 0.01, -0.02]])
 
 
@@ -38,7 +40,7 @@ def test_own_points_take_everything_as_it_is():
     np.testing.assert_array_equal(size.displacement(force), force)
 
 
-@pytest.mark.parametrize(("organ", "reference"), [(COARSE, FINE), (FINE, COARSE)], ids=["coarser", "finer"])
+@pytest.mark.parametrize(("organ", "reference"), [(COARSE, FINE), (DIVIDED, COARSE)], ids=["coarser", "finer"])
 def test_force_is_the_same_in_all_and_acts_at_the_same_place(organ, reference):
     size = sized(organ, reference)
     force = bump(reference)
@@ -55,22 +57,53 @@ def test_coarser_surface_does_the_same_work():
     assert np.vdot(size.forces(force), displacement) == pytest.approx(np.vdot(force, size.displacement(displacement)))
 
 
-def test_finer_surface_takes_a_traction_and_not_single_forces():
-    size = sized(FINE, COARSE)
-    traction = size.forces(bump(COARSE)) / node_area(FINE.surface_positions, FINE.surface_triangles)[:, None]
-    expected = bump(FINE) / node_area(FINE.surface_positions, FINE.surface_triangles)[:, None]
-    assert np.linalg.norm(traction - expected) < 0.2 * np.linalg.norm(expected)
+def test_finer_surface_takes_the_traction_that_the_reference_takes():
+    """To finite elements it is the same load: their work on any linear displacement is the same."""
+    size = sized(DIVIDED, COARSE)
+    traction, wanted = (
+        force / node_area(organ.surface_positions, organ.surface_triangles)[:, None]
+        for organ, force in ((DIVIDED, size.forces(bump(COARSE))), (COARSE, bump(COARSE)))
+    )
+    np.testing.assert_allclose(traction[: COARSE.n_surface], wanted, atol=1e-9 * np.abs(wanted).max())
+    np.testing.assert_allclose(traction, size.reached(wanted), atol=1e-9 * np.abs(wanted).max())
+
+
+def test_finer_surface_is_the_same_polyhedron():
+    assert DIVIDED.n_surface == 700
+    assert len(DIVIDED.surface_triangles) == 2 * 700 - 4
+    np.testing.assert_array_equal(DIVIDED.surface_positions[: COARSE.n_surface], COARSE.surface_positions)
+    apart = distance_to_surface(DIVIDED.surface_positions, COARSE.surface_positions, COARSE.surface_triangles)
+    assert np.abs(apart).max() < 1e-12
+    assert DIVIDED.volume == pytest.approx(COARSE.volume, rel=1e-12)
+    longest = [
+        np.linalg.norm(np.diff(organ.surface_positions[organ.surface_triangles], axis=1), axis=2).max()
+        for organ in (COARSE, DIVIDED)
+    ]
+    assert longest[1] < 0.75 * longest[0]
+
+
+@pytest.mark.parametrize("organ", [COARSE, kidney()], ids=["ball", "kidney"])
+def test_finer_surface_is_held_at_the_same_places(organ):
+    surface = divided(organ.surface_positions, organ.surface_triangles, 3 * organ.n_surface)
+    finer = assembled_anew(organ, *surface, 0)
+    assert set(organ.fixed) <= set(finer.fixed)
+    area = []
+    for one in (organ, finer):
+        held = np.isin(one.surface_triangles, one.fixed).all(axis=1)
+        area.append(triangle_area(one.surface_positions, one.surface_triangles)[held].sum())
+    assert area[0] > 0.0
+    assert area[1] == pytest.approx(area[0], rel=1e-9)
 
 
 def test_organ_assembled_anew_keeps_clamp_tissue_and_atoms():
     organ = filled(kidney(), 20)
-    anew = assembled_anew(organ, organ.surface_positions, organ.surface_triangles)
+    anew = assembled_anew(organ, organ.surface_positions, organ.surface_triangles, 20)
     np.testing.assert_array_equal(anew.fixed, organ.fixed)
     np.testing.assert_array_equal(anew.spring_stiffness, organ.spring_stiffness)
     assert (anew.n_interior, anew.n_atoms, anew.youngs_modulus) == (20, organ.n_atoms, organ.youngs_modulus)
-    finer = assembled_anew(COARSE, FINE.surface_positions, FINE.surface_triangles)
-    assert finer.surface_positions[finer.fixed, 2].max() < -0.5 * 0.03
-    assert len(finer.fixed) / finer.n_surface == pytest.approx(len(COARSE.fixed) / COARSE.n_surface, rel=0.5)
+    other = assembled_anew(COARSE, FINE.surface_positions, FINE.surface_triangles, 0)
+    assert other.surface_positions[other.fixed, 2].max() < -0.5 * 0.03
+    assert len(other.fixed) / other.n_surface == pytest.approx(len(COARSE.fixed) / COARSE.n_surface, rel=0.5)
 
 
 @pytest.mark.slow

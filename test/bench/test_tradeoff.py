@@ -115,12 +115,12 @@ def test_table_tells_the_references_own_error_and_what_was_skipped():
 
 
 def test_every_model_and_peer_has_a_row():
-    names = [row.name for row in rows_of(NONE, [], thorough=True)]
+    names = [row.name for row in rows_of(NONE, [], own=True, quick=False)]
     assert len(set(names)) == len(names)
     wanted = ("surface", "volume", "hybrid, uncalibrated", "hybrid, by groups", CALIBRATED, f"{CALIBRATED}, implicit")
     wanted += (
         "hybrid, by groups, frozen region",
-        "hybrid, by groups, modal region",
+        f"{CALIBRATED}, modal region",
         "linear FEM, linear tetrahedra",
         "ChainMail",
     )
@@ -129,9 +129,16 @@ def test_every_model_and_peer_has_a_row():
     assert set(wanted) <= set(names)
 
 
+def test_at_other_sizes_the_papers_springs_and_the_steps_are_left_out():
+    own = {row.name for row in rows_of(NONE, [], own=True, quick=False)}
+    other = {row.name for row in rows_of(NONE, [], own=False, quick=False)}
+    assert other < own
+    assert [row for row in other if "cells" in row or "hybrid" in row] == [CALIBRATED]
+
+
 def test_row_that_cannot_be_made_is_skipped_with_the_extra_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pypbd", None)
-    rows = {row.name: row for row in rows_of(NONE, [], thorough=False)}
+    rows = {row.name: row for row in rows_of(NONE, [], own=True, quick=True)}
     size = sized(ORGAN, ORGAN)
     chosen = [rows[name] for name in ("surface", CALIBRATED, "pypbd, XPBD")]
     measured = tradeoff.measure_rows([(row, size) for row in chosen], [case()], 0.02)[0]

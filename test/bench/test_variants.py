@@ -13,7 +13,7 @@ pytest.importorskip("netgen", reason="fits need the extra calibration")
 
 from tissue_sim.bench import variants
 from tissue_sim.bench.organs import patch_load
-from tissue_sim.bench.sizes import assembled_anew
+from tissue_sim.bench.sizes import sized
 from tissue_sim.bench.variants import Effort, effort_at, fitted, is_calibrated, variants_of
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.stiffness import INTERIOR_SHARE, Settings, prepared
@@ -24,7 +24,8 @@ FILLED = {"groups": ORGAN} | {aim: prepared(ORGAN, Settings(aim=aim)) for aim in
 
 @pytest.fixture(scope="module")
 def fits():
-    return {method: fitted(organ, method, Effort(15, 20)) for method, organ in FILLED.items()}
+    body = Body(ORGAN)
+    return {method: fitted(body, organ, method, Effort(15, 20)) for method, organ in FILLED.items()}
 
 
 def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
@@ -53,9 +54,9 @@ def test_fit_keeps_the_mass_and_the_step(fits):
 def test_fits_are_kept(monkeypatch, tmp_path, fits):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     made = []
-    monkeypatch.setattr(variants, "fitted", lambda _organ, kind, _effort: made.append(kind) or fits[kind])
+    monkeypatch.setattr(variants, "fitted", lambda _body, _organ, kind, _effort: made.append(kind) or fits[kind])
     for _ in range(2):
-        found = variants_of(ORGAN, ORGAN.n_surface, fits=True)
+        found = variants_of(Body(ORGAN), ORGAN.n_surface, fits=True)
         assert made == ["balanced", "groups"]
         np.testing.assert_array_equal(found.cells["balanced"].cell_mu, fits["balanced"]["cell_mu"])
         assert "linear loads" in found.cells["balanced"].provenance["fit"]
@@ -66,19 +67,43 @@ def test_calibrated_organ_is_taken_as_it_is_at_its_own_size():
     own = replace(ORGAN, provenance={"calibration": {"method": "cells"}})
     assert is_calibrated(own)
     assert not is_calibrated(replace(ORGAN, provenance={"calibration": {"method": "groups"}}))
-    quick = variants_of(own, own.n_surface, fits=False)
+    quick = variants_of(Body(own), own.n_surface, fits=False)
     assert quick.cells["balanced"] is own
     assert isinstance(quick.groups, str)
-    assert "tissue_sim calibrate" in str(variants_of(ORGAN, ORGAN.n_surface, fits=False).cells["balanced"])
+    missing = variants_of(Body(ORGAN), ORGAN.n_surface, fits=False).cells["balanced"]
+    assert "tissue_sim calibrate" in str(missing)
 
 
 def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
-    hollow = ball(2)
-    assert assembled_anew(hollow, hollow.surface_positions, hollow.surface_triangles, 24).n_interior == 24
     assert FILLED["balanced"].n_interior == round(INTERIOR_SHARE["balanced"] * ORGAN.n_surface)
 
 
+def test_finer_organ_learns_from_the_references_body(monkeypatch, tmp_path, fits):
+    """Fitted at twice the points it meets a load that no fit has seen better than the organ does at its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(variants, "effort_at", lambda _points: Effort(15, 20))
+    body = Body(ORGAN)
+    force = np.zeros((ORGAN.n_surface, 3))
+    nodes, forces = patch_load(ORGAN, 1e-3)
+    force[nodes] = forces
+    wanted = body.settle_linear(force[None])[0]
+
+    def error(organ):
+        size = sized(organ, ORGAN)
+        found = size.displacement(Simulation(organ).settle(size.forces(force), 1e-5)[0])
+        return np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+
+    finer = variants_of(body, 2 * ORGAN.n_surface, fits=True)
+    assert isinstance(finer.groups, str)
+    made = finer.cells["balanced"]
+    assert made.n_surface == 2 * ORGAN.n_surface
+    assert made.n_interior == round(INTERIOR_SHARE["balanced"] * made.n_surface)
+    assert error(made) < 0.1
+    assert error(made) < 1.2 * error(replace(FILLED["balanced"], **fits["balanced"]))
+
+
 def test_larger_organs_get_fewer_cases():
-    efforts = [effort_at(points) for points in (250, 994, 2000, 4000)]
+    efforts = [effort_at(points) for points in (250, 994, 2000, 4000, 16_000)]
     assert efforts[0] == efforts[1]
-    assert [effort.cases for effort in efforts[1:]] == sorted((e.cases for e in efforts[1:]), reverse=True)
+    for larger, smaller in zip(efforts[2:], efforts[1:], strict=False):
+        assert larger.cases * larger.steps < smaller.cases * smaller.steps

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from helpers.scenes import ball, kidney
+from tissue_sim.organ import winding
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.winding import inside, winding_number
 
@@ -53,3 +54,23 @@ def test_winding_number_is_that_of_the_solid_angles_in_numpy():
     expected = angles.sum(axis=1) / (4.0 * np.pi)
     found = winding_number(points, organ.surface_positions, organ.surface_triangles)
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_inside_asks_every_triangle_where_groups_leave_a_doubt(monkeypatch):
+    """As near to the surface as rounding allows, and with groups so coarse that they often do."""
+    organ = kidney()
+    corner = organ.surface_positions[organ.surface_triangles]
+    outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    points = np.concatenate([corner.mean(axis=1) + step * outward for step in (-1e-4, -1e-9, 1e-9, 1e-4)])
+    wanted = np.repeat([True, False], 2 * len(corner))
+    asked = []
+    full = winding.winding_number
+    monkeypatch.setattr(
+        winding, "winding_number", lambda some, *surface: asked.append(len(some)) or full(some, *surface)
+    )
+    for afar in (3.0, 0.5):
+        monkeypatch.setattr(winding, "_AFAR", afar)
+        np.testing.assert_array_equal(winding.inside(points, organ.surface_positions, organ.surface_triangles), wanted)
+    assert asked[0] < 0.1 * len(points), "nothing is gained"
+    assert 0 < asked[1] < len(points)

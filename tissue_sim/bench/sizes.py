@@ -1,27 +1,32 @@
 """One body at several point counts, and what carries loads and displacements between their surfaces.
 
-The body is the solid inside one organ's surface. Coarser and finer surfaces of it come out of the pipeline: voxels,
-wall, balloon. They keep the organ's atoms, tissue and clamp.
+The body is the solid inside one organ's surface. A finer surface is that surface with its longest edges halved: the
+same polyhedron, the same clamp. A coarser one comes out of the pipeline: voxels, wall, balloon; it is held where the
+organ's nearest points are. All keep the organ's atoms and tissue.
 """
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.spatial import cKDTree
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.resample import thicken
 from tissue_sim.organ.topology import assemble_like, node_area
 from tissue_sim.store import remembered
 
 _CANDIDATES = 16  # triangles with the nearest middles, among which the nearest one is looked for
-_VERSION = "1"  # of what is remembered
+_PASS = 0.12  # of the points that a pass of halving adds: about the longest edges first
+_ON_PLANE = 1e-9  # of the body's length, within which a point lies on a triangle
+_VERSION = "2"  # of what is remembered
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,20 +42,25 @@ class Sized:
     follow: csr_array
     lead: csr_array
 
+    @cached_property
+    def _areas(self) -> tuple[Floats, Floats]:
+        mine, theirs = (
+            node_area(one.surface_positions, one.surface_triangles)[:, None] for one in (self.organ, self.reference)
+        )
+        return mine, theirs
+
     def forces(self, force: Floats) -> Floats:
         """Forces (n, 3) N of the reference's forces (m, 3) N.
 
         A coarser surface takes them where they act, shared by a triangle's corners: the same virtual work. On a
-        finer one that would be a force on some nodes only; its nodes take the reference's traction there, in all the
-        same force. The reference's own points take them as they are.
+        finer one that would be a force on some nodes only; its nodes take the reference's traction there, which falls
+        linearly from a point to its neighbours: on the same polyhedron the same in all, to rounding. The reference's
+        own points take them as they are.
         """
         if self.organ.n_surface <= self.reference.n_surface:
             return np.asarray(self.follow.T @ force)
-        mine, theirs = (node_area(one.surface_positions, one.surface_triangles) for one in (self.organ, self.reference))
-        found = mine[:, None] * (self.lead @ (force / theirs[:, None]))
-        found[self.organ.fixed] = 0.0
-        size, wanted = np.abs(found).sum(axis=0), np.abs(force).sum(axis=0)
-        return np.asarray(found * np.divide(wanted, size, out=np.zeros(3), where=size > 0.0))
+        mine, theirs = self._areas
+        return np.asarray(mine * (self.lead @ (force / theirs)))
 
     def displacement(self, displacement: Floats) -> Floats:
         """Displacements (m, 3) m at the reference's points of the organ's (n, 3) m."""
@@ -72,51 +82,82 @@ def sized(organ: Organ, reference: Organ) -> Sized:
 def interpolation(source: Organ, target: Organ) -> csr_array:
     """Values at the target's surface nodes of values at the source's, (m, n): barycentric at the nearest place."""
     triangles, points = source.surface_triangles, target.surface_positions
-    corner = source.surface_positions[triangles]
-    count = min(_CANDIDATES, len(triangles))
+    chosen, weight, _ = nearest_places(source.surface_positions[triangles], points)
+    return coo_array(
+        (weight.ravel(), (np.repeat(np.arange(len(points)), 3), triangles[chosen].ravel())),
+        shape=(len(points), source.n_surface),
+    ).tocsr()
+
+
+def nearest_places(corner: Floats, points: Floats) -> tuple[Longs, Floats, Floats]:
+    """The place on triangles (t, 3, 3) m nearest to each of points (p, 3) m.
+
+    Returns the triangle (p,), its corners' weights there (p, 3) and the distance (p,) m.
+    """
+    count = min(_CANDIDATES, len(corner))
     near = cKDTree(corner.mean(axis=1)).query(points, k=count)[1].reshape(len(points), count)
     weights, distance = nearest_weights(corner[near].reshape(-1, 3, 3), np.repeat(points, count, axis=0))
+    distance = distance.reshape(len(points), count)
     rows = np.arange(len(points))
-    best = distance.reshape(len(points), count).argmin(axis=1)
-    chosen = near[rows, best]
-    weight = weights.reshape(len(points), count, 3)[rows, best]
-    return coo_array(
-        (weight.ravel(), (np.repeat(rows, 3), triangles[chosen].ravel())),
-        shape=(target.n_surface, source.n_surface),
-    ).tocsr()
+    best = distance.argmin(axis=1)
+    return near[rows, best], weights.reshape(len(points), count, 3)[rows, best], distance[rows, best]
 
 
 def at_size(organ: Organ, points: int) -> Organ:
     """The same body with this many surface points, assembled as the pipeline does, uncalibrated.
 
-    The organ's own surface at its own number of points. Found in the user's cache when it was made before.
+    With the organ's interior atoms on its own surface, without any at another size: a fit of cells has its own.
+    A coarser surface is found in the user's cache when it was made before.
     """
     if points == organ.n_surface:
-        return assembled_anew(organ, organ.surface_positions, organ.surface_triangles)
+        return assembled_anew(organ, organ.surface_positions, organ.surface_triangles, organ.n_interior)
+    if points > organ.n_surface:
+        return assembled_anew(organ, *divided(organ.surface_positions, organ.surface_triangles, points), 0)
     key = hashlib.sha256(f"{_VERSION} {points} {organ.digest()}".encode()).hexdigest()
     made = remembered("size", key, lambda: _resampled(organ, points))
-    return assembled_anew(organ, made["positions"], made["triangles"])
+    return assembled_anew(organ, made["positions"], made["triangles"], 0)
 
 
-def assembled_anew(organ: Organ, positions: Floats, triangles: NDArray[np.int32], interior: int | None = None) -> Organ:
-    """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs.
+def divided(positions: Floats, triangles: Ints, points: int) -> tuple[Floats, Ints]:
+    """The same polyhedron with so many points, by halving about its longest edges; the points it had come first."""
+    while len(positions) < points:
+        positions, triangles = thicken(
+            positions, triangles, min(points - len(positions), max(1, int(_PASS * len(positions))))
+        )
+    return positions, triangles
 
-    interior: its interior atoms, by default as many for each surface point as the organ has. A point is held where
-    the organ's nearest one is.
-    """
-    held = np.zeros(organ.n_surface, dtype=bool)
-    held[organ.fixed] = True
-    if interior is None:
-        interior = round(organ.n_interior * len(positions) / organ.n_surface)
+
+def assembled_anew(organ: Organ, positions: Floats, triangles: Ints, interior: int) -> Organ:
+    """An organ of the same atoms, tissue and clamp on a surface (n, 3) m, (t, 3), with the pipeline's springs."""
     return assemble_like(
         organ,
         name=f"{organ.name} of {len(positions)} points",
         surface_positions=positions,
         surface_triangles=triangles,
-        fixed=np.flatnonzero(held[cKDTree(organ.surface_positions).query(positions)[1]]),
+        fixed=held_points(organ, positions),
         interior_atoms=interior,
         provenance={"source": f"organ '{organ.name}'", "points": len(positions)},
     )
+
+
+def held_points(organ: Organ, positions: Floats) -> Longs:
+    """Which points (n, 3) m of another surface of the same body are held.
+
+    On a surface that has the organ's points and further ones: those points, and what lies on triangles all of whose
+    nodes are held. On another one: where the organ's nearest point is.
+    """
+    held = np.zeros(organ.n_surface, dtype=bool)
+    held[organ.fixed] = True
+    size = organ.n_surface
+    if len(positions) < size or not np.array_equal(positions[:size], organ.surface_positions):
+        return np.flatnonzero(held[cKDTree(organ.surface_positions).query(positions)[1]])
+    whole = organ.surface_triangles[held[organ.surface_triangles].all(axis=1)]
+    within = np.zeros(len(positions), dtype=bool)
+    within[:size] = held
+    if len(whole):
+        near = _ON_PLANE * float(np.ptp(positions, axis=0).max())
+        within |= nearest_places(organ.surface_positions[whole], positions)[2] < near
+    return np.flatnonzero(within)
 
 
 def _resampled(organ: Organ, points: int) -> dict[str, NDArray]:

@@ -31,7 +31,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
-POINTS = (250, 500, 2000, 4000)  # surface points, beside the organ's own
+POINTS = (250, 500, 2000, 4000, 16_000)  # surface points, beside the organ's own
 FEWEST, MOST = 100, 20_000
 LOADS, QUICK_LOADS = (12, 4), (3, 1)  # smooth and sharp ones
 TUNING = 2  # loads that an engine with parameters of its own is tuned on; drawn apart from the others
@@ -130,10 +130,12 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
     body, cases, tuning = reference(organ, *(QUICK_LOADS if quick else LOADS))
     rows: list[tuple[Row, Sized]] = []
     for count in sorted({organ.n_surface, *points}):
-        thorough = count == organ.n_surface and not quick
-        variants = variants_of(organ, count, fits=not quick, every_aim=thorough)
+        own = count == organ.n_surface
+        variants = variants_of(body, count, fits=not quick, every_aim=own)
         size = sized(variants.plain, organ)
-        rows += [(row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], thorough=thorough)]
+        rows += [
+            (row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], own=own, quick=quick)
+        ]
     measured, noise = measure_rows(rows, cases, 0.2 if quick else 1.0)
     return Found(measured, cases, body.n_nodes, accuracy_of(organ, cases, quick), noise.p99 / noise.median)
 

@@ -2,59 +2,150 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from tissue_sim.bench.peers.rows import CALIBRATED
+from tissue_sim.bench.variants import BALANCED
 from tissue_sim.errors import UserError
 
-_FRONT, _LIMIT = "#222222", "#999999"
-_OURS = ("#08306b", "#2171b5", "#4eb3d3", "#238b45", "#6a51a3", "#41ab5d", "#807dba", "#66c2a4", "#02818a", "#a6bddb")
-_THEIRS = ("#99000d", "#ef3b2c", "#fc8d59", "#b15928", "#dd3497", "#ae017e", "#fdae61", "#8c510a")
 _LEAST = 0.1  # %, below which an error is drawn there
+_ANCHORS = {"left": 1, "center": 0, "right": -1}, {"bottom": 1, "center": 0, "top": -1}
+_NEAR, _FAR = 6, 8  # points between a mark and its name; how many times as far a name may go
+
+
+class _Kind(NamedTuple):
+    """How rows of one kind are drawn, and what the legend calls them."""
+
+    name: str
+    colour: str
+    mark: str
+    line: float  # its width
+
+
+_CELLS = _Kind("cells with fitted stiffness", "#08519c", "o", 2.6)
+_SPRINGS = _Kind("the paper's springs", "#2f8f4e", "^", 1.0)
+_PEERS = _Kind("others", "#b5401f", "s", 1.0)
 
 
 def write_plot(found: dict[str, Any], folder: Path) -> Path:
     """Write tradeoff.png into the folder; raises UserError when it can't be written."""
     path = folder / "tradeoff.png"
     try:
-        _draw(found).savefig(path, dpi=140)
+        _draw(found).savefig(path, dpi=150)
     except OSError as error:
         raise UserError(f"cannot write to {folder}: {error.strerror}") from None
     return path
 
 
 def _draw(found: dict[str, Any]) -> Any:
-    """A line a row's name, a mark a size; log-log."""
+    """A line a row's name, a mark a size; log-log. Names stand beside marks of the organ's own size."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, LogLocator
 
     rows = [row for row in found["rows"] if row["errors"]]
-    figure = Figure(figsize=(10.5, 6.2), layout="constrained")
+    figure = Figure(figsize=(9.0, 6.6), layout="constrained")
     axis = figure.subplots()
-    left = {True: list(_OURS), False: list(_THEIRS)}
+    front = sorted(_place(row) for row in rows if row["pareto"])
+    if front:
+        axis.step(*zip(*front, strict=True), where="post", color="#bbbbbb", linewidth=7, zorder=0, label="Pareto front")
+    names: list[tuple[tuple[float, float], str, _Kind]] = []
+    drawn: dict[str, _Kind] = {}
     for name in dict.fromkeys(row["name"] for row in rows):
         line = [row for row in rows if row["name"] == name]
-        ours = line[0]["ours"]
-        colour = left[ours].pop(0) if left[ours] else _LIMIT
-        times = [row["ms_per_ms"] for row in line]
-        errors = [max(row["mean_percent"], _LEAST) for row in line]
-        axis.plot(times, errors, "o-" if ours else "s--", color=colour, markersize=5, linewidth=1.2, label=name)
-        for row, x, y in zip(line, times, errors, strict=True):
-            if len(line) > 1:
-                axis.annotate(str(row["points"]), (x, y), (4, 3), textcoords="offset points", fontsize=6, color=colour)
-    front = sorted((row["ms_per_ms"], max(row["mean_percent"], _LEAST)) for row in rows if row["pareto"])
-    if front:
-        axis.step(
-            *zip(*front, strict=True), where="post", color=_FRONT, linewidth=2.5, alpha=0.35, label="Pareto front"
+        kind = _kind(name, line[0]["ours"])
+        style = "-" if kind is _CELLS else ":"
+        axis.plot(
+            *zip(*map(_place, line), strict=True),
+            f"{kind.mark}{style}",
+            color=kind.colour,
+            markersize=8 if name == CALIBRATED else 6,
+            linewidth=kind.line,
+            label=None if kind.name in drawn else kind.name,
+            zorder=3 if kind is _CELLS else 2,
         )
-    axis.axvline(1.0, color=_LIMIT, linestyle=":", linewidth=1.0)
-    beside: dict[str, Any] = {"xycoords": axis.get_xaxis_transform(), "textcoords": "offset points", "fontsize": 7}
-    axis.annotate("real time", (1.0, 0.98), (-3, 0), ha="right", rotation=90, va="top", **beside)
+        drawn[kind.name] = kind
+        if name == CALIBRATED:
+            own = f", {BALANCED}" if any(row["name"].startswith(f"{CALIBRATED}, ") for row in rows) else ""
+            for row in line:
+                name = f"{row['points']:,}{own if row['points'] == found['surface_points'] else ''}"
+                names.append((_place(row), name, kind))
+        else:
+            own = [row for row in line if row["points"] == found["surface_points"]]
+            names.append((_place((own or line)[-1]), name.removeprefix(f"{CALIBRATED}, "), kind))
+    axis.axvline(1.0, color="#999999", linestyle=":", linewidth=1.0)
+    axis.text(1.0, 0.99, "real time ", transform=axis.get_xaxis_transform(), ha="right", va="top", color="#777777")
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlabel("processor time for a simulated ms (ms), one thread")
-    axis.set_ylabel("mean relative L2 error (%)")
-    axis.set_title(f"{found['organ']}: {len(found['loads'])} loads against {found['reference']['name']}", loc="left")
+    axis.margins(0.09)
+    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.yaxis.set_minor_locator(LogLocator(subs="all"))
+    for one in (axis.xaxis, axis.yaxis):
+        one.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        one.set_minor_formatter(FuncFormatter(lambda *_: ""))
+    axis.tick_params(labelsize=11)
+    axis.set_xlabel("processor time for a simulated ms (ms), one thread", fontsize=12)
+    axis.set_ylabel("mean error (%), relative L2", fontsize=12)
+    loads = f"{len(found['loads'])} loads against neo-Hookean finite elements; numbers are surface points"
+    axis.set_title(f"{found['organ']}: {loads}", loc="left", fontsize=11)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=11)
+    _name_marks(figure, axis, names, [_place(row) for row in rows])
     return figure
+
+
+def _kind(name: str, ours: bool) -> _Kind:
+    if not ours:
+        return _PEERS
+    return _CELLS if name.startswith(CALIBRATED) else _SPRINGS
+
+
+def _place(row: dict[str, Any]) -> tuple[float, float]:
+    return row["ms_per_ms"], max(row["mean_percent"], _LEAST)
+
+
+def _name_marks(figure: Any, axis: Any, names: list[Any], marks: list[tuple[float, float]]) -> None:
+    """Write each name beside its mark, where it covers no other name and no mark, as far as there is room."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.transforms import Bbox
+
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # names leave it as it is
+    renderer, inside = FigureCanvasAgg(figure).get_renderer(), axis.get_window_extent()
+    taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(marks)]
+    for place, name, kind in names:
+        best = None
+        for far, across, up in product(range(1, _FAR + 1), *_ANCHORS):
+            offset = [_NEAR * far * anchors[side] for anchors, side in zip(_ANCHORS, (across, up), strict=True)]
+            if not any(offset):
+                continue
+            text = axis.annotate(
+                name,
+                place,
+                offset,
+                textcoords="offset points",
+                ha=across,
+                va=up,
+                color=kind.colour,
+                fontsize=11,
+                fontweight="bold" if kind is _CELLS else "normal",
+                annotation_clip=False,
+            )
+            box = text.get_window_extent(renderer)
+            outside = not (inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1)
+            covers = sum(box.overlaps(other) for other in taken) + 2 * outside
+            if best is None or covers < best[0]:
+                if best is not None:
+                    best[1].remove()
+                best = covers, text, box, offset, far
+            else:
+                text.remove()
+            if best[0] == 0:
+                break
+        if best is not None:
+            taken.append(best[2])
+            if best[-1] > 2:
+                line = {"arrowstyle": "-", "color": kind.colour, "linewidth": 0.8}
+                axis.annotate("", place, best[3], textcoords="offset points", arrowprops=line)

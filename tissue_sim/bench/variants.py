@@ -1,15 +1,22 @@
-"""The organs that are compared at one size: as the pipeline makes it, and calibrated in all ways."""
+"""The organs that are compared at one size: as the pipeline makes it, and calibrated.
+
+All sizes learn from one finite-element body, the reference's, under the same loads: one clamp, one material, one shape.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+from functools import lru_cache
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from tissue_sim.bench.sizes import at_size
+from tissue_sim.array_types import Floats
+from tissue_sim.bench.sizes import Sized, at_size, sized
+from tissue_sim.bench.surface_field import answers
 from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, principal
 from tissue_sim.calibration.dynamics import lowest_frequencies
@@ -34,7 +41,7 @@ from tissue_sim.store import remembered
 
 SEED = 0  # of the fit's cases
 BALANCED = Settings().aim
-_VERSION = "4"  # of what is remembered
+_VERSION = "5"  # of what is remembered
 
 
 class Effort(NamedTuple):
@@ -59,24 +66,29 @@ def effort_at(points: int) -> Effort:
     """So that a fit takes minutes at any size. The organ's own calibration has more."""
     if points <= 1000:
         return Effort(1200, 90)
-    return Effort(600, 45) if points <= 2500 else Effort(300, 30)
+    if points <= 2500:
+        return Effort(600, 60)
+    return Effort(600, 45) if points <= 5000 else Effort(300, 30)
 
 
-def variants_of(organ: Organ, points: int, *, fits: bool, every_aim: bool = False) -> Variants:
-    """The organs of one size of an organ's body.
+def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False) -> Variants:
+    """The organs of one size of the organ that a finite-element body was made of.
 
     fits: calibrate those that are not, which takes minutes each; they are kept in the user's cache. Without it only
-    an organ that is itself calibrated has a calibrated variant. every_aim: cells for speed and for accuracy, too.
+    an organ that is itself calibrated has a calibrated variant. Springs are fitted by groups at its own size alone.
+    every_aim: cells for speed and for accuracy, too.
     """
+    organ = body.organ
     plain = at_size(organ, points)
-    own = points == organ.n_surface and is_calibrated(organ)
+    own = points == organ.n_surface
+    ready = own and is_calibrated(organ)
     if not fits:
         missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
-        return Variants(plain, "takes minutes to fit, left out of --quick", {BALANCED: organ if own else missing})
+        return Variants(plain, "takes minutes to fit, left out of --quick", {BALANCED: organ if ready else missing})
     cells: dict[str, Organ | str] = {}
     for aim in INTERIOR_SHARE if every_aim else (BALANCED,):
-        cells[aim] = organ if own and aim == BALANCED else _kept(prepared(plain, Settings(aim=aim)), aim)
-    return Variants(plain, _kept(plain, "groups"), cells)
+        cells[aim] = organ if ready and aim == BALANCED else _kept(body, prepared(plain, Settings(aim=aim)), aim)
+    return Variants(plain, _kept(body, plain, "groups") if own else "fitted at the organ's own size alone", cells)
 
 
 def is_calibrated(organ: Organ) -> bool:
@@ -85,35 +97,37 @@ def is_calibrated(organ: Organ) -> bool:
     return isinstance(figures, dict) and figures.get("method") == "cells"
 
 
-def _kept(organ: Organ, kind: str) -> Organ | str:
+def _kept(body: Body, organ: Organ, kind: str) -> Organ | str:
     """The organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
     effort = effort_at(organ.n_surface)
-    key = hashlib.sha256(f"{_VERSION} {SEED} {tuple(effort)} {organ.digest()}".encode()).hexdigest()
+    source = f"{_VERSION} {SEED} {tuple(effort)} {body.organ.digest()} {organ.digest()}"
+    key = hashlib.sha256(source.encode()).hexdigest()
     try:
-        made: dict[str, Any] = remembered(f"calibrated-{kind}", key, lambda: fitted(organ, kind, effort))
+        made: dict[str, Any] = remembered(f"calibrated-{kind}", key, lambda: fitted(body, organ, kind, effort))
     except UserError as error:
         return str(error)
     provenance = {**organ.provenance, "fit": f"{kind}: {effort.cases} linear loads, {effort.steps} evaluations"}
     return dataclasses.replace(organ, provenance=provenance, **made)
 
 
-def fitted(organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
-    """Stiffnesses, masses and damping of an organ, fitted to linear finite elements, by the organ's names for them.
+def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
+    """Stiffnesses, masses and damping of an organ, by its names for them, fitted to linear answers of a body.
 
-    kind: `groups`, one factor for each group of springs, as the paper has it; or every cell, for `fast`, ...
-    Raises UserError when the organ can't be filled with finite elements, or its tissue leaves something free.
+    body: the reference's, whose surface may be another one of the same body; kind: `groups`, one factor for each group
+    of springs, as the paper has it; or every cell, for `fast`, ...
+    Raises UserError when the organ's tissue leaves something free.
     """
-    body = Body(organ)
-    pushes = fit_cases(organ, effort.cases, SEED)
+    pushes = fit_cases(body.organ, effort.cases, SEED)
+    size = sized(organ, body.organ)
     model = assemble(organ)
     elastic, start = Elastic(model), first_stiffness(organ, model)
-    misfit = Misfit(elastic, *principal(pushes, body.settle_linear(pushes)))
+    misfit = _misfit(elastic, body, size, pushes)
     with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {kind}", leave=False) as bar:
         if kind == "groups":
             stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: bar.update())
         else:
             stiffness = fit(misfit, start, effort.steps, lambda *_: bar.update(), bounds=CELL_BOUNDS)
-    frequencies = lowest_frequencies(body, MODES)
+    frequencies = _frequencies(body)
     rate = damping_rate(frequencies)
     mass = fit_mass(organ, elastic, stiffness, frequencies)
     if kind in ONE_STEP:
@@ -122,3 +136,14 @@ def fitted(organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
     made = with_stiffness(organ, model, stiffness)
     names = ("spring_stiffness", "angular_stiffness", "return_stiffness", "cell_mu", "cell_lambda")
     return {name: getattr(made, name) for name in names} | {"mass": mass, "damping": rate * mass}
+
+
+def _misfit(elastic: Elastic, body: Body, size: Sized, pushes: Floats) -> Misfit:
+    """The misfit of an organ's tissue under the reference's forces (c, m, 3) N."""
+    forces = np.stack([size.forces(push) for push in pushes])
+    return Misfit(elastic, *principal(forces, answers(body, size, pushes)))
+
+
+@lru_cache(maxsize=1)
+def _frequencies(body: Body) -> Floats:
+    return lowest_frequencies(body, MODES)

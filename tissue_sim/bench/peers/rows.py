@@ -21,7 +21,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
 # Surface points up to which an engine is made: above them that takes minutes or many GB.
-MOST_QUADRATIC, MOST_FLEX, MOST_XPBD = 2000, 1000, 2000
+MOST_QUADRATIC, MOST_FLEX, MOST_XPBD, MOST_LINEAR = 2000, 1000, 2000, 4000
 
 CALIBRATED = "cells"
 
@@ -35,28 +35,29 @@ class Row(NamedTuple):
     make: Callable[[], tuple[Engine, str]]
 
 
-def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> Iterator[Row]:
+def rows_of(variants: Variants, tuning: Sequence[Load], *, own: bool, quick: bool) -> Iterator[Row]:
     """The rows of one size.
 
-    tuning: loads that XPBD is tuned on. thorough: also what differs in its steps alone.
+    tuning: loads that XPBD is tuned on. own: the organ's own size, which has the paper's springs, too; unless quick
+    also what differs in its steps alone.
     """
     plain, groups, cells = variants
-    points = plain.n_surface
+    points, balanced = plain.n_surface, cells[BALANCED]
+    thorough = own and not quick
 
     def ours(name: str, organ: Organ | str, **options: Any) -> Row:
         return Row(name, True, points, partial(_ours, organ, **options))
 
-    yield ours("surface", plain, model="surface")
-    yield ours("volume", plain, model="volume")
-    yield ours("hybrid, uncalibrated", plain, model="hybrid")
-    yield ours("hybrid, by groups", groups, model="hybrid")
-    yield ours("hybrid, by groups, frozen region", groups, model="hybrid", local_region="frozen")
-    yield ours("hybrid, by groups, modal region", groups, model="hybrid", local_region="modal")
     for aim, made in cells.items():
         yield ours(CALIBRATED if aim == BALANCED else f"{CALIBRATED}, {aim}", made)
+    if own:
+        yield ours(f"{CALIBRATED}, modal region", balanced, local_region="modal")
+        yield ours("surface", plain, model="surface")
+        yield ours("volume", plain, model="volume")
+        yield ours("hybrid, uncalibrated", plain, model="hybrid")
+        yield ours("hybrid, by groups", groups, model="hybrid")
+        yield ours("hybrid, by groups, frozen region", groups, model="hybrid", local_region="frozen")
     if thorough:
-        balanced = cells[BALANCED]
-        yield ours(f"{CALIBRATED}, substeps x2", balanced, finer=2)
         yield ours(f"{CALIBRATED}, substeps x4", balanced, finer=4)
         yield ours(f"{CALIBRATED}, implicit", balanced, integrator="implicit")
     shared = _Shared(plain, tuning, (1, 2) if thorough else (1,))
@@ -64,7 +65,9 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> It
     def peer(name: str, make: Callable[..., tuple[Engine, str]], *arguments: Any) -> Row:
         return Row(name, False, points, partial(make, *arguments))
 
-    yield peer("linear FEM, linear tetrahedra", shared.linear)
+    if points <= MOST_LINEAR:
+        yield peer("linear FEM, linear tetrahedra", shared.linear)
+        yield peer("ChainMail", shared.chainmail)
     if points <= MOST_QUADRATIC:
         yield peer("linear FEM, quadratic tetrahedra", shared.quadratic_tetrahedra)
         yield peer("compliance, all points", shared.compliance, False)
@@ -75,7 +78,6 @@ def rows_of(variants: Variants, tuning: Sequence[Load], *, thorough: bool) -> It
             yield peer("MuJoCo flex, 5 ms step", shared.flex, 0.005)
     if points <= MOST_XPBD:
         yield peer("pypbd, XPBD", shared.xpbd)
-    yield peer("ChainMail", shared.chainmail)
 
 
 def _ours(organ: Organ | str, *, finer: int = 1, **options: Any) -> tuple[Engine, str]:
