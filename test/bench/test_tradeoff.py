@@ -114,6 +114,35 @@ def test_table_tells_the_references_own_error_and_what_was_skipped():
     json.dumps(as_json(kidney(), found(), 12.0), allow_nan=False)
 
 
+def test_growth_is_that_of_the_calibrated_organ():
+    def both(percent):
+        return [error(percent / 100.0), error(percent / 100.0, "sharp")]
+
+    def sizes(*percent):
+        rows = [
+            Judged(
+                CALIBRATED,
+                True,
+                n,
+                "",
+                [error(p / 100.0), error(p / 100.0, "sharp")],
+                Timing(1e-7 * n**1.25, 1e-3, 9),
+                0.001,
+            )
+            for n, p in zip((4000, 250, 1000), percent, strict=True)
+        ]
+        return as_json(kidney(), found()._replace(rows=[*found().rows, *rows]), 12.0)
+
+    growth = sizes(2.0, 5.0, 2.0)["growth"]
+    assert growth["points"] == [250, 4000]
+    assert growth["time_exponent"] == pytest.approx(1.25)
+    assert growth["error_falls"]
+    worse = sizes(2.1, 5.0, 2.0)
+    assert not worse["growth"]["error_falls"]
+    assert "250 to 4000 points: time grows as n^1.25, the error does not fall" in text(worse)
+    assert as_json(kidney(), found(), 12.0)["growth"] is None
+
+
 def test_every_model_and_peer_has_a_row():
     names = [row.name for row in rows_of(NONE, [], own=True, quick=False)]
     assert len(set(names)) == len(names)

@@ -57,7 +57,7 @@ def test_winding_number_is_that_of_the_solid_angles_in_numpy():
 
 
 def test_inside_asks_every_triangle_where_groups_leave_a_doubt(monkeypatch):
-    """As near to the surface as rounding allows, and with groups so coarse that they often do."""
+    """As near to the surface as rounding allows."""
     organ = kidney()
     corner = organ.surface_positions[organ.surface_triangles]
     outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -69,8 +69,8 @@ def test_inside_asks_every_triangle_where_groups_leave_a_doubt(monkeypatch):
     monkeypatch.setattr(
         winding, "winding_number", lambda some, *surface: asked.append(len(some)) or full(some, *surface)
     )
-    for afar in (3.0, 0.5):
-        monkeypatch.setattr(winding, "_AFAR", afar)
+    for doubt in (0.2, 1e-3):
+        monkeypatch.setattr(winding, "_DOUBT", doubt)
         np.testing.assert_array_equal(winding.inside(points, organ.surface_positions, organ.surface_triangles), wanted)
     assert asked[0] < 0.1 * len(points), "nothing is gained"
     assert 0 < asked[1] < len(points)

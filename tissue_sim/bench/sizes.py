@@ -1,6 +1,6 @@
 """One body at several point counts, and what carries loads and displacements between their surfaces.
 
-The body is the solid inside one organ's surface. A finer surface is that surface with its longest edges halved: the
+The body is the solid inside one organ's surface. A finer surface is that surface with its triangles divided: the
 same polyhedron, the same clamp. A coarser one comes out of the pipeline: voxels, wall, balloon; it is held where the
 organ's nearest points are. All keep the organ's atoms and tissue.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, eye_array
 from scipy.spatial import cKDTree
+from trimesh.remesh import subdivide
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.triangles import nearest_weights
@@ -119,11 +120,16 @@ def at_size(organ: Organ, points: int) -> Organ:
 
 
 def divided(positions: Floats, triangles: Ints, points: int) -> tuple[Floats, Ints]:
-    """The same polyhedron with so many points, by halving about its longest edges; the points it had come first."""
+    """The same polyhedron with so many points; the points it had come first.
+
+    Every triangle is divided into four like it as often as there is room, then about the longest edges are halved.
+    """
+    while 4 * len(positions) - 6 <= points:  # a point more for each of 3 n - 6 edges
+        positions, faces = subdivide(positions, triangles)
+        triangles = faces.astype(np.int32)
     while len(positions) < points:
-        positions, triangles = thicken(
-            positions, triangles, min(points - len(positions), max(1, int(_PASS * len(positions))))
-        )
+        more = min(points - len(positions), max(1, int(_PASS * len(positions))))
+        positions, triangles = thicken(positions, triangles, more)
     return positions, triangles
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +19,9 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.growth import exponent
 from tissue_sim.bench.peers.engine import Engine, Load
-from tissue_sim.bench.peers.rows import Row, rows_of
+from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
 from tissue_sim.bench.printing import emit, figure, made_or_skipped, noise_lines, told, with_remarks
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
@@ -248,7 +250,21 @@ def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
             }
             for case in found.cases
         ],
+        "growth": _growth([row for row in rows if row["name"] == CALIBRATED and row["errors"]]),
         "rows": rows,
+    }
+
+
+def _growth(sizes: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """How the time of the calibrated organ grows with its points, and whether its error falls; None for one size."""
+    if len(sizes) < 2:
+        return None
+    points, times = ([row[key] for row in sizes] for key in ("points", "ms_per_ms"))
+    errors = [row["mean_percent"] for row in sorted(sizes, key=lambda row: row["points"])]
+    return {
+        "points": [min(points), max(points)],
+        "time_exponent": exponent(points, times),
+        "error_falls": all(after <= before for before, after in pairwise(errors)),
     }
 
 
@@ -320,6 +336,13 @@ def text(found: dict[str, Any]) -> str:
         table.append([row["name"] + (" *" if row["pareto"] else ""), *figures, row["remark"]])
     lines += with_remarks(table)
     lines.append("* on the Pareto front of ms per ms and L2: nothing else is both faster and closer")
+    growth = found["growth"]
+    if growth:
+        first, last = growth["points"]
+        errors = "falls from each to the next" if growth["error_falls"] else "does not fall from each to the next"
+        lines.append(
+            f"{CALIBRATED}, {first} to {last} points: time grows as n^{growth['time_exponent']:.2f}, the error {errors}"
+        )
     skipped = {(row["name"], row["remark"]): None for row in found["rows"] if not row["errors"]}
     lines += [f"{name}: {remark}" for name, remark in skipped]
     return "\n".join(lines + noise_lines(found["noise"]))

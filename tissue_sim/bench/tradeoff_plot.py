@@ -67,10 +67,9 @@ def _draw(found: dict[str, Any]) -> Any:
         )
         drawn[kind.name] = kind
         if name == CALIBRATED:
-            own = f", {BALANCED}" if any(row["name"].startswith(f"{CALIBRATED}, ") for row in rows) else ""
             for row in line:
-                name = f"{row['points']:,}{own if row['points'] == found['surface_points'] else ''}"
-                names.append((_place(row), name, kind))
+                aim = f", {BALANCED}" if row["points"] == found["surface_points"] else ""
+                names.append((_place(row), f"{row['points']:,}{aim}", kind))
         else:
             own = [row for row in line if row["points"] == found["surface_points"]]
             names.append((_place((own or line)[-1]), name.removeprefix(f"{CALIBRATED}, "), kind))
