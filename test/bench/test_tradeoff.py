@@ -49,6 +49,10 @@ def error(relative, kind="bump"):
     return Error(kind, relative, 1e-3 * relative, 0.5 * relative, -0.01, True, 0.04)
 
 
+def both(percent):
+    return [error(percent / 100.0), error(percent / 100.0, "sharp")]
+
+
 def found():
     def row(name, ours, points, percent, us, simulated=0.001):
         errors = [error(percent / 100.0), error(2.0 * percent / 100.0, "sharp")]
@@ -115,9 +119,6 @@ def test_table_tells_the_references_own_error_and_what_was_skipped():
 
 
 def test_growth_is_that_of_the_calibrated_organ():
-    def both(percent):
-        return [error(percent / 100.0), error(percent / 100.0, "sharp")]
-
     def sizes(*percent):
         rows = [
             Judged(
@@ -189,6 +190,25 @@ def test_command_prints_json_and_draws(capsys, tmp_path):
     assert main(["bench", "tradeoff", "--quick", "--json", "--out", str(tmp_path / "plots")]) == 0
     assert json.loads(capsys.readouterr().out)["surface_points"] == 994
     assert image.imread(tmp_path / "plots" / "tradeoff.png")[..., :3].std() > 0.02
+
+
+def test_names_in_the_plot_cover_neither_one_another_nor_marks():
+    pytest.importorskip("matplotlib")
+    from tissue_sim.bench.tradeoff_plot import drawn
+
+    crowd = [
+        Judged(f"engine number {n}", n < 6, 994, "", both(5.0 + 0.1 * n), Timing(1e-4 + 2e-5 * n, 1e-3, 9), 0.001)
+        for n in range(12)
+    ]
+    figure = drawn(as_json(kidney(), found()._replace(rows=[*found().rows, *crowd]), 12.0))
+    figure.draw_without_rendering()
+    axis = figure.axes[0]
+    names = {text.get_text(): text.get_window_extent() for text in axis.texts if text.get_text().startswith("engine")}
+    assert len(names) == len(crowd)
+    marks = axis.transData.transform([point for line in axis.lines[:-1] for point in line.get_xydata()])
+    for name, box in names.items():
+        assert not any(box.overlaps(other) for one, other in names.items() if one != name), name
+        assert not any(box.contains(*mark) for mark in marks), name
 
 
 @pytest.mark.parametrize("points", ["12", "many", "250,"])

@@ -33,13 +33,13 @@ def write_plot(found: dict[str, Any], folder: Path) -> Path:
     """Write tradeoff.png into the folder; raises UserError when it can't be written."""
     path = folder / "tradeoff.png"
     try:
-        _draw(found).savefig(path, dpi=150)
+        drawn(found).savefig(path, dpi=150)
     except OSError as error:
         raise UserError(f"cannot write to {folder}: {error.strerror}") from None
     return path
 
 
-def _draw(found: dict[str, Any]) -> Any:
+def drawn(found: dict[str, Any]) -> Any:
     """A line a row's name, a mark a size; log-log. Names stand beside marks of the organ's own size."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator
@@ -51,7 +51,7 @@ def _draw(found: dict[str, Any]) -> Any:
     if front:
         axis.step(*zip(*front, strict=True), where="post", color="#bbbbbb", linewidth=7, zorder=0, label="Pareto front")
     names: list[tuple[tuple[float, float], str, _Kind]] = []
-    drawn: dict[str, _Kind] = {}
+    told: dict[str, _Kind] = {}
     for name in dict.fromkeys(row["name"] for row in rows):
         line = [row for row in rows if row["name"] == name]
         kind = _kind(name, line[0]["ours"])
@@ -62,10 +62,10 @@ def _draw(found: dict[str, Any]) -> Any:
             color=kind.colour,
             markersize=8 if name == CALIBRATED else 6,
             linewidth=kind.line,
-            label=None if kind.name in drawn else kind.name,
+            label=None if kind.name in told else kind.name,
             zorder=3 if kind is _CELLS else 2,
         )
-        drawn[kind.name] = kind
+        told[kind.name] = kind
         if name == CALIBRATED:
             for row in line:
                 aim = f", {BALANCED}" if row["points"] == found["surface_points"] else ""
