@@ -38,7 +38,8 @@ class Tissue(NamedTuple):
     constants: Floats  # (b, CONSTANTS BLOCK)
     position: Floats  # (n, WIDTH) m
     force: Floats  # (n, WIDTH) N
-    stiff: Longs  # (1,) not 0 where the last forces found cells under STIFF
+    stiff_blocks: Longs  # (b,) those in which the last forces of the whole organ found cells under STIFF
+    stiff: Longs  # (1,) how many; of some of the cells not 0 where these forces found any
 
 
 def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
@@ -60,7 +61,14 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
     order = _apart(len(constants))
     packed = pack(np.concatenate([cells, cells[:1].repeat(spare, axis=0)])[order], constants[order], constants[0])
     room = np.zeros((len(rest), WIDTH))
-    return Tissue(packed.nodes, packed.constants, aligned(room), aligned(room), np.zeros(1, dtype=np.int64))
+    return Tissue(
+        packed.nodes,
+        packed.constants,
+        aligned(room),
+        aligned(room),
+        np.zeros(len(packed.nodes), dtype=np.int64),
+        np.zeros(1, dtype=np.int64),
+    )
 
 
 def _apart(count: int) -> Longs:
@@ -101,7 +109,9 @@ def cell_forces(position: Any, tissue: Any, work: Any, force: Any) -> None:
         push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
     for block in range(len(tissue.nodes)):
         gather_arms(wide, tissue.nodes[block], work)
-        stiff += _resist(work, tissue.constants[block])
+        if _resist(work, tissue.constants[block]) > 0:
+            tissue.stiff_blocks[stiff] = block
+            stiff += 1
         scatter_arms(push, tissue.nodes[block], work)
     for node in range(len(force)):
         for axis in range(3):

@@ -13,10 +13,12 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, hold_squeezed
 from tissue_sim.model.state import Region
 
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
+FAST = 0.5  # m/s, that tissue comes near a tool at the most within a tick
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep
 RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
@@ -95,6 +97,43 @@ def gap_and_normal(
 
 
 @kernel
+def watch_contacts(state: Any, shapes: Any, scratch: Any, tick_time: float, substeps: int) -> None:
+    """List the entries that may touch in this tick, s, in scratch.watched; the last impulses of others are forgotten.
+
+    A contact set has many, since it serves several ticks. Left out are those that neither the tool's motion, which is
+    even within a tick, nor tissue that comes at FAST can bring together.
+    """
+    body, moved, turned, count = -1, 0.0, 0.0, 0
+    for entry in range(state.contacts.header.points):
+        watched = state.contact_pressed[0, entry] > 0.0
+        if body != state.contacts.body[entry]:
+            body = state.contacts.body[entry]
+            moved, turned = motion_of(scratch, body)
+        if not watched and state.bodies[body].engaged:
+            _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+            reach = substeps * (moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz)) + FAST * tick_time
+            watched = signed_distance(shapes, body, lx, ly, lz)[0] < reach
+        if watched:
+            scratch.watched[count] = entry
+            count += 1
+        else:
+            state.contact_pressed[0, entry] = 0.0
+            state.contact_held[0, entry] = 0.0
+    scratch.watching[0] = count
+
+
+@kernel
+def motion_of(scratch: Any, body: int) -> tuple[float, float]:
+    """How far a body's origin goes in this substep, m, and a bound on how far it turns, rad."""
+    square = turn = 0.0
+    for axis in range(3):
+        square += (scratch.origin[body, axis] - scratch.last_origin[body, axis]) ** 2
+    for index in range(9):
+        turn += (scratch.rotation[body, index] - scratch.last_rotation[body, index]) ** 2
+    return math.sqrt(square), math.sqrt(turn)
+
+
+@kernel
 def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch: Any, spread: bool) -> int:
     """List the entries that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
 
@@ -108,7 +147,8 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
     forgotten.
     """
     found = 0
-    for entry in range(state.contacts.header.points):
+    for index in range(scratch.watching[0]):
+        entry = scratch.watched[index]
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         near = False
@@ -222,7 +262,16 @@ def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, ta
 
 @kernel
 def resolve_contacts(
-    state: Any, shapes: Any, mobility: Any, scratch: Any, friction: float, step: float, spread: bool
+    model: Any,
+    state: Any,
+    shapes: Any,
+    mobility: Any,
+    scratch: Any,
+    friction: float,
+    step: float,
+    spread: bool,
+    substeps: int,
+    first: bool,
 ) -> int:
     """Keep every contact point out of its tool; returns how many touched.
 
@@ -234,23 +283,28 @@ def resolve_contacts(
     integrator has moved the organ by the last impulses already: points are then all but where they end, and the tool
     is as flat as it is there. Adds to
     scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
-    about the tool's origin, N m s.
+    about the tool's origin, N m s. Cells of the model that are squeezed too much are resolved along with the points.
+    first: this substep is the first of the tick's `substeps`.
     """
+    squeezed = find_squeezed(model, state, mobility, scratch, step)
+    if first:
+        watch_contacts(state, shapes, scratch, step * substeps, substeps)
     found = gather_contacts(state, shapes, mobility, step, scratch, spread)
-    if found == 0:
+    if found == 0 and squeezed == 0:
         return 0
     for near in range(found):
         if scratch.near_normal[near] > 0.0:
             px, py, pz = whole_impulse(scratch, near)
             give_impulse(state, shapes, mobility, scratch, near, px, py, pz, 0.0 if spread else step)
-    for turn in range(MOST_PASSES):
+    for turn in range(MOST_PASSES if squeezed == 0 else SQUEEZED_PASSES):
+        held = hold_squeezed(state, mobility, scratch, squeezed, step)
         change = total = 0.0
         for near in range(found):
             if turn == 0 and not spread:
                 look_again(state, shapes, scratch, near, step)
             change += resolve_contact(state, shapes, mobility, scratch, near, friction, step)
             total += scratch.near_normal[near]
-        if change <= TOLERANCE * total:
+        if held and change <= TOLERANCE * total:
             break
     touching = 0
     for near in range(found):

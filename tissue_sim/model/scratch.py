@@ -10,7 +10,9 @@ from tissue_sim.model.assembly import Model
 from tissue_sim.model.blocks import BLOCK, empty_blocks
 from tissue_sim.model.cells import CONSTANTS
 from tissue_sim.model.contact_constraint import MOST_NEAR
+from tissue_sim.model.contact_set import MOST_POINTS
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model.squeezed import MOST_SQUEEZED
 
 
 class Scratch(NamedTuple):
@@ -36,6 +38,11 @@ class Scratch(NamedTuple):
     near_tangent: Any  # (N, 3) N s
     near_plane: Any  # (N, 11) the tool there; see contact_constraint.gather_contacts
     work: Any  # (9 BLOCK,)
+    squeezed: Any  # (S, 6) cells resolved in this substep; see squeezed.find_squeezed
+    squeezed_node: Any  # (S, 4)
+    squeezed_slope: Any  # (S, 4, 3) 1/m, of their volume by each node
+    watched: Any  # (C,) contact points that may touch in this tick
+    watching: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
     was: Any
@@ -78,6 +85,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
     local = 0 if model.adjacency is None else n
     region_hinges, region_links = (hinges, links) if local else (0, 0)
     region_cells = 0 if not local or model.tissue is None else len(model.tissue.nodes) * BLOCK
+    held = 0 if model.tissue is None else MOST_SQUEEZED
     modal = modes > 0
     rows = 3 * MOST_BOUNDARY if modal else 0
     columns = 3 * MOST_DRIVE if modal and len(model.reduction.compliance) else 0
@@ -91,7 +99,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
     def ints(size: int) -> Any:
         return np.zeros(size, dtype=np.int32)
 
-    def longs(size: int) -> Any:
+    def longs(*size: int) -> Any:
         return np.zeros(size, dtype=np.int64)
 
     return Scratch(
@@ -115,6 +123,11 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         near_tangent=empty(MOST_NEAR, 3),
         near_plane=empty(MOST_NEAR, 11),
         work=empty(9 * BLOCK),
+        squeezed=empty(held, 6),
+        squeezed_node=longs(held, 4),
+        squeezed_slope=empty(held, 4, 3),
+        watched=longs(MOST_POINTS),
+        watching=longs(1),
         fresh=ints(local),
         was=longs(local),
         region_node=ints(local),

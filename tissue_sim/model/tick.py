@@ -206,7 +206,9 @@ def advance_substep(
         carry_momentum(model, state, scratch.force, step)
     integrate(model, state, shapes, settings, scratch, step, implicit)
     pushed = has_taken_impulses(state, settings, implicit)
-    state.status.touching = resolve_contacts(state, shapes, scratch.mobility, scratch, settings.friction, step, pushed)
+    state.status.touching = resolve_contacts(
+        model, state, shapes, scratch.mobility, scratch, settings.friction, step, pushed, substeps, substep == 0
+    )
     keep_bodies(state, scratch)
 
 
