@@ -5,6 +5,7 @@ import pytest
 
 from helpers.scenes import ball
 from helpers.springs_of_ball import MODEL, ORGAN, SPRINGS, START, linear_answers
+from tissue_sim.calibration import fit as fitting
 from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, held_out_cases
 from tissue_sim.calibration.elastic import Elastic
@@ -14,6 +15,16 @@ from tissue_sim.calibration.stiffness import Settings, first_stiffness, prepared
 from tissue_sim.model.assembly import assemble
 
 TRUTH = START * np.exp(0.5 * np.random.default_rng(7).standard_normal(len(START)))
+
+
+def settled(elastic, stiffness, force):
+    """Linear answers (c, n_surface, 3) m of a model of cells."""
+    load = np.zeros((len(force), elastic.n_nodes, 3))
+    load[:, : elastic.n_surface] = force
+    found = np.zeros((len(force), 3 * elastic.n_nodes))
+    factor = elastic.factor(elastic.tangent(stiffness))
+    found[:, elastic.free] = factor.solve(np.ascontiguousarray(load.reshape(len(force), -1)[:, elastic.free].T)).T
+    return found.reshape(load.shape)[:, : elastic.n_surface]
 
 
 def slope_by_differences(misfit, stiffness, chosen, step):
@@ -55,6 +66,22 @@ def test_overlapping_linear_cases_are_combined_and_tell_what_they_told_apart():
     np.testing.assert_allclose(evaluation.slope[chosen], list(slopes), rtol=1e-4)
 
 
+def test_curvature_is_that_of_gauss_and_newton(monkeypatch):
+    """Against displacements by finite differences; the estimate is off by the root of two over the draws."""
+    monkeypatch.setattr(fitting, "PROBES", 400)
+    force = fit_cases(ORGAN, 12, 0)
+    wanted = linear_answers(TRUTH, force)
+    misfit = Misfit(SPRINGS, force, wanted)
+    curvature = misfit.curvature(START)
+    size = np.linalg.norm(wanted, axis=(1, 2))[:, None, None]
+    for spring in springs_that_count(misfit.evaluate(START).slope, START):
+        ahead, behind = START.copy(), START.copy()
+        ahead[spring] *= 1.0 + 1e-4
+        behind[spring] *= 1.0 - 1e-4
+        change = (linear_answers(ahead, force) - linear_answers(behind, force)) / (2e-4 * size)
+        assert curvature[spring] == pytest.approx(2.0 * np.sum(change**2) / len(force), rel=0.3)
+
+
 def test_a_known_model_is_recovered_in_what_it_does():
     force, judged = fit_cases(ORGAN, 60, 0), held_out_cases(ORGAN, 10, 4).force
     misfit = Misfit(SPRINGS, force, linear_answers(TRUTH, force))
@@ -87,13 +114,8 @@ def test_cells_are_found_by_the_same_fit_within_their_bounds():
     model = assemble(organ)
     elastic, even = Elastic(model), first_stiffness(organ, model)
     moduli = even * np.exp(0.5 * np.random.default_rng(0).normal(size=len(even)))
-    load = np.zeros((42, elastic.n_nodes, 3))
-    load[:, : organ.n_surface] = fit_cases(organ, 42, 0)
-    factor = elastic.factor(elastic.tangent(moduli))
-    wanted = np.zeros((42, load[0].size))
-    wanted[:, elastic.free] = factor.solve(np.ascontiguousarray(load.reshape(42, -1)[:, elastic.free].T)).T
-    wanted = wanted.reshape(load.shape)[:, : organ.n_surface]
-    misfit = Misfit(elastic, load[:, : organ.n_surface], wanted)
+    force = fit_cases(organ, 42, 0)
+    misfit = Misfit(elastic, force, settled(elastic, moduli, force))
     assert misfit.evaluate(moduli).error.max() < 0.02
     found = fit(misfit, even, 60, bounds=CELL_BOUNDS)
     assert misfit.evaluate(found).error.mean() < 0.25 * misfit.evaluate(even).error.mean()

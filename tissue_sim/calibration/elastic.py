@@ -10,7 +10,7 @@ from tissue_sim.calibration.factor import Elimination, Factor
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.modes import free_axes, strains_of
 
-_AT_A_TIME = 4096  # entries whose products are summed at once, so that they stay in the processor
+_AT_A_TIME = 512  # entries whose products are summed at once, so that they stay in the processor
 
 
 class Elastic:

@@ -17,10 +17,12 @@ from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
 
 BOUNDS = (-6.0, 3.0)  # of the logarithm of stiffness over that at the start
-SHRINK = 1e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
+SHRINK = 3e-4  # weight of the mean square of those logarithms: what the cases don't tell stays as it was
 SOFTEN = 1e-3  # weight of the trace of the stiffness matrix over that at the start, which bounds the largest frequency
 UNTOLD = 1e-4  # of the squared displacements of the linear cases: a tenth of what the model is off by
 MEMORY = 20  # steps that L-BFGS remembers
+PROBES = 8  # draws that the misfit's curvature is estimated from
+EVEN = 0.1  # of the median curvature, added to each: what hardly counts isn't moved at will
 
 
 class Evaluation(NamedTuple):
@@ -64,6 +66,21 @@ class Misfit:
         slope = -self.elastic.sensitivity(answer, adjoint)
         return Evaluation(float(square.mean()), slope, np.sqrt(np.maximum(square, 0.0)))
 
+    def curvature(self, stiffness: Floats) -> Floats:
+        """About what the loss curves by each stiffness' logarithm, (p,): the diagonal of Gauss and Newton's matrix.
+
+        An entry is the sum of the squares of the slopes of all displacements; that of the slope of their sum, each with
+        a sign drawn at random, is as large in the mean (Bekas, Kokiopoulou & Saad 2007).
+        """
+        factor = self.elastic.factor(self.elastic.tangent(stiffness))
+        answer, random = factor.solve(self._load), np.random.default_rng(0)
+        found, probe = np.zeros(len(stiffness)), np.zeros_like(answer)
+        for _ in range(PROBES):
+            probe[self._inside] = random.choice([-1.0, 1.0], self._wanted.shape)
+            found += (stiffness * self.elastic.sensitivity(answer, factor.solve(probe))) ** 2
+        found *= 2.0 / (PROBES * len(self.combinations))
+        return found
+
 
 def _combinations(answers: Floats) -> Floats:
     """Orthonormal combinations (c, r) of rows (c, a), the strongest ones."""
@@ -83,15 +100,19 @@ def fit(
 ) -> Floats:
     """Stiffness (p,) of the least misfit, from that at the start, by L-BFGS on its logarithms.
 
-    iterations: evaluations at the most; watch: told the number of every evaluation and the errors (c,) found; bounds:
-    of the logarithm of stiffness over that at the start.
+    Each is counted in units in which the loss curves alike: where an organ hangs on a small clamp, some cells count
+    a hundred thousand times as much as most. iterations: evaluations at the most; watch: told the number of every
+    evaluation and the errors (c,) found; bounds: of the logarithm of stiffness over that at the start.
     """
     trace = misfit.elastic.trace()
     total = float(trace @ start)
+    curvature = misfit.curvature(start) + 2.0 * shrink / len(start)
+    unit = 1.0 / np.sqrt(curvature / np.median(curvature) + EVEN)
     count = 0
 
-    def objective(logarithm: Floats) -> tuple[float, Floats]:
+    def objective(counted: Floats) -> tuple[float, Floats]:
         nonlocal count
+        logarithm = unit * counted
         stiffness = start * np.exp(logarithm)
         found = misfit.evaluate(stiffness)
         loss = found.loss + shrink * float(np.mean(logarithm**2)) + soften * float(trace @ stiffness) / total
@@ -99,16 +120,18 @@ def fit(
         count += 1
         if watch is not None:
             watch(count, found.error)
-        return loss, slope
+        return loss, slope * unit
 
-    stiffness: Floats = start * np.exp(descended(objective, np.zeros(len(start)), [bounds] * len(start), iterations))
+    limits = np.outer(1.0 / unit, bounds)
+    best = unit * descended(objective, np.zeros(len(start)), limits, iterations)
+    stiffness: Floats = start * np.exp(np.clip(best, *bounds))
     return stiffness
 
 
 def descended(
     objective: Callable[[Floats], tuple[float, Floats]],
     start: Floats,
-    bounds: Sequence[tuple[float, float]],
+    bounds: Floats | Sequence[tuple[float, float]],
     evaluations: int,
 ) -> Floats:
     """Where L-BFGS gets to from a start (p,), of a function that gives loss and slope; evaluations: at the most."""

@@ -15,7 +15,7 @@ from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import eigsh
 
 from tissue_sim.array_types import Floats
-from tissue_sim.calibration.fit import SHRINK, Misfit, descended
+from tissue_sim.calibration.fit import Misfit, descended
 from tissue_sim.calibration.inertia import modes_of, tissue_mass
 from tissue_sim.model.critical_step import SAFETY, stable_frequency
 from tissue_sim.organ.organ import Organ
@@ -24,6 +24,7 @@ FASTEST = 40  # modes that are held under what the step allows
 CLOSE = 0.985  # of the squared frequency that the step allows: a mode takes part before it is beyond
 # Weights of the lowest and of the fastest modes, beside a misfit of some 1e-3, and the share of the evaluations.
 STAGES = ((0.3, 0.03, 1.0 / 3.0), (1.0, 1.0, 2.0 / 3.0))
+SHRINK = 1e-4  # weight of the mean square of the logarithms of stiffness
 TOTAL = 1e-3  # weight of the whole mass, which the lowest frequencies know already
 SPREAD = 1e-4  # weight of the mean square of the masses' logarithms, over those of the tissue around
 MASS_BOUNDS = (-3.0, 4.0)  # of these logarithms

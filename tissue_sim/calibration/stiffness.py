@@ -36,7 +36,7 @@ class Settings:
     method: str = "cells"
     aim: str = "balanced"
     cases: int = 1600
-    evaluations: int = 120
+    evaluations: int = 100
     interior: int | None = None
     smooth: int = 30
     sharp: int = 10
