@@ -25,7 +25,7 @@ FILLED = {"groups": ORGAN} | {aim: prepared(ORGAN, Settings(aim=aim)) for aim in
 @pytest.fixture(scope="module")
 def fits():
     body = Body(ORGAN)
-    return {method: fitted(body, organ, method, Effort(15, 20)) for method, organ in FILLED.items()}
+    return {method: fitted(body, organ, method, Effort(15, 40)) for method, organ in FILLED.items()}
 
 
 def organ_of(method, made):
@@ -86,7 +86,7 @@ def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
 def test_finer_organ_learns_from_the_references_body(monkeypatch, tmp_path, fits):
     """Fitted at twice the points it meets a load that no fit has seen better than the organ does at its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(variants, "effort_at", lambda _points: Effort(15, 20))
+    monkeypatch.setattr(variants, "effort_at", lambda _points: Effort(15, 40))
     body = Body(ORGAN)
     force = np.zeros((ORGAN.n_surface, 3))
     nodes, forces = patch_load(ORGAN, 1e-3)
