@@ -32,6 +32,7 @@ def test_a_dent_that_stays_is_seen():
     """Springs that a fall has turned over hold the organ in another shape than the raised load does."""
     (one, *_) = [one for one in measure(ball(3), 6, (1.0,)) if one.turned]
     assert one.off > 0.05
+    assert one.faults == 0
     assert met([one._replace(traction=JUDGED)]) == [False, False, one.settled]
 
 

@@ -42,7 +42,7 @@ class Fallen(NamedTuple):
     settled: bool  # both
     turned: int  # cells inside out that only the fall has left
     least: float  # volume of a cell over that at rest, after the fall
-    faults: int
+    faults: int  # of the fall
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,6 +79,7 @@ def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fa
     """One load (n_surface, 3) N."""
     raised, rose = simulation.settle(force, TOLERANCE, LONGEST, RAMP)
     turned = swelling(simulation.model, simulation.positions) <= 0.0
+    faults = int(simulation.state.count.faults)
     dropped, fell = simulation.settle(force, TOLERANCE, LONGEST)
     volume = swelling(simulation.model, simulation.positions)
     return Fallen(
@@ -90,7 +91,7 @@ def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fa
         settled=rose and fell,
         turned=int(np.count_nonzero((volume <= 0.0) & ~turned)),
         least=float(volume.min(initial=1.0)),
-        faults=int(simulation.state.count.faults),
+        faults=int(simulation.state.count.faults) - faults,
     )
 
 
