@@ -12,7 +12,7 @@ from tissue_sim.errors import UserError
 
 _LEAST = 0.1  # %, below which an error is drawn there
 _ANCHORS = {"left": 1, "center": 0, "right": -1}, {"bottom": 1, "center": 0, "top": -1}
-_NEAR, _FAR = 6, 8  # points between a mark and its name; how many times as far a name may go
+_NEAR, _FAR, _APART = 6, 14, 3  # points between a mark and its name; how many times as far a name may go; pixels between two names
 
 
 class _Kind(NamedTuple):
@@ -77,7 +77,7 @@ def drawn(found: dict[str, Any]) -> Any:
     axis.text(1.0, 0.99, "real time ", transform=axis.get_xaxis_transform(), ha="right", va="top", color="#777777")
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.margins(0.09)
+    axis.margins(0.09, 0.13)
     axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.yaxis.set_minor_locator(LogLocator(subs="all"))
     for one in (axis.xaxis, axis.yaxis):
@@ -114,7 +114,7 @@ def _name_marks(figure: Any, axis: Any, names: list[Any], marks: list[tuple[floa
     figure.set_layout_engine("none")  # names leave it as it is
     renderer, inside = FigureCanvasAgg(figure).get_renderer(), axis.get_window_extent()
     taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(marks)]
-    for place, name, kind in names:
+    for place, name, kind in sorted(names, key=lambda one: one[2] is not _CELLS):
         best = None
         for far, across, up in product(range(1, _FAR + 1), *_ANCHORS):
             offset = [_NEAR * far * anchors[side] for anchors, side in zip(_ANCHORS, (across, up), strict=True)]
@@ -132,7 +132,7 @@ def _name_marks(figure: Any, axis: Any, names: list[Any], marks: list[tuple[floa
                 fontweight="bold" if kind is _CELLS else "normal",
                 annotation_clip=False,
             )
-            box = text.get_window_extent(renderer)
+            box = text.get_window_extent(renderer).padded(_APART)
             outside = not (inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1)
             covers = sum(box.overlaps(other) for other in taken) + 2 * outside
             if best is None or covers < best[0]:
