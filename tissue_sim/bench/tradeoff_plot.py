@@ -12,7 +12,8 @@ from tissue_sim.errors import UserError
 
 _LEAST = 0.1  # %, below which an error is drawn there
 _ANCHORS = {"left": 1, "center": 0, "right": -1}, {"bottom": 1, "center": 0, "top": -1}
-_NEAR, _FAR, _APART = 6, 14, 3  # points between a mark and its name; how many times as far a name may go; pixels between two names
+_NEAR, _FAR = 6, 14  # points between a mark and its name; how many times as far a name may go
+_APART = 3  # pixels around a name
 
 
 class _Kind(NamedTuple):
