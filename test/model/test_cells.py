@@ -8,16 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from helpers.naive import naive_cells
 from helpers.scenes import RADIUS, ball
-from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.blocks import BLOCK
+from tissue_sim.model.cell_law import SQUEEZED, STEEPEST, STIFF
 from tissue_sim.model.cells import (
     PENALTY,
-    SQUEEZED,
-    STEEPEST,
-    STIFF,
     cell_energy,
-    cell_forces,
     cell_forces_among,
     cell_slopes,
     cells_of,
@@ -27,9 +23,9 @@ from tissue_sim.model.cells import (
 )
 from tissue_sim.model.cells import swelling as told
 from tissue_sim.model.critical_step import largest_frequency
+from tissue_sim.model.fans import cell_forces
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.vectors import WIDTH, gather_arms, scatter_arms
 from tissue_sim.organ.cell_mesh import quality_of, tetrahedra, with_cells
 
 
@@ -62,7 +58,7 @@ def shaken(size, seed=1):
 
 def forces(x, model=MODEL):
     force = np.zeros_like(x)
-    cell_forces(x, model.tissue, np.zeros(9 * BLOCK), force)
+    cell_forces(x, model.tissue, force)
     return force
 
 
@@ -169,40 +165,11 @@ def test_blocks_repeat_bit_for_bit_and_fill_up_with_nothing():
     few = tissue_of(MODEL.rest, cells[:odd], *moduli[:, :odd])
     assert len(few.nodes) == 2
     force = np.zeros_like(x)
-    cell_forces(x, few, np.zeros(9 * BLOCK), force)
+    cell_forces(x, few, force)
     untouched = np.setdiff1d(np.arange(len(x)), cells[:odd])
     assert not force[untouched].any()
     wanted = naive_cells(x, MODEL._replace(tissue=few))
     assert np.abs(force - wanted).max() < 1e-12 * np.abs(wanted).max()
-
-
-# vectors ---------------------------------------------------------------------------------------
-@kernel
-def gathered(position, nodes, work):
-    gather_arms(position, nodes, work)
-
-
-@kernel
-def scattered(force, nodes, work):
-    scatter_arms(force, nodes, work)
-
-
-def test_vectors_read_and_add_as_one_after_the_other_would_to_the_last_bit():
-    draw = np.random.default_rng(4)
-    nodes = draw.integers(0, 9, (BLOCK, 4)).astype(np.int32)  # many meet at a node
-    position, work = draw.standard_normal((9, WIDTH)), np.zeros(9 * BLOCK)
-    gathered(position, nodes, work)
-    arms = position[nodes[:, 1:], :3] - position[nodes[:, :1], :3]
-    np.testing.assert_array_equal(work.reshape(3, 3, BLOCK).transpose(2, 0, 1), arms)
-    force = draw.standard_normal((9, WIDTH))
-    wanted = force.copy()
-    for lane in range(BLOCK):
-        j, k, m = arms[lane]
-        wanted[nodes[lane, 0], :3] += j + k + m
-        for corner, pull in zip(nodes[lane, 1:], (j, k, m), strict=True):
-            wanted[corner, :3] -= pull
-    scattered(force, nodes, work)
-    np.testing.assert_array_equal(force, wanted)
 
 
 # in the tick -----------------------------------------------------------------------------------
@@ -284,7 +251,7 @@ def test_forces_of_some_cells_are_those_of_an_organ_that_has_no_others():
     constants[:, 9 * BLOCK :] = 0.0
     cell_forces_among(x, among, nodes, constants, MODEL.tissue, np.zeros(9 * BLOCK), found)
     wanted = np.zeros_like(x)
-    cell_forces(x, tissue, np.zeros(9 * BLOCK), wanted)
+    cell_forces(x, tissue, wanted)
     assert np.abs(found - wanted).max() < 1e-12 * np.abs(wanted).max()
     assert not found[np.setdiff1d(np.arange(len(x)), among)].any()
 

@@ -6,8 +6,9 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.jit import handle
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.cells import STIFF, cell_forces, swelling
+from tissue_sim.model.cell_law import STIFF
+from tissue_sim.model.cells import swelling
+from tissue_sim.model.fans import cell_forces
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.squeezed import LEAST, NEARLY, SQUEEZED_PASSES, find_squeezed, hold_squeezed, shape_cell
 from tissue_sim.organ.cell_mesh import with_cells
@@ -30,8 +31,7 @@ def pressed(share, speed):
     x[node] = rest[node] - (1.0 - share) * height * across
     simulation.state.velocity[node] = -np.sign(height) * speed * across
     state, scratch, model = handle(simulation.state), handle(simulation.scratch), handle(simulation.model)
-    work = np.zeros(9 * BLOCK)
-    cell_forces(x, handle(simulation.model.tissue), work, np.zeros_like(rest))
+    cell_forces(x, handle(simulation.model.tissue), np.zeros_like(rest))
     before = swelling(simulation.model, x)
     x[node] += STEP * simulation.state.velocity[node]
     mobility = simulation.model.inverse_mass.copy()

@@ -1,9 +1,6 @@
-"""Cells: linear tetrahedra of a compressible neo-Hookean solid, each with a stiffness of its own.
+"""Cells: linear tetrahedra of a compressible neo-Hookean solid (cell_law), each with a stiffness of its own.
 
-Energy of a cell of volume V at rest, F its deformation gradient, J = det F (Simo & Pister 1984's volumetric part):
-V (mu/2 (F:F - 3 - 2 ln J) + lambda/4 (J^2 - 1 - 2 ln J)), whose pressure needs no logarithm. A cell that is nearly flat
-would take any step, however short, too far: under STEEPEST of its volume the pressure goes on in a straight line, and
-under SQUEEZED a penalty is added, as stiff as the masses of its nodes allow.
+The whole organ's go in fans (fans), those of a local region one by one.
 """
 
 from __future__ import annotations
@@ -16,14 +13,13 @@ from scipy.sparse import coo_array, csc_array
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, aligned, pack
-from tissue_sim.model.vectors import WIDTH, fused, gather_arms, scatter_arms
+from tissue_sim.model.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
+from tissue_sim.model.fans import ARMS, Fans, fans_of, set_penalty
+from tissue_sim.model.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 
 if TYPE_CHECKING:
     from tissue_sim.model.assembly import Model
 
-STEEPEST = 0.4  # of the volume at rest; the pressure's slope grows as 1 / J^2
-SQUEEZED = 0.5  # of the volume at rest, from which on the penalty pushes
-STIFF = 0.35  # of the volume at rest, from which on a cell asks for shorter substeps than at rest
 # Of the largest squared frequency at rest, that the penalty of one cell has. With 1 the step is too long for what a few
 # squeezed cells do together, with 0.1 cells are turned inside out (measured under a pinch).
 PENALTY = 0.3
@@ -36,9 +32,10 @@ class Tissue(NamedTuple):
 
     nodes: Ints  # (b, BLOCK, 4)
     constants: Floats  # (b, CONSTANTS BLOCK)
-    position: Floats  # (n, WIDTH) m
-    force: Floats  # (n, WIDTH) N
-    stiff_blocks: Longs  # (b,) those in which the last forces of the whole organ found cells under STIFF
+    fans: Fans  # the same cells as the whole organ takes them
+    rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
+    work: Floats  # (3 ARMS BLOCK,)
+    stiff_blocks: Longs  # (f,) those of fans in which the last forces of the whole organ found cells under STIFF
     stiff: Longs  # (1,) how many; of some of the cells not 0 where these forces found any
 
 
@@ -56,24 +53,21 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
     constants[:, 7], constants[:, 8] = lam / 12.0, mu / 6.0
     # What only fills up is the first cell without stiffness: with a volume, so that it isn't taken for a squeezed one.
     spare = -len(cells) % BLOCK
-    constants = np.concatenate([constants, np.zeros((spare, CONSTANTS))])
-    constants[len(cells) :, 6] = constants[0, 6]
-    order = _apart(len(constants))
-    packed = pack(np.concatenate([cells, cells[:1].repeat(spare, axis=0)])[order], constants[order], constants[0])
-    room = np.zeros((len(rest), WIDTH))
+    filling = np.zeros((spare, CONSTANTS))
+    filling[:, 6] = constants[0, 6]
+    packed = pack(
+        np.concatenate([cells, cells[:1].repeat(spare, axis=0)]), np.concatenate([constants, filling]), constants[0]
+    )
+    fans = fans_of(rest, cells, slope, mu, lam)
     return Tissue(
         packed.nodes,
         packed.constants,
-        aligned(room),
-        aligned(room),
-        np.zeros(len(packed.nodes), dtype=np.int64),
+        fans,
+        aligned(np.zeros((len(rest), ROW))),
+        aligned(np.zeros(3 * ARMS * BLOCK)),
+        np.zeros(len(fans.nodes), dtype=np.int64),
         np.zeros(1, dtype=np.int64),
     )
-
-
-def _apart(count: int) -> Longs:
-    """An order in which cells that follow each other share no nodes: a processor waits for a sum to go on with it."""
-    return np.arange(count).reshape(BLOCK, -1).T.ravel()
 
 
 def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
@@ -94,35 +88,9 @@ def with_penalty(tissue: Tissue, rest: Floats, cells: Ints, inverse_mass: Floats
     constants = aligned(tissue.constants)
     rows = np.zeros(len(tissue.nodes) * BLOCK)
     rows[: len(cells)] = stiffness
-    constants[:, 9 * BLOCK :] = rows[_apart(len(rows))].reshape(-1, BLOCK)
+    constants[:, 9 * BLOCK :] = rows.reshape(-1, BLOCK)
+    set_penalty(tissue.fans, 6.0 * stiffness)
     return tissue._replace(constants=constants)
-
-
-@kernel
-def cell_forces(position: Any, tissue: Any, work: Any, force: Any) -> None:
-    """Add the forces of cells at position (n, 3) m to force (n, 3) N, and note stiff ones; work (9 BLOCK,)."""
-    wide, push = tissue.position, tissue.force
-    stiff = 0
-    for node in range(len(position)):
-        x, y, z = position[node, 0], position[node, 1], position[node, 2]
-        wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
-        push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
-    for block in range(len(tissue.nodes)):
-        gather_arms(wide, tissue.nodes[block], work)
-        if _resist(work, tissue.constants[block]) > 0:
-            tissue.stiff_blocks[stiff] = block
-            stiff += 1
-        scatter_arms(push, tissue.nodes[block], work)
-    for node in range(len(force)):
-        for axis in range(3):
-            force[node, axis] += push[node, axis]
-    tissue.stiff[0] = stiff
-
-
-@kernel
-def _minor(a: float, d: float, b: float, c: float) -> float:
-    """a d - b c."""
-    return fused(a, d, -(b * c))
 
 
 @kernel
@@ -139,19 +107,12 @@ def _resist(work: Any, constant: Any) -> int:
         jx, jy, jz = work[c], work[BLOCK + c], work[2 * BLOCK + c]
         kx, ky, kz = work[3 * BLOCK + c], work[4 * BLOCK + c], work[5 * BLOCK + c]
         mx, my, mz = work[6 * BLOCK + c], work[7 * BLOCK + c], work[8 * BLOCK + c]
-        ax, ay, az = _minor(ky, mz, kz, my), _minor(kz, mx, kx, mz), _minor(kx, my, ky, mx)
-        bx, by, bz = _minor(my, jz, mz, jy), _minor(mz, jx, mx, jz), _minor(mx, jy, my, jx)
-        dx, dy, dz = _minor(jy, kz, jz, ky), _minor(jz, kx, jx, kz), _minor(jx, ky, jy, kx)
+        ax, ay, az = minor(ky, mz, kz, my), minor(kz, mx, kx, mz), minor(kx, my, ky, mx)
+        bx, by, bz = minor(my, jz, mz, jy), minor(mz, jx, mx, jz), minor(mx, jy, my, jx)
+        dx, dy, dz = minor(jy, kz, jz, ky), minor(jz, kx, jx, kz), minor(jx, ky, jy, kx)
         volume = fused(jx, ax, fused(jy, ay, jz * az)) * constant[6 * BLOCK + c]
         stiff += volume < STIFF
-        bounded = volume if volume > STEEPEST else STEEPEST
-        inverse = 1.0 / bounded
-        bulk, shear = constant[7 * BLOCK + c], constant[8 * BLOCK + c]
-        under = volume - SQUEEZED
-        under = under if under < 0.0 else 0.0
-        pressure = bulk * (bounded - inverse) - shear * inverse
-        pressure = fused(volume - bounded, fused(bulk + shear, 1.0 / STEEPEST**2, bulk), pressure)
-        pressure = fused(under, constant[9 * BLOCK + c], pressure)
+        pressure = pressure_of(volume, constant[7 * BLOCK + c], constant[8 * BLOCK + c], constant[9 * BLOCK + c])
         s11, s12, s13 = constant[c], constant[BLOCK + c], constant[2 * BLOCK + c]
         s22, s23, s33 = constant[3 * BLOCK + c], constant[4 * BLOCK + c], constant[5 * BLOCK + c]
         work[c] = _pull(s11, jx, s12, kx, s13, mx, pressure, ax)
@@ -169,12 +130,8 @@ def _resist(work: Any, constant: Any) -> int:
 @kernel
 def _spread(position: Any, among: Any, tissue: Any) -> None:
     """Put the positions of nodes among (k,) where blocks are gathered from, and clear where they are scattered to."""
-    wide, push = tissue.position, tissue.force
     for index in range(len(among)):
-        node = among[index]
-        x, y, z = position[node, 0], position[node, 1], position[node, 2]
-        wide[node, 0], wide[node, 1], wide[node, 2], wide[node, 3] = x, y, z, 0.0
-        push[node, 0] = push[node, 1] = push[node, 2] = push[node, 3] = 0.0
+        put_node(position, among[index], tissue.rows)
 
 
 @kernel
@@ -183,7 +140,7 @@ def _add_scattered(tissue: Any, among: Any, share: float, force: Any) -> None:
     for index in range(len(among)):
         node = among[index]
         for axis in range(3):
-            force[node, axis] += share * tissue.force[node, axis]
+            force[node, axis] += share * tissue.rows[node, WIDTH + axis]
 
 
 @kernel
@@ -194,9 +151,9 @@ def cell_forces_among(
     stiff = 0
     _spread(position, among, tissue)
     for block in range(len(nodes)):
-        gather_arms(tissue.position, nodes[block], work)
+        gather_arms(tissue.rows, nodes[block], work)
         stiff += _resist(work, constants[block])
-        scatter_arms(tissue.force, nodes[block], work)
+        scatter_arms(tissue.rows, nodes[block], work)
     _add_scattered(tissue, among, 1.0, force)
     tissue.stiff[0] = stiff
 
@@ -208,9 +165,9 @@ def subtract_linear_cells(
     """Subtract what some of the cells would push if they were linear about rest; slopes as cell_slopes has them."""
     _spread(position, among, tissue)
     for block in range(len(nodes)):
-        gather_arms(tissue.position, nodes[block], work)
+        gather_arms(tissue.rows, nodes[block], work)
         _resist_linearly(work, slopes[block])
-        scatter_arms(tissue.force, nodes[block], work)
+        scatter_arms(tissue.rows, nodes[block], work)
     _add_scattered(tissue, among, -1.0, force)
 
 
@@ -270,10 +227,9 @@ def slots_of(tissue: Tissue) -> Longs:
 def cells_of(tissue: Tissue) -> tuple[Ints, Floats, Floats]:
     """The cells (c, 4) again, their moduli mu and lambda (2, c) Pa, and the penalty of each, J/m^3."""
     rows = _rows_of(tissue)
-    order = np.argsort(_apart(len(rows)))
-    order = order[rows[order, 8] > 0.0]  # the others only fill up
-    rows = rows[order]
-    return tissue.nodes.reshape(-1, 4)[order], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
+    real = slots_of(tissue)
+    rows = rows[real]
+    return tissue.nodes.reshape(-1, 4)[real], np.stack([6.0 * rows[:, 8], 12.0 * rows[:, 7]]), 6.0 * rows[:, 9]
 
 
 def swelling(model: Model, position: Floats) -> Floats:

@@ -11,7 +11,7 @@ from typing import Any
 
 from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model.blocks import BLOCK
-from tissue_sim.model.cells import cell_forces
+from tissue_sim.model.fans import cell_forces
 
 # Of its rest length, below which a spring's push fades to nothing where its ends meet. Equation (1) alone turns around
 # there by twice its largest force: no step is short enough for that, and energy comes from nothing.
@@ -240,7 +240,7 @@ def return_forces(position: Any, rest: Any, nodes: Any, stiffness: Any, force: A
 
 @kernel
 def _by_cells(model: Any, position: Any, force: Any) -> None:
-    cell_forces(position, model.tissue, model.work, force)
+    cell_forces(position, model.tissue, force)
 
 
 @kernel

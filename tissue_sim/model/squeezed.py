@@ -13,6 +13,7 @@ from typing import Any
 
 from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model.blocks import BLOCK
+from tissue_sim.model.fans import CELLS, OWN, OWN_ROWS
 from tissue_sim.model.state import Region
 
 LEAST = 0.1  # of the volume at rest; with 0.2 nodes are thrown under the deepest pinch
@@ -49,13 +50,17 @@ def _find(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> i
         return 0
     for index in range(tissue.stiff[0]):
         block = tissue.stiff_blocks[index]
-        constant = tissue.constants[block]
+        constant = tissue.fans.constants[block]
         for c in range(BLOCK):
-            # What only fills up has no stiffness.
-            if found < len(scratch.squeezed) and constant[8 * BLOCK + c] > 0.0:
-                inverse, penalty = constant[6 * BLOCK + c], constant[9 * BLOCK + c]
-                if _take(state, mobility, scratch, found, tissue.nodes[block, c], inverse, penalty, step):
-                    found += 1
+            fan = tissue.fans.nodes[block, c]
+            for which in range(CELLS):
+                own = OWN + OWN_ROWS * which
+                # What only fills up has no stiffness.
+                if found < len(scratch.squeezed) and constant[(own + 2) * BLOCK + c] > 0.0:
+                    inverse, penalty = constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]
+                    nodes = fan[0], fan[1], fan[2 + which], fan[3 + which]
+                    if _take(state, mobility, scratch, found, nodes, inverse, penalty, step):
+                        found += 1
     return found
 
 

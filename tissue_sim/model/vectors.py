@@ -1,7 +1,8 @@
 """Four springs or cells at a time: what their nodes have, in rows of four, turned into rows of a block and back.
 
 The compiler reads nodes one coordinate at a time and adds forces likewise. These read and write a node at once and
-transpose four of them in registers. Strict IEEE arithmetic in a fixed order: no bit depends on the processor.
+transpose four of them in registers. A node's position and force lie side by side, in one line of the cache. Strict IEEE
+arithmetic in a fixed order: no bit depends on the processor.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
+from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK
 
-WIDTH = 4  # doubles in a row of a node: x, y, z and nothing
+WIDTH = 4  # doubles of a node's position, or of its force: x, y, z and nothing
+ROW = 2 * WIDTH  # of a node: position, force
 _INDEX, _LANE = ir.IntType(64), ir.IntType(32)
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _BYTES = 8
@@ -31,52 +34,70 @@ def fused(typing_context, a, b, c):  # type: ignore[no-untyped-def]
     return types.double(types.double, types.double, types.double), make
 
 
-@intrinsic
-def gather_arms(typing_context, position, nodes, work):  # type: ignore[no-untyped-def]
-    """From the first of a block's four nodes to the others, in nine rows of a block.
+def _gatherer(corners: int) -> Any:
+    """Reads the arms of springs or cells with so many nodes."""
 
-    position (n, WIDTH) m, nodes (BLOCK, 4), work (9 BLOCK,).
-    """
+    @intrinsic
+    def gather(typing_context, rows, nodes, work):  # type: ignore[no-untyped-def]
+        def make(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            place, ends, room = _pointers(context, builder, signature, arguments)
+            for first in range(0, BLOCK, WIDTH):
+                at = [_row_of_each(builder, ends, corners, first + lane) for lane in range(WIDTH)]
+                base = [_load(builder, place, row[0]) for row in at]
+                for corner in range(1, corners):
+                    arms = [builder.fsub(_load(builder, place, at[k][corner]), base[k]) for k in range(WIDTH)]
+                    for axis, values in enumerate(_transposed(builder, arms)[:3]):
+                        _store(builder, values, room, _at((3 * (corner - 1) + axis) * BLOCK + first))
+            return context.get_dummy_value()
 
-    def make(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        place, corners, room = _pointers(context, builder, signature, arguments)
-        for first in range(0, BLOCK, WIDTH):
-            rows = [_rows(builder, corners, first + lane) for lane in range(WIDTH)]
-            base = [_load(builder, place, row[0]) for row in rows]
-            for corner in range(1, 4):
-                arms = [builder.fsub(_load(builder, place, rows[k][corner]), base[k]) for k in range(WIDTH)]
-                for axis, values in enumerate(_transposed(builder, arms)[:3]):
-                    _store(builder, values, room, _at((3 * (corner - 1) + axis) * BLOCK + first))
-        return context.get_dummy_value()
+        return _signature(rows, nodes, work), make
 
-    return _signature(position, nodes, work), make
+    return gather
 
 
-@intrinsic
-def scatter_arms(typing_context, force, nodes, work):  # type: ignore[no-untyped-def]
-    """Take what nine rows of a block hold from its last three nodes, and add it to the first: the sum stays zero.
+def _scatterer(corners: int) -> Any:
+    """Adds the pulls of springs or cells with so many nodes."""
 
-    force (n, WIDTH) N, nodes (BLOCK, 4), work (9 BLOCK,).
-    """
+    @intrinsic
+    def scatter(typing_context, rows, nodes, work):  # type: ignore[no-untyped-def]
+        def make(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            target, ends, room = _pointers(context, builder, signature, arguments)
+            zero = ir.Constant(_VECTOR, [0.0] * WIDTH)
+            for first in range(0, BLOCK, WIDTH):
+                pulls = []
+                for arm in range(corners - 1):
+                    axes = [_load(builder, room, _at((3 * arm + axis) * BLOCK + first)) for axis in range(3)]
+                    pulls.append(_transposed(builder, [*axes, zero]))
+                for lane in range(WIDTH):
+                    row = _row_of_each(builder, ends, corners, first + lane)
+                    force = [builder.add(start, _at(WIDTH)) for start in row]
+                    total = pulls[0][lane]
+                    for pull in pulls[1:]:
+                        total = builder.fadd(total, pull[lane])
+                    _store(builder, builder.fadd(_load(builder, target, force[0]), total), target, force[0])
+                    for corner, pull in enumerate(pulls, 1):
+                        moved = builder.fsub(_load(builder, target, force[corner]), pull[lane])
+                        _store(builder, moved, target, force[corner])
+            return context.get_dummy_value()
 
-    def make(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        target, corners, room = _pointers(context, builder, signature, arguments)
-        zero = ir.Constant(_VECTOR, [0.0] * WIDTH)
-        for first in range(0, BLOCK, WIDTH):
-            pulls = []
-            for corner in range(3):
-                axes = [_load(builder, room, _at((3 * corner + axis) * BLOCK + first)) for axis in range(3)]
-                pulls.append(_transposed(builder, [*axes, zero]))
-            for lane in range(WIDTH):
-                row = _rows(builder, corners, first + lane)
-                total = builder.fadd(builder.fadd(pulls[0][lane], pulls[1][lane]), pulls[2][lane])
-                _store(builder, builder.fadd(_load(builder, target, row[0]), total), target, row[0])
-                for corner in range(3):
-                    moved = builder.fsub(_load(builder, target, row[corner + 1]), pulls[corner][lane])
-                    _store(builder, moved, target, row[corner + 1])
-        return context.get_dummy_value()
+        return _signature(rows, nodes, work), make
 
-    return _signature(force, nodes, work), make
+    return scatter
+
+
+# gather: from the first node of each spring or cell in a block, nodes (BLOCK, c), to its others, m, into 3 (c - 1) rows
+# of BLOCK in work. scatter: take what these hold, N, from the others and add it to the first: the sum stays zero.
+# rows (n, ROW).
+gather_arms, scatter_arms = _gatherer(4), _scatterer(4)
+gather_fan, scatter_fan = _gatherer(6), _scatterer(6)
+
+
+@kernel
+def put_node(position: Any, node: int, rows: Any) -> None:
+    """Put a node's position, of (n, 3) m, into its row, and no force."""
+    x, y, z = position[node, 0], position[node, 1], position[node, 2]
+    rows[node, 0], rows[node, 1], rows[node, 2], rows[node, 3] = x, y, z, 0.0
+    rows[node, 4] = rows[node, 5] = rows[node, 6] = rows[node, 7] = 0.0
 
 
 def _signature(*arguments: Any) -> Any:
@@ -95,10 +116,10 @@ def _at(index: int) -> Any:
     return ir.Constant(_INDEX, index)
 
 
-def _rows(builder: Any, corners: Any, lane: int) -> list[Any]:
-    """Where the rows of the four nodes of one of a block begin."""
-    nodes = [builder.load(builder.gep(corners, [_at(4 * lane + corner)])) for corner in range(4)]
-    return [builder.shl(builder.sext(node, _INDEX), _at(2)) for node in nodes]
+def _row_of_each(builder: Any, ends: Any, corners: int, lane: int) -> list[Any]:
+    """Where the rows of the nodes of one of a block begin."""
+    nodes = [builder.load(builder.gep(ends, [_at(corners * lane + corner)])) for corner in range(corners)]
+    return [builder.mul(builder.sext(node, _INDEX), _at(ROW)) for node in nodes]
 
 
 def _load(builder: Any, base: Any, index: Any) -> Any:
