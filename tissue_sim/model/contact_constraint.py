@@ -18,7 +18,6 @@ from tissue_sim.model.state import Region
 
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
-FAST = 0.5  # m/s, that tissue comes near a tool at the most within a tick
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep
 RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
@@ -94,43 +93,6 @@ def gap_and_normal(
         r[3] * mx + r[4] * my + r[5] * mz,
         r[6] * mx + r[7] * my + r[8] * mz,
     )
-
-
-@kernel
-def watch_contacts(state: Any, shapes: Any, scratch: Any, tick_time: float, substeps: int) -> None:
-    """List the entries that may touch in this tick, s, in scratch.watched; the last impulses of others are forgotten.
-
-    A contact set has many, since it serves several ticks. Left out are those that neither the tool's motion, which is
-    even within a tick, nor tissue that comes at FAST can bring together.
-    """
-    body, moved, turned, count = -1, 0.0, 0.0, 0
-    for entry in range(state.contacts.header.points):
-        watched = state.contact_pressed[0, entry] > 0.0
-        if body != state.contacts.body[entry]:
-            body = state.contacts.body[entry]
-            moved, turned = motion_of(scratch, body)
-        if not watched and state.bodies[body].engaged:
-            _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
-            reach = substeps * (moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz)) + FAST * tick_time
-            watched = signed_distance(shapes, body, lx, ly, lz)[0] < reach
-        if watched:
-            scratch.watched[count] = entry
-            count += 1
-        else:
-            state.contact_pressed[0, entry] = 0.0
-            state.contact_held[0, entry] = 0.0
-    scratch.watching[0] = count
-
-
-@kernel
-def motion_of(scratch: Any, body: int) -> tuple[float, float]:
-    """How far a body's origin goes in this substep, m, and a bound on how far it turns, rad."""
-    square = turn = 0.0
-    for axis in range(3):
-        square += (scratch.origin[body, axis] - scratch.last_origin[body, axis]) ** 2
-    for index in range(9):
-        turn += (scratch.rotation[body, index] - scratch.last_rotation[body, index]) ** 2
-    return math.sqrt(square), math.sqrt(turn)
 
 
 @kernel
@@ -248,7 +210,8 @@ def aim_impulse(state: Any, shapes: Any, entry: int, scratch: Any) -> tuple[floa
 def add_contact_impulses(state: Any, shapes: Any, scratch: Any, scale: float, target: Any) -> None:
     """Add the last substep's contact impulses, N s, times a scale to target (n, 3), and keep them whole in held[1]."""
     shares = state.contacts.weight
-    for entry in range(state.contacts.header.points):
+    for index in range(scratch.watching[0]):
+        entry = scratch.watched[index]
         if state.contact_pressed[0, entry] > 0.0 and state.bodies[state.contacts.body[entry]].engaged:
             push = aim_impulse(state, shapes, entry, scratch)
             held = state.contact_held[1, entry]  # row 0 stays that of a whole substep for whoever reads beside the loop
@@ -270,8 +233,6 @@ def resolve_contacts(
     friction: float,
     step: float,
     spread: bool,
-    substeps: int,
-    first: bool,
 ) -> int:
     """Keep every contact point out of its tool; returns how many touched.
 
@@ -284,11 +245,9 @@ def resolve_contacts(
     is as flat as it is there. Adds to
     scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
     about the tool's origin, N m s. Cells of the model that are squeezed too much are resolved along with the points.
-    first: this substep is the first of the tick's `substeps`.
     """
     squeezed = find_squeezed(model, state, mobility, scratch, step)
-    if first:
-        watch_contacts(state, shapes, scratch, step * substeps, substeps)
+    scratch.squeezing[0] = squeezed
     found = gather_contacts(state, shapes, mobility, step, scratch, spread)
     if found == 0 and squeezed == 0:
         return 0

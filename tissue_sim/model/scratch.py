@@ -24,7 +24,7 @@ class Scratch(NamedTuple):
     push: Any  # (3n,) s/kg, and
     shrink: Any  # (3n,), of integrators.symplectic_euler_whole
     mobility_key: Any  # (5,) settings that they were worked out for
-    velocity_before: Any  # (n, 3) m/s, at the beginning of the tick
+    velocity_before: Any  # (n, 3) m/s, at the beginning of its last substep
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
     origin: Any  # (T, 3) m at the substep's end
@@ -41,6 +41,7 @@ class Scratch(NamedTuple):
     squeezed: Any  # (S, 6) cells resolved in this substep; see squeezed.find_squeezed
     squeezed_node: Any  # (S, 4)
     squeezed_slope: Any  # (S, 4, 3) 1/m, of their volume by each node
+    squeezing: Any  # (1,) how many
     watched: Any  # (C,) contact points that may touch in this tick
     watching: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
@@ -126,6 +127,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         squeezed=empty(held, 6),
         squeezed_node=longs(held, 4),
         squeezed_slope=empty(held, 4, 3),
+        squeezing=longs(1),
         watched=longs(MOST_POINTS),
         watching=longs(1),
         fresh=ints(local),

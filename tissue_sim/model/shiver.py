@@ -1,7 +1,7 @@
 """Notices that a step has become too long under load, and has it halved for a while.
 
-Tissue that is squeezed or stretched is stiffer than at rest, so that a tick of one substep may come to lie beyond the
-critical step. Nodes then turn around in every step, ever faster. Those that do so are looked for in some ticks.
+Tissue that is squeezed or stretched is stiffer than at rest, so that a substep may come to lie beyond the critical
+step. Nodes then turn around in every substep, ever faster. Those that do so are looked for in some ticks.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 
-LOOK_EVERY = 2  # ticks
+LOOK_EVERY = 2  # substeps at the least
 FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while they settle
 TURNED = 0.5  # of a speed, that it has at least the other way
 MANY = 4  # coordinates that turn around
@@ -20,20 +20,23 @@ HALVED = 1000  # ticks for which the step stays halved: less, and what shivered 
 
 
 @kernel
-def begin_look(state: Any, substeps: int, scratch: Any) -> bool:
-    """Keep the velocities when this tick is one to look at, and say whether it is: of one substep, every other tick."""
+def is_looked_at(state: Any, substeps: int) -> bool:
+    """True when this tick of some substeps is one to look at; a step stays halved one tick less."""
     status = state.status
     if status.shivering > 0:
         status.shivering -= 1
-    if substeps > 1 or status.tick % LOOK_EVERY != 0:
-        return False
+    return substeps * status.tick % LOOK_EVERY < substeps
+
+
+@kernel
+def begin_look(state: Any, scratch: Any) -> None:
+    """Keep the velocities before the tick's last substep."""
     copy(state.velocity, scratch.velocity_before)
-    return True
 
 
 @kernel
 def end_look(state: Any, scratch: Any) -> None:
-    """Have the step halved when nodes have turned around in this tick, faster than at the last look.
+    """Have the step halved when nodes have turned around in this substep, faster than at the last look.
 
     A mode that the step just allows turns around as often, after a blow, but dies down.
     """

@@ -26,6 +26,7 @@ from tissue_sim.model.rest import pace
 from tissue_sim.model.scratch import make_scratch
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
 from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
+from tissue_sim.model.squeezed import add_held
 from tissue_sim.model.state import Region, State, make_state, take_fields
 from tissue_sim.model.world import (
     load_world,
@@ -349,11 +350,12 @@ class Simulation:
         return bool(speed * 0.1 > tolerance * reach)
 
     def _residual(self, forces: Floats) -> float:
-        """Norm of the force left on the nodes that may move, N."""
+        """Norm of the force left on the nodes that may move, N; what holds squeezed cells is one of the forces."""
         force = np.zeros_like(self.model.rest)
         elastic_forces(self.model, self.state.position, force)
         force *= self.settings.stiffness_scale
         force[: self.model.n_surface] += forces
+        add_held(self.scratch, float(self.settings.tick_time) / self.state.status.substeps, force)
         nodes = self.model.moving
         if self.state.status.region != Region.WHOLE:
             nodes = self.scratch.moved_node[: self.scratch.moved[0]]

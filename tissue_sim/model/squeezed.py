@@ -2,7 +2,8 @@
 
 What the law of a cell pushes back with is bounded by the step; what a tool presses is not. At LEAST of its volume at
 rest a cell gives way no more: its four nodes share an impulse along the slopes of that volume, found together with the
-contact's by projected Gauss-Seidel. Impulses start from none in every substep, and are bounded: cells between two tools
+contact's by projected Gauss-Seidel. The slopes are those where the substep began: at rest that is where it ends, and the
+impulse then balances the load exactly, however far that would have carried the nodes. Impulses start from none in every substep, and are bounded: cells between two tools
 may have no way out, and impulses that pile up there throw their nodes.
 """
 
@@ -10,6 +11,8 @@ from __future__ import annotations
 
 import math
 from typing import Any
+
+import numpy as np
 
 from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model.blocks import BLOCK
@@ -26,13 +29,27 @@ SETTLED = 0.2  # of the impulses on cells, which a pass may still change
 
 
 @kernel
-def shape_cell(position: Any, nodes: Any, inverse: float, slope: Any) -> float:
-    """Volume of a cell over that at rest; its slopes by each node into slope (4, 3) 1/m. inverse: 1 / (6 V), 1/m^3."""
+def volume_of(position: Any, nodes: Any, inverse: float) -> float:
+    """Volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
     i, j, k, m = nodes[0], nodes[1], nodes[2], nodes[3]
     x, y, z = position[i, 0], position[i, 1], position[i, 2]
     jx, jy, jz = position[j, 0] - x, position[j, 1] - y, position[j, 2] - z
     kx, ky, kz = position[k, 0] - x, position[k, 1] - y, position[k, 2] - z
     mx, my, mz = position[m, 0] - x, position[m, 1] - y, position[m, 2] - z
+    return inverse * (jx * (ky * mz - kz * my) + jy * (kz * mx - kx * mz) + jz * (kx * my - ky * mx))
+
+
+@kernel
+def slopes_of(position: Any, velocity: Any, back: float, nodes: Any, inverse: float, slope: Any) -> float:
+    """The same `back` seconds ago; its slopes by each node into slope (4, 3) 1/m."""
+    for corner in range(4):
+        node = nodes[corner]
+        for axis in range(3):
+            slope[corner, axis] = position[node, axis] - back * velocity[node, axis]
+    x, y, z = slope[0, 0], slope[0, 1], slope[0, 2]
+    jx, jy, jz = slope[1, 0] - x, slope[1, 1] - y, slope[1, 2] - z
+    kx, ky, kz = slope[2, 0] - x, slope[2, 1] - y, slope[2, 2] - z
+    mx, my, mz = slope[3, 0] - x, slope[3, 1] - y, slope[3, 2] - z
     ax, ay, az = inverse * (ky * mz - kz * my), inverse * (kz * mx - kx * mz), inverse * (kx * my - ky * mx)
     bx, by, bz = inverse * (my * jz - mz * jy), inverse * (mz * jx - mx * jz), inverse * (mx * jy - my * jx)
     dx, dy, dz = inverse * (jy * kz - jz * ky), inverse * (jz * kx - jx * kz), inverse * (jx * ky - jy * kx)
@@ -84,23 +101,22 @@ def _take(
     state: Any, mobility: Any, scratch: Any, index: int, nodes: Any, inverse: float, penalty: float, step: float
 ) -> bool:
     """True, and a cell's row in scratch.squeezed, when it is one of those to resolve; its penalty J / 6 V."""
-    slope = scratch.squeezed_slope[index]
-    swollen = shape_cell(state.position, nodes, inverse, slope)
-    if swollen > LEAST + NEARLY:
+    if volume_of(state.position, nodes, inverse) > LEAST + NEARLY:
         return False
-    speed = give = square = 0.0
+    slope = scratch.squeezed_slope[index]
+    before = slopes_of(state.position, state.velocity, step, nodes, inverse, slope)
+    give = square = 0.0
     for corner in range(4):
         node = nodes[corner]
         scratch.squeezed_node[index, corner] = node
         for axis in range(3):
             along = slope[corner, axis]
-            speed += along * state.velocity[node, axis]
             square += along * along
             give += along * along * mobility[node]
     if give == 0.0:
         return False
     row = scratch.squeezed[index]
-    row[0], row[1] = inverse, min(LEAST, swollen - step * speed + step * RECOVERY_RATE)
+    row[0], row[1] = inverse, min(LEAST, before + step * RECOVERY_RATE)
     row[2], row[3], row[4], row[5] = 1.0 / (step * give), 0.0, step * HARDEST * penalty / inverse, math.sqrt(square)
     return True
 
@@ -111,7 +127,7 @@ def hold_squeezed(state: Any, mobility: Any, scratch: Any, found: int, step: flo
     change = total = 0.0
     for index in range(found):
         row, nodes, slope = scratch.squeezed[index], scratch.squeezed_node[index], scratch.squeezed_slope[index]
-        swollen = shape_cell(state.position, nodes, row[0], slope)
+        swollen = volume_of(state.position, nodes, row[0])
         pushed = min(row[4], max(0.0, row[3] + (row[1] - swollen) * row[2]))
         more = pushed - row[3]
         total += row[5] * pushed
@@ -126,3 +142,10 @@ def hold_squeezed(state: Any, mobility: Any, scratch: Any, found: int, step: flo
                 state.velocity[node, axis] += move * slope[corner, axis]
                 state.position[node, axis] += step * move * slope[corner, axis]
     return change <= SETTLED * total
+
+
+def add_held(scratch: Any, step: float, force: Any) -> None:
+    """Add what held the cells in the last substep, s, to force (n, 3) N."""
+    held = slice(scratch.squeezing[0])
+    push = scratch.squeezed[held, 3, None, None] / step * scratch.squeezed_slope[held]
+    np.add.at(force, scratch.squeezed_node[held], push)

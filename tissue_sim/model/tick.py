@@ -34,7 +34,7 @@ from tissue_sim.model.regions import (
 )
 from tissue_sim.model.rest import find_back, rest_if_quiet
 from tissue_sim.model.settings import Integrator
-from tissue_sim.model.shiver import begin_look, end_look
+from tissue_sim.model.shiver import begin_look, end_look, is_looked_at
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
@@ -44,6 +44,7 @@ from tissue_sim.model.tool_motion import (
     has_tip_force,
     keep_bodies,
 )
+from tissue_sim.model.watched import watch_contacts
 
 CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
 
@@ -87,13 +88,17 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     if regional:
         region_forces(model, state, settings, scratch, False)
     wanted = settings.substeps if whole else settings.region_substeps
-    substeps = wanted * status.backoff * caution(model, state, begun or regional)
-    looking = begun and begin_look(state, substeps, scratch)
+    factor = caution(model, state, begun or regional)
+    substeps = wanted * status.backoff * factor
+    looking = begun and is_looked_at(state, substeps) and factor == 1
     eased = substeps < status.substeps
     status.substeps = substeps
     set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
+    watch_contacts(state, shapes, settings, scratch)
     for substep in range(substeps):
         first = substep == 0
+        if looking and substep == substeps - 1:
+            begin_look(state, scratch)
         known = first and (begun or (regional and substeps > 1))  # the last one of a region tells more
         advance_substep(model, state, shapes, settings, scratch, substep, substeps, known, eased and first)
     if looking:
@@ -207,7 +212,7 @@ def advance_substep(
     integrate(model, state, shapes, settings, scratch, step, implicit)
     pushed = has_taken_impulses(state, settings, implicit)
     state.status.touching = resolve_contacts(
-        model, state, shapes, scratch.mobility, scratch, settings.friction, step, pushed, substeps, substep == 0
+        model, state, shapes, scratch.mobility, scratch, settings.friction, step, pushed
     )
     keep_bodies(state, scratch)
 

@@ -1,0 +1,56 @@
+"""Which contact points a tick looks at. A contact set has many, since it serves several ticks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.contact_constraint import point_in_body
+from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.tool_motion import set_frame
+
+FAST = 0.5  # m/s, that tissue comes near a tool at the most within a tick
+
+
+@kernel
+def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """List the entries that may touch in the coming tick in scratch.watched; the last impulses of others are forgotten.
+
+    Left out are those that neither the tool's way, which leads from where it is to where it is held, nor tissue that
+    comes at FAST can bring together. For after advance_held; scratch.last_* become the tools now.
+    """
+    body, moved, turned, count = -1, 0.0, 0.0, 0
+    for entry in range(state.contacts.header.points):
+        watched = state.contact_pressed[0, entry] > 0.0
+        if body != state.contacts.body[entry]:
+            body = state.contacts.body[entry]
+            set_frame(state.body_pose[body], scratch.last_origin[body], scratch.last_rotation[body])
+            moved, turned = motion_of(settings, scratch, body)
+        if not watched and state.bodies[body].engaged:
+            _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.last_origin, scratch.last_rotation)
+            reach = moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz) + FAST * settings.tick_time
+            watched = signed_distance(shapes, body, lx, ly, lz)[0] < reach
+        if watched:
+            scratch.watched[count] = entry
+            count += 1
+        else:
+            state.contact_pressed[0, entry] = 0.0
+            state.contact_held[0, entry] = 0.0
+    scratch.watching[0] = count
+
+
+@kernel
+def motion_of(settings: Any, scratch: Any, body: int) -> tuple[float, float]:
+    """How far a body's origin may go in this tick, m, and a bound on how far it turns, rad.
+
+    A virtual coupling leads it a part of the way.
+    """
+    square = turn = 0.0
+    for axis in range(3):
+        square += (scratch.origin[body, axis] - scratch.last_origin[body, axis]) ** 2
+    for index in range(9):
+        turn += (scratch.rotation[body, index] - scratch.last_rotation[body, index]) ** 2
+    stiff = settings.coupling_stiffness * settings.tick_time
+    led = stiff / settings.coupling_damping if stiff < settings.coupling_damping else 1.0
+    return (led if stiff > 0.0 else 1.0) * math.sqrt(square), math.sqrt(turn)
