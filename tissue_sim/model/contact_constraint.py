@@ -113,10 +113,15 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
         entry = scratch.watched[index]
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
+        if pressed == 0.0:
+            scratch.watched_gap[index] -= step * scratch.watched_speed[index]
+            if scratch.watched_gap[index] >= NEAR:
+                continue
         near = False
         if state.bodies[body].engaged and found < len(scratch.near_entry):
             scratch.near_entry[found] = entry
             gap = set_plane(state, shapes, scratch, found)
+            scratch.watched_gap[index] = gap
             near = pressed > 0.0 or (gap < NEAR and is_outside(state, scratch, found))
         if not near:
             state.contact_pressed[0, entry] = 0.0
@@ -296,23 +301,25 @@ def resolve_contact(
         held[0] = held[1] = held[2] = 0.0
         return 0.0
     origin = scratch.origin[state.contacts.body[entry]]
+    nodes, weights = state.contacts.node[entry], state.contacts.weight[entry]
     x, y, z = -origin[0], -origin[1], -origin[2]
-    # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
-    sx, sy, sz = -plane[4] - origin[0], -plane[5] - origin[1], -plane[6] - origin[2]
     for c in range(3):
-        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
-        position, velocity = state.position[node], state.velocity[node]
+        weight, position = weights[c], state.position[nodes[c]]
         x += weight * position[0]
         y += weight * position[1]
         z += weight * position[2]
-        sx += weight * step * velocity[0]
-        sy += weight * step * velocity[1]
-        sz += weight * step * velocity[2]
     nx, ny, nz = plane[0], plane[1], plane[2]
     gap = nx * x + ny * y + nz * z - plane[3]
     normal = max(0.0, pressed - gap / compliance)
     if normal == 0.0 and pressed == 0.0:
         return 0.0
+    # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
+    sx, sy, sz = -plane[4] - origin[0], -plane[5] - origin[1], -plane[6] - origin[2]
+    for c in range(3):
+        weight, velocity = weights[c], state.velocity[nodes[c]]
+        sx += weight * step * velocity[0]
+        sy += weight * step * velocity[1]
+        sz += weight * step * velocity[2]
     scratch.near_normal[near] = normal
     along = sx * nx + sy * ny + sz * nz
     tx = held[0] - (sx - along * nx) / compliance

@@ -43,6 +43,8 @@ class Scratch(NamedTuple):
     squeezed_slope: Any  # (S, 4, 3) 1/m, of their volume by each node
     squeezing: Any  # (1,) how many
     watched: Any  # (C,) contact points that may touch in this tick
+    watched_gap: Any  # (C,) m, from the tools at the least
+    watched_speed: Any  # (C,) m/s, at which that may shrink
     watching: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
@@ -129,6 +131,8 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         squeezed_slope=empty(held, 4, 3),
         squeezing=longs(1),
         watched=longs(MOST_POINTS),
+        watched_gap=empty(MOST_POINTS),
+        watched_speed=empty(MOST_POINTS),
         watching=longs(1),
         fresh=ints(local),
         was=longs(local),

@@ -2,9 +2,10 @@
 
 What the law of a cell pushes back with is bounded by the step; what a tool presses is not. At LEAST of its volume at
 rest a cell gives way no more: its four nodes share an impulse along the slopes of that volume, found together with the
-contact's by projected Gauss-Seidel. The slopes are those where the substep began: at rest that is where it ends, and the
-impulse then balances the load exactly, however far that would have carried the nodes. Impulses start from none in every
-substep, and are bounded: cells between two tools may have no way out, and impulses that pile up there throw their nodes.
+contact's by projected Gauss-Seidel. The slopes are those where the substep began: at rest that is where it ends, and
+the impulse then balances the load exactly, however far that would have carried the nodes. Impulses start from none in
+every substep, and are bounded: cells between two tools may have no way out, and impulses that pile up there throw
+their nodes.
 """
 
 from __future__ import annotations

@@ -22,17 +22,21 @@ def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None
     """
     body, moved, turned, count = -1, 0.0, 0.0, 0
     for entry in range(state.contacts.header.points):
-        watched = state.contact_pressed[0, entry] > 0.0
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
             set_frame(state.body_pose[body], scratch.last_origin[body], scratch.last_rotation[body])
             moved, turned = motion_of(settings, scratch, body)
-        if not watched and state.bodies[body].engaged:
+        gap = reach = 0.0
+        watched = state.contact_pressed[0, entry] > 0.0
+        if state.bodies[body].engaged:
             _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.last_origin, scratch.last_rotation)
             reach = moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz) + FAST * settings.tick_time
-            watched = signed_distance(shapes, body, lx, ly, lz)[0] < reach
+            if not watched:
+                gap = signed_distance(shapes, body, lx, ly, lz)[0]
+                watched = gap < reach
         if watched:
             scratch.watched[count] = entry
+            scratch.watched_gap[count], scratch.watched_speed[count] = gap, reach / settings.tick_time
             count += 1
         else:
             state.contact_pressed[0, entry] = 0.0
