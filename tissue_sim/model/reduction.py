@@ -18,7 +18,7 @@ from tissue_sim.store import remembered
 
 LARGEST_TABLE = 2048  # nodes: 144 MiB of compliance; above it modes stand for all
 MODES_BESIDE_TABLE = 48  # they carry the motion alone; three times as many change it by under 1 %
-VERSION = "1"  # of what is remembered
+VERSION = "2"  # of what is remembered
 
 
 def reduce_model(model: Model, largest: int = LARGEST_TABLE) -> Reduction:
