@@ -7,7 +7,7 @@ from scipy.sparse import csr_array, eye_array
 from helpers.blocks import box
 from helpers.scenes import ball
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import Points, organ_points, squeezed
+from tissue_sim.calibration.squeeze import TIE, Held, Points, organ_points, squeezed
 
 E, NU = 3000.0, 0.3
 RADIUS, DEPTH = 0.02, 6e-4  # m
@@ -50,6 +50,23 @@ def test_a_sphere_is_pushed_back_as_hertz_has_it():
     wanted = (1.0 + share + share**2) * sticking * 4.0 / 3.0 * E / (1.0 - NU**2) * np.sqrt(RADIUS) * depths**1.5
     assert -force == pytest.approx(wanted, rel=0.04)
     assert np.abs(steps[-1].forces[0, :2]).max() < 0.03 * -force[-1]  # the mesh is not symmetric
+
+
+def test_a_tied_solid_gives_way_as_its_matrix_has_it(coarse):
+    solid, top = coarse
+    stuck = np.array([3, 4, 11])
+    force = np.random.default_rng(0).standard_normal(solid.nodes.shape)
+    tied = top.weights[stuck].toarray()
+    matrix = solid.stiffness.toarray() + np.kron(TIE * tied.T @ tied, np.eye(3))
+    free = np.flatnonzero(~solid.held.ravel())
+    wanted = np.zeros(force.size)
+    wanted[free] = np.linalg.solve(matrix[np.ix_(free, free)], force.ravel()[free])
+    held = Held(solid, solid.factor(np.zeros_like(force)), top)
+    for points in (stuck[:1], stuck):  # what was worked out for one is used again
+        found = held.tied(points)(force).ravel()
+    assert np.linalg.norm(found - wanted) < 1e-4 * np.linalg.norm(wanted)
+    without = held.tied(stuck[:0])(force).ravel()
+    assert np.linalg.norm(without - wanted) > 1e-2 * np.linalg.norm(wanted)
 
 
 def test_what_the_spheres_push_with_is_what_the_foot_holds(coarse):

@@ -195,19 +195,22 @@ class Solid:
                 yield ready.pop(following)
                 following += 1
 
-    def follow(self, start: Floats, load: Floats) -> tuple[Floats, bool]:
-        """Equilibrium (n, 3) m near a state (n, 3) m under nodal loads (n, 3) N, and whether one was found.
+    def follow(
+        self, start: Floats, load: Floats, precondition: Callable[[Floats], Floats], tolerance: float = TOLERANCE
+    ) -> tuple[Floats, bool, int]:
+        """Equilibrium (n, 3) m near a state (n, 3) m under nodal loads (n, 3) N, with ties.
 
-        With ties, which the preconditioner leaves to conjugate gradients: a few steps for each.
+        precondition: displacements (n, 3) m that the solid, ties included, would have about under forces (n, 3) N.
+        Returns it, whether it was found, and iterations of conjugate gradients.
         """
-        run = self._newton(start, load, None)
+        run = self._newton(start, load, None, tolerance)
         try:
             residual = next(run)
             while True:
-                residual = run.send(self._factor.precondition(residual.reshape(-1, 1)).reshape(residual.shape))
+                residual = run.send(precondition(residual))
         except StopIteration as end:
-            found, _, _, converged, _ = end.value
-            return found, converged
+            found, _, iterations, converged, _ = end.value
+            return found, converged, iterations
 
     def _settling(self, load: Floats) -> Settling:
         """Settle under one load; yields residuals (n, 3) N and is sent what the solid at rest makes of them."""
@@ -236,9 +239,11 @@ class Solid:
             return other
 
     def _newton(
-        self, start: Floats, load: Floats, factor: Cholesky | None
+        self, start: Floats, load: Floats, factor: Cholesky | None, tolerance: float = TOLERANCE
     ) -> Generator[Floats, Floats, tuple[Floats, int, int, bool, Cholesky | None]]:
         """Newton's method from a state (n, 3) m; a factor serves as preconditioner in place of that at rest.
+
+        With ties the caller's preconditioner is kept.
 
         Returns the state, steps, iterations, whether it converged, and the last factor.
         """
@@ -254,12 +259,12 @@ class Solid:
             residual = np.where(held, 0.0, load - inner)
             # At rest's norm whatever the preconditioner, so that the tolerance means the same.
             error = math.sqrt(max(float(np.vdot(residual, (yield residual))), 0.0)) / size
-            if error <= TOLERANCE:
+            if error <= tolerance:
                 return moved, step, iterations, True, factor
             # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
             forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
             before = error
-            forcing = max(forcing, 0.1 * TOLERANCE / error)
+            forcing = max(forcing, 0.1 * tolerance / error)
             way, used = yield from self._direction(moved, residual, forcing, factor)
             iterations += used
             slope, length = float(np.vdot(residual, way)), 1.0
@@ -274,7 +279,7 @@ class Solid:
             else:
                 return moved, step, iterations, False, factor
             moved, potential = trial, potential + change
-            if used > WORN:
+            if used > WORN and self.ties is None:
                 factor = self._factor_or(moved, factor)
         return moved, MOST_STEPS, iterations, False, factor
 

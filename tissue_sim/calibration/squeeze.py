@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse import csr_array, vstack
 
 from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Solid
 
 TIE = 2000.0  # N/m, by which a touching point is held to its place on the sphere: 10 um under 20 mN
 ENTERED = 1e-6  # m inside a sphere
 MOST_ROUNDS = 12  # of finding out which points touch, at one depth
+TOLERANCE = 1e-4  # of what the ties would do to the linear solid, in the energy norm
+WORN = 30  # iterations at one depth, after which a factor about the state reached costs less than more of them
 
 
 class Points(NamedTuple):
@@ -52,6 +57,48 @@ def organ_points(body: Body, near: Ints) -> Points:
     return Points(mean @ organ.surface_positions, csr_array(mean @ body.load_matrix.T))
 
 
+class Held:
+    """What a solid tied at some of its points gives way by: a factor without ties, and their part by Woodbury.
+
+    A spring to a point is so much stiffer than the solid that conjugate gradients would take an iteration for each.
+    """
+
+    def __init__(self, solid: Solid, factor: Cholesky, points: Points) -> None:
+        self._solid, self._factor, self._points = solid, factor, points
+        self._gives: dict[int, Floats] = {}  # of a point, (3, n, 3) m/N
+
+    def anew(self, moved: Floats) -> Held:
+        """The same about another state (n, 3) m; this one where that would not be stable without ties."""
+        try:
+            return Held(self._solid, self._solid.factor(moved), self._points)
+        except NotPositive:
+            return self
+
+    def tied(self, stuck: Longs) -> Callable[[Floats], Floats]:
+        """Displacements (n, 3) m for forces (n, 3) N with ties at points (k,)."""
+        weights = csr_array(self._points.weights[stuck])
+        new = [point for point in stuck.tolist() if point not in self._gives]
+        if new:
+            pulls = np.einsum("kn,ab->kanb", self._points.weights[new].toarray(), np.eye(3))
+            gives = self._factor.solve(pulls.reshape(3 * len(new), -1).T).T.reshape(len(new), 3, -1, 3)
+            self._gives.update(zip(new, gives, strict=True))
+        if not len(stuck):
+            return self._untied
+        gives = np.concatenate([self._gives[point] for point in stuck.tolist()])  # (3k, n, 3)
+        among = np.stack([(weights @ give).ravel() for give in gives], axis=1)
+        small = lu_factor(among + np.eye(len(among)) / TIE)
+
+        def precondition(force: Floats) -> Floats:
+            moved = self._untied(force)
+            pulls = lu_solve(small, (weights @ moved).ravel())
+            return moved - np.tensordot(pulls, gives, axes=1)
+
+        return precondition
+
+    def _untied(self, force: Floats) -> Floats:
+        return self._factor.precondition(force.reshape(-1, 1)).reshape(force.shape)
+
+
 def squeezed(solid: Solid, points: Points, paths: Floats, radius: float) -> list[Squeezed]:
     """Equilibria of a solid whose points stick to spheres that go along paths (steps, s, 3) m.
 
@@ -62,16 +109,19 @@ def squeezed(solid: Solid, points: Points, paths: Floats, radius: float) -> list
     owner = np.full(len(rest), -1)
     place = np.zeros_like(rest)  # on the owner's surface, from its centre
     moved = np.zeros_like(solid.nodes)
+    held = Held(solid, solid.factor(moved), points)
     found: list[Squeezed] = []
     for centres in paths:
-        settled = False
+        settled, iterations = False, 0
         push = np.zeros_like(rest)
         for _ in range(MOST_ROUNDS):
             stuck = owner >= 0
             tied = csr_array(weights[stuck])
             solid.ties = math.sqrt(TIE) * tied
             wanted = centres[owner[stuck]] + place[stuck] - rest[stuck]
-            moved, converged = solid.follow(moved, tied.T @ (TIE * wanted))
+            load, precondition = tied.T @ (TIE * wanted), held.tied(np.flatnonzero(stuck))
+            moved, converged, used = solid.follow(moved, load, precondition, TOLERANCE)
+            iterations += used
             push[:] = 0.0
             push[stuck] = TIE * (wanted - tied @ moved)
             away = (rest + weights @ moved)[:, None] - centres
@@ -91,5 +141,7 @@ def squeezed(solid: Solid, points: Points, paths: Floats, radius: float) -> list
         found.append(Squeezed(moved, forces, np.flatnonzero(owner >= 0), least, settled))
         if not settled:
             break
+        if iterations > WORN:
+            held = held.anew(moved)
     solid.ties = None
     return found
