@@ -99,6 +99,22 @@ def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():
     assert off < 2e-3
 
 
+@pytest.mark.parametrize("step", [5e-3, 1e-2, 2e-2])
+def test_a_nearly_incompressible_solid_is_let_go_from_far(step):
+    """Whole steps about the linear solid's matrix lead up there, and never arrive."""
+    sides = np.linspace(0.0, 0.02, 3)
+    solid = box(np.linspace(0.0, 0.04, 5), sides, sides, E, 0.49, DENSITY)
+    along = solid.nodes[:, 0]
+    solid.held[along == 0.0] = True
+    start = np.zeros_like(solid.nodes)
+    start[:, 0] = 0.2 * along
+    start[:, 1:] = -0.1 * (solid.nodes[:, 1:] - 0.01) * np.minimum(1.0, along / 0.01)[:, None]
+    start[:, 1] += 0.2 * along**2 / 0.04
+    motion = swing(solid, start, 2.0 * step, step, 40.0, np.arange(len(along)), smoothed=2)
+    assert np.all(np.diff(motion.energy) < 0.0)
+    assert np.linalg.norm(motion.displacement[-1]) < np.linalg.norm(start)
+
+
 def test_frequencies_go_with_the_root_of_the_stiffness():
     organ = ball(1)
     grading = Grading(clamp=0)

@@ -19,6 +19,7 @@ from tissue_sim.errors import UserError
 
 TOLERANCE = 1e-3  # of the forces and inertia of a step, in the norm of its matrix
 MOST_ITERATIONS = 60  # in a time step
+UPHILL = 1e-9  # of what a step makes least, that rounding may add
 KEPT = 8  # steps that L-BFGS remembers
 SMOOTHED = 2  # steps after a release
 
@@ -114,16 +115,20 @@ def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: 
     L-BFGS (Nocedal 1980) about the matrix of the linear solid, whose mass part is exact: a few iterations, where
     Newton's method would assemble a matrix for each.
     """
-    half, enough = guess.copy(), 0.0
+    half, enough, level = guess.copy(), 0.0, math.inf
     steps: list[Floats] = []
     changes: list[Floats] = []
     before, taken = np.zeros_like(half), np.zeros_like(half)
     for _ in range(MOST_ITERATIONS):
-        _, inner, least = solid.energy(moved + half)
-        if least <= 0.0:  # an element is turned over: half the way, without what was learnt
+        energy, inner, least = solid.energy(moved + half)
+        reached = energy + float(np.vdot(half, 0.5 * shift * (solid.mass @ half) - push))
+        # An element is turned over, or the way leads up, as where a solid is nearly incompressible: half of it.
+        if least <= 0.0 or (taken.any() and reached > level + UPHILL * abs(level)):
             half, taken = half - 0.5 * taken if taken.any() else 0.5 * half, 0.5 * taken
-            steps, changes = [], []
+            if least <= 0.0:
+                steps, changes = [], []
             continue
+        level = reached
         slope = np.where(solid.held, 0.0, shift * (solid.mass @ half) + inner - push)
         if taken.any() and float(np.vdot(taken, slope - before)) > 0.0:
             steps, changes = [*steps[1 - KEPT :], taken], [*changes[1 - KEPT :], slope - before]
