@@ -1,5 +1,7 @@
 """Two tools that squeeze the organ: what is measured of it, and what the bounds say."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,7 @@ def test_bounds_take_the_worst_and_the_text_names_every_pinch(gentle):
     assert value["cells inside out long after"] == (0, True)
     assert value["what stays of the shape"] == (2.0, False)
     assert value["tick, p99 of the worst"][0] >= 1e3
+    assert json.loads(json.dumps(found)) == found
     text = pinch.text(found)
     assert text.count("jaws") == 2
     assert "missed" in text

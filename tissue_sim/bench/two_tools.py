@@ -117,7 +117,7 @@ def pinched(
         for tool in range(2):
             scene.move(tool, where.at(deep)[tool], turns[tool])
         scene.step()
-        substeps = max(substeps, simulation.state.status.substeps)
+        substeps = max(substeps, int(simulation.state.status.substeps))
         if simulation.state.status.tick % LOOK == 0:
             turned = max(turned, int(np.count_nonzero(swelling(simulation.model, simulation.positions) <= 0.0)))
 

@@ -19,7 +19,8 @@ from tissue_sim.model.state import Region
 INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
-MOST_PASSES = 20  # over the contact points in a substep
+MOST_PASSES = 20  # over the contact points in a substep, and
+PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found
 RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
@@ -260,7 +261,8 @@ def resolve_contacts(
         if scratch.near_normal[near] > 0.0:
             px, py, pz = whole_impulse(scratch, near)
             give_impulse(state, shapes, mobility, scratch, near, px, py, pz, 0.0 if spread else step)
-    for turn in range(MOST_PASSES if squeezed == 0 else SQUEEZED_PASSES):
+    most = min(MOST_PASSES, max(SQUEEZED_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
+    for turn in range(most if squeezed == 0 else SQUEEZED_PASSES):
         held = hold_squeezed(state, mobility, scratch, squeezed, step)
         change = total = 0.0
         for near in range(found):
