@@ -5,7 +5,7 @@ import pytest
 
 from helpers.scenes import ball, filled
 from tissue_sim.model.critical_step import model_step
-from tissue_sim.model.shiver import FAST, HALVED, MANY, count_turning, end_look
+from tissue_sim.model.shiver import FAST, HALVED, LONGEST, MANY, MORE, count_turning, end_look, is_looked_at
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 
@@ -54,7 +54,7 @@ def test_coordinates_that_turn_are_counted():
 @pytest.mark.parametrize(("share", "usual"), [(1.01, 1), (1.06, 1), (1.03, 2), (1.03, 3)])
 def test_a_step_beyond_the_critical_one_is_halved_before_anything_is_lost(share, usual):
     simulation = soft(share, usual)
-    substeps, speeds = after_a_push(simulation, 4 * HALVED)
+    substeps, speeds = after_a_push(simulation, 4 * LONGEST)
     count = simulation.state.count
     assert 0 < count.shivers < 8
     assert count.faults == 0
@@ -70,16 +70,48 @@ def test_a_stable_step_is_kept():
     assert simulation.state.count.faults == 0
 
 
+def turn(simulation, turning, speed):
+    """What a look finds after so many coordinates have turned around."""
+    state, scratch = simulation.state, simulation.scratch
+    scratch.velocity_before.ravel()[:turning] = speed
+    state.velocity.ravel()[:turning] = -speed
+    end_look(state, scratch)
+
+
 @pytest.mark.parametrize(("turning", "speeds", "halved"), [(MANY - 1, 2.0, 0), (MANY, 2.0, HALVED), (MANY, 1.1, 0)])
 def test_nodes_that_turn_count_when_they_are_many_and_get_faster(turning, speeds, halved):
     simulation = Simulation(ORGAN)
-    state, scratch = simulation.state, simulation.scratch
     for speed in (0.1, 0.1 * speeds):
-        scratch.velocity_before.ravel()[:turning] = speed
-        state.velocity.ravel()[:turning] = -speed
-        end_look(state, scratch)
-    assert state.status.shivering == halved
-    assert state.count.shivers == (halved > 0)
+        turn(simulation, turning, speed)
+    assert simulation.state.status.shivering == halved
+    assert simulation.state.count.shivers == (halved > 0)
+
+
+def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first():
+    simulation = Simulation(ORGAN)
+    state, found = simulation.state, []
+    for wait in (0, 0, 0, 0, LONGEST):
+        for _ in range(wait + int(state.status.shivering)):
+            is_looked_at(state, 1)
+        for speed in (0.1, 0.2):
+            turn(simulation, MANY, speed)
+        found.append(int(state.status.shivering))
+    assert found == [HALVED, HALVED * MORE, HALVED * MORE**2, LONGEST, HALVED]
+
+
+@pytest.mark.parametrize("newton", [0.1, 0.5])
+def test_a_load_that_falls_on_a_patch_is_soon_over(newton):
+    simulation = Simulation(ORGAN, substeps=2)
+    assert simulation.critical_step > 5e-4
+    patch = np.argsort(-ORGAN.surface_positions[:, 2])[:7]
+    force = np.tile([0.0, 0.0, -newton / 7.0], (7, 1))
+    substeps = []
+    for _ in range(600):
+        simulation.apply_force(patch, force)
+        simulation.step()
+        substeps.append(int(simulation.state.status.substeps))
+    assert np.count_nonzero(np.array(substeps) > 2) <= HALVED * (1 + MORE)
+    assert set(substeps[-200:]) == {2}
 
 
 def test_a_blow_to_one_node_is_none():

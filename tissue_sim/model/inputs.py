@@ -108,7 +108,8 @@ def reset_state(model: Any, state: Any) -> None:
     status.snapped = status.collapsing = False
     status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0
     status.touching = status.active = status.loaded = status.turned = status.next_cell = 0
-    status.good_age = status.shown = 0
+    status.good_age = status.shown = status.shivering = status.halving = 0
+    status.turning = 0.0
     status.asleep = True
     status.backoff = 1
     state.contacts.header.points = state.contacts.header.sequence = 0

@@ -16,7 +16,9 @@ FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while the
 TURNED = 0.5  # of a speed, that it has at least the other way
 MANY = 4  # coordinates that turn around
 GREW = 1.5  # their squared speeds from one look to the next
-HALVED = 1000  # ticks for which the step stays halved: less, and what shivered has not died down
+# Ticks for which the step stays halved. A blow is soon over. A step that is too long is found so again, and each time
+# halved for MORE times as long, until what shivered has died down.
+HALVED, MORE, LONGEST = 120, 3, 1080
 
 
 @kernel
@@ -25,6 +27,8 @@ def is_looked_at(state: Any, substeps: int) -> bool:
     status = state.status
     if status.shivering > 0:
         status.shivering -= 1
+    else:
+        status.halving = max(HALVED, status.halving - 1)
     return substeps * status.tick % LOOK_EVERY < substeps
 
 
@@ -48,7 +52,8 @@ def end_look(state: Any, scratch: Any) -> None:
     status.turning = energy_of_turning(before, after)
     if 0.0 < GREW * last < status.turning:
         status.turning = 0.0
-        status.shivering = HALVED
+        status.shivering = max(HALVED, status.halving)
+        status.halving = min(LONGEST, MORE * status.shivering)
         state.count.shivers += 1
 
 

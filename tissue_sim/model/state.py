@@ -42,6 +42,7 @@ class Status(Record):
     substeps: int  # of the last tick
     backoff: int  # factor on the substeps after a fault
     shivering: int  # ticks for which a step that was too long stays halved
+    halving: int  # ticks for which the next one is halved; 0 for the least
     turning: float  # m^2/s^2, of nodes that turned around at the last look
     quiet: int  # ticks in a row that were as good as at rest
     alone: int  # ticks in a row without touch and load
