@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, filled
+from tissue_sim.jit import handle
 from tissue_sim.model.critical_step import model_step
 from tissue_sim.model.shiver import FAST, HALVED, LONGEST, MANY, MORE, count_turning, end_look, is_looked_at
 from tissue_sim.model.simulation import Simulation
@@ -92,7 +93,7 @@ def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first
     state, found = simulation.state, []
     for wait in (0, 0, 0, 0, LONGEST):
         for _ in range(wait + int(state.status.shivering)):
-            is_looked_at(state, 1)
+            is_looked_at(handle(simulation.model), handle(state), 1)
         for speed in (0.1, 0.2):
             turn(simulation, MANY, speed)
         found.append(int(state.status.shivering))

@@ -1,14 +1,15 @@
 """Notices that a step has become too long under load, and has it halved for a while.
 
 Tissue that is squeezed or stretched is stiffer than at rest, so that a substep may come to lie beyond the critical
-step. Nodes then turn around in every substep, ever faster. Those that do so are looked for in some ticks.
+step. Nodes then turn around in every substep, ever faster. Those that do so are looked for in some ticks of cells,
+whose penalties add up where several are squeezed, and in those of one substep, which is as long as rest allows.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.jit import kernel
+from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model.arrays import copy
 
 LOOK_EVERY = 2  # substeps at the least
@@ -22,13 +23,30 @@ HALVED, MORE, LONGEST = 120, 3, 1080
 
 
 @kernel
-def is_looked_at(state: Any, substeps: int) -> bool:
+def _at_any(model: Any) -> bool:
+    return True
+
+
+@kernel
+def _at_one(model: Any) -> bool:
+    return False
+
+
+@chosen(lambda model: _at_any if has(model, "tissue") else _at_one)
+def looks_at_any(model: Any) -> Any:
+    """True when ticks of more than one substep are looked at, too."""
+
+
+@kernel
+def is_looked_at(model: Any, state: Any, substeps: int) -> bool:
     """True when this tick of some substeps is one to look at; a step stays halved one tick less."""
     status = state.status
     if status.shivering > 0:
         status.shivering -= 1
     else:
         status.halving = max(HALVED, status.halving - 1)
+    if substeps > 1 and not looks_at_any(model):
+        return False
     return substeps * status.tick % LOOK_EVERY < substeps
 
 

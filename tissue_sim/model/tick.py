@@ -90,7 +90,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     wanted = settings.substeps if whole else settings.region_substeps
     factor = caution(model, state, begun or regional)
     substeps = wanted * status.backoff * factor
-    looking = begun and is_looked_at(state, substeps) and factor == 1
+    looking = begun and is_looked_at(model, state, substeps) and factor == 1
     eased = substeps < status.substeps
     status.substeps = substeps
     set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
