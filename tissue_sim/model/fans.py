@@ -57,8 +57,8 @@ def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: F
         first = OWN + OWN_ROWS * which
         constants[:, first] = 1.0 / (6.0 * volume)
         constants[:, first + 1], constants[:, first + 2] = some * lam[own] / 12.0, some * mu[own] / 6.0
-    filling = np.where(np.arange(CONSTANTS) < OWN, 0.0, constants[0])
-    filling[[OWN + OWN_ROWS * which + row for which in range(CELLS) for row in (1, 2, 3)]] = 0.0
+    filling = np.zeros(CONSTANTS)
+    filling[OWN::OWN_ROWS] = constants[0, OWN::OWN_ROWS]
     spare = -len(members) % BLOCK
     nodes = np.concatenate([nodes, np.repeat(nodes[:1], spare, axis=0)])
     constants = np.concatenate([constants, np.tile(filling, (spare, 1))])
@@ -248,20 +248,15 @@ def _resist(work: Any, constant: Any) -> int:
         r = pressure_of(cd, constant[21 * BLOCK + c], constant[22 * BLOCK + c], constant[23 * BLOCK + c])
         ee, aa, bb = constant[c], constant[BLOCK + c], constant[2 * BLOCK + c]
         cc, dd = constant[3 * BLOCK + c], constant[4 * BLOCK + c]
-        ea, eb, ec, ed = (
-            constant[5 * BLOCK + c],
-            constant[6 * BLOCK + c],
-            constant[7 * BLOCK + c],
-            constant[8 * BLOCK + c],
-        )
+        ea, eb = constant[5 * BLOCK + c], constant[6 * BLOCK + c]
+        ec, ed = constant[7 * BLOCK + c], constant[8 * BLOCK + c]
         s, t, u = constant[9 * BLOCK + c], constant[10 * BLOCK + c], constant[11 * BLOCK + c]
         around = fused(ed, dx, fused(p, abx, fused(q, bcx, r * cdx)))
         work[c] = _along(ee, ex, ea, ax, eb, bx, ec, cx, around)
         around = fused(ed, dy, fused(p, aby, fused(q, bcy, r * cdy)))
         work[BLOCK + c] = _along(ee, ey, ea, ay, eb, by, ec, cy, around)
-        work[2 * BLOCK + c] = _along(
-            ee, ez, ea, az, eb, bz, ec, cz, fused(ed, dz, fused(p, abz, fused(q, bcz, r * cdz)))
-        )
+        around = fused(ed, dz, fused(p, abz, fused(q, bcz, r * cdz)))
+        work[2 * BLOCK + c] = _along(ee, ez, ea, az, eb, bz, ec, cz, around)
         work[3 * BLOCK + c] = fused(ea, ex, fused(aa, ax, fused(s, bx, -(p * ebx))))
         work[4 * BLOCK + c] = fused(ea, ey, fused(aa, ay, fused(s, by, -(p * eby))))
         work[5 * BLOCK + c] = fused(ea, ez, fused(aa, az, fused(s, bz, -(p * ebz))))
