@@ -100,19 +100,16 @@ def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first
     assert found == [HALVED, HALVED * MORE, HALVED * MORE**2, LONGEST, HALVED]
 
 
-@pytest.mark.parametrize("newton", [0.1, 0.5])
-def test_a_load_that_falls_on_a_patch_is_soon_over(newton):
+@pytest.mark.parametrize("newton", [0.1, 0.3, 0.5])
+def test_a_load_that_falls_on_a_patch_is_none(newton):
     simulation = Simulation(ORGAN, substeps=2)
     assert simulation.critical_step > 5e-4
     patch = np.argsort(-ORGAN.surface_positions[:, 2])[:7]
-    force = np.tile([0.0, 0.0, -newton / 7.0], (7, 1))
-    substeps = []
     for _ in range(600):
-        simulation.apply_force(patch, force)
+        simulation.apply_force(patch, np.tile([0.0, 0.0, -newton / 7.0], (7, 1)))
         simulation.step()
-        substeps.append(int(simulation.state.status.substeps))
-    assert np.count_nonzero(np.array(substeps) > 2) <= HALVED * (1 + MORE)
-    assert set(substeps[-200:]) == {2}
+    assert simulation.state.count.shivers == 0
+    assert simulation.state.status.substeps == 2
 
 
 def test_a_blow_to_one_node_is_none():

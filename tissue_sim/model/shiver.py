@@ -17,6 +17,7 @@ FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while the
 TURNED = 0.5  # of a speed, that it has at least the other way
 MANY = 4  # coordinates that turn around
 GREW = 1.5  # their squared speeds from one look to the next
+MOST = 0.2  # of all squared speeds is theirs: a blow makes more of its motion turn around, while it ebbs away
 # Ticks for which the step stays halved. A blow is soon over. A step that is too long is found so again, and each time
 # halved for MORE times as long, until what shivered has died down.
 HALVED, MORE, LONGEST = 120, 3, 1080
@@ -68,7 +69,7 @@ def end_look(state: Any, scratch: Any) -> None:
     if count_turning(before, after) < MANY:
         return
     status.turning = energy_of_turning(before, after)
-    if 0.0 < GREW * last < status.turning:
+    if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
         status.turning = 0.0
         status.shivering = max(HALVED, status.halving)
         status.halving = min(LONGEST, MORE * status.shivering)
@@ -88,6 +89,15 @@ def count_turning(before: Any, after: Any) -> int:
     for index in range(len(before)):
         turning += turns(before[index], after[index])
     return turning
+
+
+@kernel
+def energy_of(velocity: Any) -> float:
+    """Sum of all squared speeds, m^2/s^2; flat."""
+    total = 0.0
+    for index in range(len(velocity)):
+        total += velocity[index] * velocity[index]
+    return total
 
 
 @kernel
