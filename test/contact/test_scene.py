@@ -10,7 +10,7 @@ from helpers.scenes import RADIUS, ball, free_ball, kidney
 from helpers.states import is_finite
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.model.contact_constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_plane
+from tissue_sim.model.contact_constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_nodes, set_plane
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.organ.winding import inside
 
@@ -80,8 +80,9 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
         expected += np.concatenate([impulse, np.cross(arm, impulse)])
         scratch.near_entry[0], scratch.near_normal[0], scratch.near_tangent[0] = entry, 0.0, impulse
         set_plane(state, scene.tools.shapes, scratch, 0)
+        set_nodes(state, mobility, scratch, 0)
         count_impulse(state, scratch, 0)
-        give_impulse(state, scene.tools.shapes, mobility, scratch, 0, *impulse, 1e-3)
+        give_impulse(state, scene.tools.shapes, scratch, 0, *impulse, 1e-3)
     np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
     np.testing.assert_allclose(organ.mass @ simulation.velocities - before, expected[:3], atol=1e-9 * len(own))
     np.testing.assert_array_equal(scratch.origin[tool], state.body_pose[tool, :3])

@@ -14,7 +14,7 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, aligned, pack
 from tissue_sim.model.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
-from tissue_sim.model.fans import ARMS, Fans, fans_of, set_penalty
+from tissue_sim.model.fans import ROOM, Fans, fans_of, set_penalty
 from tissue_sim.model.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ class Tissue(NamedTuple):
     constants: Floats  # (b, CONSTANTS BLOCK)
     fans: Fans  # the same cells as the whole organ takes them
     rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
-    work: Floats  # (3 ARMS BLOCK,)
-    stiff_blocks: Longs  # (f,) those of fans in which the last forces of the whole organ found cells under STIFF
+    work: Floats  # (ROOM BLOCK,)
+    stiff_cells: Longs  # (f BLOCK CELLS,) places in the fans' cells where the last whole forces found one under STIFF
     stiff: Longs  # (1,) how many; of some of the cells not 0 where these forces found any
 
 
@@ -64,8 +64,8 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
         packed.constants,
         fans,
         aligned(np.zeros((len(rest), ROW))),
-        aligned(np.zeros(3 * ARMS * BLOCK)),
-        np.zeros(len(fans.nodes), dtype=np.int64),
+        aligned(np.zeros(ROOM * BLOCK)),
+        np.zeros(fans.cells.size, dtype=np.int64),
         np.zeros(1, dtype=np.int64),
     )
 

@@ -12,88 +12,17 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
-from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.contact_gap import INNER_SIDE, gap_and_normal, point_in_body
 from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, hold_squeezed
 from tissue_sim.model.state import Region
+from tissue_sim.model.watched import FAST, tissue_speed
 
-INNER_SIDE = 0.3  # cosine between the tool's and the tissue's normal; -1 for a face-on touch from outside
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep, and
 PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found
 RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
-
-
-@kernel
-def point_in_body(
-    state: Any, entry: int, origin: Any, rotation: Any
-) -> tuple[float, float, float, float, float, float]:
-    """Contact point of an entry, in the organ's frame and in its tool's frame (m).
-
-    origin (T, 3), rotation (T, 9) of the tools.
-    """
-    body = state.contacts.body[entry]
-    x = y = z = 0.0
-    for c in range(3):
-        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
-        x += weight * state.position[node, 0]
-        y += weight * state.position[node, 1]
-        z += weight * state.position[node, 2]
-    r = rotation[body]
-    dx, dy, dz = x - origin[body, 0], y - origin[body, 1], z - origin[body, 2]
-    return (
-        x,
-        y,
-        z,
-        r[0] * dx + r[3] * dy + r[6] * dz,
-        r[1] * dx + r[4] * dy + r[7] * dz,
-        r[2] * dx + r[5] * dy + r[8] * dz,
-    )
-
-
-@kernel
-def gap_from_outside(state: Any, shapes: Any, entry: int, origin: Any, rotation: Any) -> float:
-    """Signed distance, m, of a contact point to its tool; infinite where the tool is on its inner side.
-
-    Tissue is pushed from outside only: a tool that came to lie inside leaves without hooking it.
-    """
-    body = state.contacts.body[entry]
-    _, _, _, lx, ly, lz = point_in_body(state, entry, origin, rotation)
-    gap, nx, ny, nz = gap_and_normal(shapes, body, rotation[body], lx, ly, lz)
-    normal = state.contacts.normal[entry]
-    facing = normal[0] * nx
-    facing += normal[1] * ny
-    facing += normal[2] * nz
-    return gap if facing < INNER_SIDE else math.inf
-
-
-@kernel
-def is_touched(state: Any, shapes: Any, origin: Any, rotation: Any) -> bool:
-    """True when any contact point lies inside its tool."""
-    for entry in range(state.contacts.header.points):
-        body = state.contacts.body[entry]
-        if state.bodies[body].engaged:
-            if gap_from_outside(state, shapes, entry, origin, rotation) < 0.0:
-                return True
-    return False
-
-
-@kernel
-def gap_and_normal(
-    shapes: Any, body: int, r: Any, lx: float, ly: float, lz: float
-) -> tuple[float, float, float, float]:
-    """Signed distance, m, of a point in a tool's frame to it, and the tool's outward normal in the organ's frame.
-
-    r (9,): the tool's rotation.
-    """
-    gap, mx, my, mz = signed_distance(shapes, body, lx, ly, lz)
-    return (
-        gap,
-        r[0] * mx + r[1] * my + r[2] * mz,
-        r[3] * mx + r[4] * my + r[5] * mz,
-        r[6] * mx + r[7] * my + r[8] * mz,
-    )
 
 
 @kernel
@@ -104,18 +33,23 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
 
     For each scratch.near_plane (N, 11): the tool's outward normal and how far its surface lies along that from the
     tool's origin, m, less the depth that is forgiven; how far the tool moves there in the substep, less its origin, m;
-    how far an impulse moves the point out of the tool, m/(N s); and where that is, from the tool's origin, m.
+    the impulse that moves the point a metre out of the tool, N s/m, or 0 where none does; and where that is, from the
+    tool's origin, m.
 
     Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
     forgotten.
     """
-    found = 0
+    if scratch.watching[0] == 0:
+        return 0
+    found, tissue = 0, tissue_speed(state)
     for index in range(scratch.watching[0]):
         entry = scratch.watched[index]
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         if pressed == 0.0:
-            scratch.watched_gap[index] -= step * scratch.watched_speed[index]
+            # A tool that gives way moves by what touches it, too.
+            speed = tissue if scratch.give[body] == 0.0 else FAST
+            scratch.watched_gap[index] -= step * (scratch.watched_speed[index] + speed)
             if scratch.watched_gap[index] >= NEAR:
                 continue
         near = False
@@ -130,11 +64,8 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
             continue
         forgive_depth(state, scratch, found, gap, step)
         plane = scratch.near_plane[found]
-        compliance = 0.0
-        for c in range(3):
-            weight = state.contacts.weight[entry, c]
-            compliance += weight * weight * mobility[state.contacts.node[entry, c]]
-        plane[7] = compliance * step + scratch.give[body]
+        compliance = set_nodes(state, mobility, scratch, found) * step + scratch.give[body]
+        plane[7] = 1.0 / compliance if compliance > 0.0 else 0.0
         given = spread and pressed > 0.0
         held, last_held = scratch.near_tangent[found], state.contact_held[1 if given else 0, entry]
         along = last_held[0] * plane[0] + last_held[1] * plane[1] + last_held[2] * plane[2]
@@ -143,6 +74,18 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
         scratch.near_normal[found] = along if given else pressed
         found += 1
     return found
+
+
+@kernel
+def set_nodes(state: Any, mobility: Any, scratch: Any, near: int) -> float:
+    """Copy the nodes, weights and mobilities of a contact point beside each other; returns its own mobility, 1/kg."""
+    entry, mobile = scratch.near_entry[near], 0.0
+    for c in range(3):
+        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
+        scratch.near_node[near, c], scratch.near_weight[near, c] = node, weight
+        scratch.near_move[near, c] = weight * mobility[node]
+        mobile += weight * scratch.near_move[near, c]
+    return mobile
 
 
 @kernel
@@ -260,7 +203,7 @@ def resolve_contacts(
     for near in range(found):
         if scratch.near_normal[near] > 0.0:
             px, py, pz = whole_impulse(scratch, near)
-            give_impulse(state, shapes, mobility, scratch, near, px, py, pz, 0.0 if spread else step)
+            give_impulse(state, shapes, scratch, near, px, py, pz, 0.0 if spread else step)
     most = min(MOST_PASSES, max(SQUEEZED_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
     for turn in range(most if squeezed == 0 else SQUEEZED_PASSES):
         held = hold_squeezed(state, mobility, scratch, squeezed, step)
@@ -268,7 +211,7 @@ def resolve_contacts(
         for near in range(found):
             if turn == 0 and not spread:
                 look_again(state, shapes, scratch, near, step)
-            change += resolve_contact(state, shapes, mobility, scratch, near, friction, step)
+            change += resolve_contact(state, shapes, scratch, near, friction, step)
             total += scratch.near_normal[near]
         if held and change <= TOLERANCE * total:
             break
@@ -291,19 +234,17 @@ def whole_impulse(scratch: Any, near: int) -> tuple[float, float, float]:
 
 
 @kernel
-def resolve_contact(
-    state: Any, shapes: Any, mobility: Any, scratch: Any, near: int, friction: float, step: float
-) -> float:
+def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: float, step: float) -> float:
     """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
-    compliance = plane[7]
-    if compliance == 0.0:
+    stiffness = plane[7]
+    if stiffness == 0.0:
         scratch.near_normal[near] = 0.0
         held[0] = held[1] = held[2] = 0.0
         return 0.0
     origin = scratch.origin[state.contacts.body[entry]]
-    nodes, weights = state.contacts.node[entry], state.contacts.weight[entry]
+    nodes, weights = scratch.near_node[near], scratch.near_weight[near]
     x, y, z = -origin[0], -origin[1], -origin[2]
     for c in range(3):
         weight, position = weights[c], state.position[nodes[c]]
@@ -312,7 +253,7 @@ def resolve_contact(
         z += weight * position[2]
     nx, ny, nz = plane[0], plane[1], plane[2]
     gap = nx * x + ny * y + nz * z - plane[3]
-    normal = max(0.0, pressed - gap / compliance)
+    normal = max(0.0, pressed - gap * stiffness)
     if normal == 0.0 and pressed == 0.0:
         return 0.0
     # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
@@ -324,35 +265,33 @@ def resolve_contact(
         sz += weight * step * velocity[2]
     scratch.near_normal[near] = normal
     along = sx * nx + sy * ny + sz * nz
-    tx = held[0] - (sx - along * nx) / compliance
-    ty = held[1] - (sy - along * ny) / compliance
-    tz = held[2] - (sz - along * nz) / compliance
+    tx = held[0] - (sx - along * nx) * stiffness
+    ty = held[1] - (sy - along * ny) * stiffness
+    tz = held[2] - (sz - along * nz) * stiffness
     size = math.sqrt(tx * tx + ty * ty + tz * tz)
     share = 1.0 if size <= friction * normal else friction * normal / size
     px = (normal - pressed) * nx + share * tx - held[0]
     py = (normal - pressed) * ny + share * ty - held[1]
     pz = (normal - pressed) * nz + share * tz - held[2]
     held[0], held[1], held[2] = share * tx, share * ty, share * tz
-    give_impulse(state, shapes, mobility, scratch, near, px, py, pz, step)
+    give_impulse(state, shapes, scratch, near, px, py, pz, step)
     return math.sqrt(px * px + py * py + pz * pz)
 
 
 @kernel
 def give_impulse(
-    state: Any, shapes: Any, mobility: Any, scratch: Any, near: int, px: float, py: float, pz: float, step: float
+    state: Any, shapes: Any, scratch: Any, near: int, px: float, py: float, pz: float, step: float
 ) -> None:
     """Give a contact point an impulse, N s, and its tool the opposite one; with a step of 0 the tool alone."""
-    entry = scratch.near_entry[near]
     for c in range(3 if step > 0.0 else 0):
-        node, weight = state.contacts.node[entry, c], state.contacts.weight[entry, c]
-        move = weight * mobility[node]
+        node, move = scratch.near_node[near, c], scratch.near_move[near, c]
         state.velocity[node, 0] += move * px
         state.velocity[node, 1] += move * py
         state.velocity[node, 2] += move * pz
         state.position[node, 0] += step * move * px
         state.position[node, 1] += step * move * py
         state.position[node, 2] += step * move * pz
-    body = state.contacts.body[entry]
+    body = state.contacts.body[scratch.near_entry[near]]
     if scratch.give[body] > 0.0:
         push_bodies(shapes.tool, body, scratch, px, py, pz)
 

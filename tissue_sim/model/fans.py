@@ -25,6 +25,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (0, 1), (0, 2), (0, 3), (0, 4),
 # Rows of the first cell: 1 / (6 V), lambda / 12, mu / 6 and the penalty by six; the others' follow.
 OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
+ROOM = 3 * ARMS + CELLS  # rows to work in: arms, then volumes over those at rest
 CHUNK = 16  # blocks in whose order fans that share nodes are kept apart, without leaving the cache
 
 
@@ -202,7 +203,7 @@ def _apart(count: int) -> Longs:
 
 @kernel
 def cell_forces(position: Any, tissue: Any, force: Any) -> None:
-    """Add the forces of all cells at position (n, 3) m to force (n, 3) N, and note blocks with stiff ones."""
+    """Add the forces of all cells at position (n, 3) m to force (n, 3) N, and list those that are stiff."""
     rows, work, fans = tissue.rows, tissue.work, tissue.fans
     stiff = 0
     for node in range(len(position)):
@@ -210,8 +211,7 @@ def cell_forces(position: Any, tissue: Any, force: Any) -> None:
     for block in range(len(fans.nodes)):
         gather_fan(rows, fans.nodes[block], work)
         if _resist(work, fans.constants[block]) > 0:
-            tissue.stiff_blocks[stiff] = block
-            stiff += 1
+            stiff = _list_stiff(work, fans.constants[block], block, tissue.stiff_cells, stiff)
         scatter_fan(rows, fans.nodes[block], work)
     for node in range(len(force)):
         for axis in range(3):
@@ -223,7 +223,7 @@ def cell_forces(position: Any, tissue: Any, force: Any) -> None:
 def _resist(work: Any, constant: Any) -> int:
     """Turn the arms of a block of fans into the pulls of its last five nodes on the first; returns how many are stiff.
 
-    e goes along the edge, a to d around it.
+    e goes along the edge, a to d around it. What is left of the cells' volumes stays in work's last rows.
     """
     stiff = 0
     for c in range(BLOCK):
@@ -243,6 +243,7 @@ def _resist(work: Any, constant: Any) -> int:
         bc = fused(ex, bcx, fused(ey, bcy, ez * bcz)) * constant[16 * BLOCK + c]
         cd = fused(ex, cdx, fused(ey, cdy, ez * cdz)) * constant[20 * BLOCK + c]
         stiff += (ab < STIFF) | (bc < STIFF) | (cd < STIFF)
+        work[15 * BLOCK + c], work[16 * BLOCK + c], work[17 * BLOCK + c] = ab, bc, cd
         p = pressure_of(ab, constant[13 * BLOCK + c], constant[14 * BLOCK + c], constant[15 * BLOCK + c])
         q = pressure_of(bc, constant[17 * BLOCK + c], constant[18 * BLOCK + c], constant[19 * BLOCK + c])
         r = pressure_of(cd, constant[21 * BLOCK + c], constant[22 * BLOCK + c], constant[23 * BLOCK + c])
@@ -270,6 +271,18 @@ def _resist(work: Any, constant: Any) -> int:
         work[13 * BLOCK + c] = fused(ed, ey, fused(u, cy, fused(dd, dy, r * ecy)))
         work[14 * BLOCK + c] = fused(ed, ez, fused(u, cz, fused(dd, dz, r * ecz)))
     return stiff
+
+
+@kernel
+def _list_stiff(work: Any, constant: Any, block: int, listed: Any, count: int) -> int:
+    """Add the stiff cells of a block to those listed; returns how many there are now. None that only fills up."""
+    for c in range(BLOCK):
+        for which in range(CELLS):
+            shear = constant[(OWN + OWN_ROWS * which + 2) * BLOCK + c]
+            if work[(3 * ARMS + which) * BLOCK + c] < STIFF and shear > 0.0:
+                listed[count] = (block * BLOCK + c) * CELLS + which
+                count += 1
+    return count
 
 
 @kernel

@@ -37,6 +37,9 @@ class Scratch(NamedTuple):
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
     near_plane: Any  # (N, 11) the tool there; see contact_constraint.gather_contacts
+    near_node: Any  # (N, 3) its nodes, their
+    near_weight: Any  # (N, 3) weights, and
+    near_move: Any  # (N, 3) 1/kg, the velocity that an impulse on the point gives them
     work: Any  # (9 BLOCK,)
     squeezed: Any  # (S, 6) cells resolved in this substep; see squeezed.find_squeezed
     squeezed_node: Any  # (S, 4)
@@ -44,7 +47,7 @@ class Scratch(NamedTuple):
     squeezing: Any  # (1,) how many
     watched: Any  # (C,) contact points that may touch in this tick
     watched_gap: Any  # (C,) m, from the tools at the least
-    watched_speed: Any  # (C,) m/s, at which that may shrink
+    watched_speed: Any  # (C,) m/s, at which that may shrink by the tool's motion
     watching: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
@@ -125,6 +128,9 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
         near_plane=empty(MOST_NEAR, 11),
+        near_node=longs(MOST_NEAR, 3),
+        near_weight=empty(MOST_NEAR, 3),
+        near_move=empty(MOST_NEAR, 3),
         work=empty(9 * BLOCK),
         squeezed=empty(held, 6),
         squeezed_node=longs(held, 4),

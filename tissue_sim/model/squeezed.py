@@ -67,18 +67,15 @@ def _find(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> i
     if state.status.region != Region.WHOLE:
         return 0
     for index in range(tissue.stiff[0]):
-        block = tissue.stiff_blocks[index]
-        constant = tissue.fans.constants[block]
-        for c in range(BLOCK):
-            fan = tissue.fans.nodes[block, c]
-            for which in range(CELLS):
-                own = OWN + OWN_ROWS * which
-                # What only fills up has no stiffness.
-                if found < len(scratch.squeezed) and constant[(own + 2) * BLOCK + c] > 0.0:
-                    inverse, penalty = constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]
-                    nodes = fan[0], fan[1], fan[2 + which], fan[3 + which]
-                    if _take(state, mobility, scratch, found, nodes, inverse, penalty, step):
-                        found += 1
+        fan, which = divmod(tissue.stiff_cells[index], CELLS)
+        block, c = divmod(fan, BLOCK)
+        constant, node = tissue.fans.constants[block], tissue.fans.nodes[block, c]
+        own = OWN + OWN_ROWS * which
+        if found < len(scratch.squeezed):
+            inverse, penalty = constant[own * BLOCK + c], constant[(own + 3) * BLOCK + c]
+            nodes = node[0], node[1], node[2 + which], node[3 + which]
+            if _take(state, mobility, scratch, found, nodes, inverse, penalty, step):
+                found += 1
     return found
 
 

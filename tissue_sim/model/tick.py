@@ -10,7 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 from tissue_sim.jit import chosen, has, kernel, part
-from tissue_sim.model.contact_constraint import add_contact_impulses, is_touched, resolve_contacts
+from tissue_sim.model.contact_constraint import add_contact_impulses, resolve_contacts
+from tissue_sim.model.contact_gap import is_touched
 from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.guard import check_cells, guard

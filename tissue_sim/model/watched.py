@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 from tissue_sim.jit import kernel
-from tissue_sim.model.contact_constraint import point_in_body
+from tissue_sim.model.contact_gap import point_in_body
 from tissue_sim.model.shapes import signed_distance
+from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import set_frame
 
 FAST = 0.5  # m/s, that tissue comes near a tool at the most within a tick
@@ -36,12 +37,27 @@ def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None
                 watched = gap < reach
         if watched:
             scratch.watched[count] = entry
-            scratch.watched_gap[count], scratch.watched_speed[count] = gap, reach / settings.tick_time
+            scratch.watched_gap[count], scratch.watched_speed[count] = gap, reach / settings.tick_time - FAST
             count += 1
         else:
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
     scratch.watching[0] = count
+
+
+@kernel
+def tissue_speed(state: Any) -> float:
+    """What tissue comes near a tool with at the most in a substep, m/s: contact may still make as much of its speed.
+
+    Less than FAST only where velocities are all that moves the organ.
+    """
+    if state.status.region != Region.WHOLE:
+        return FAST
+    square, velocity = 0.0, state.velocity
+    for node in range(len(velocity)):
+        speed = velocity[node, 0] ** 2 + velocity[node, 1] ** 2 + velocity[node, 2] ** 2
+        square = speed if speed > square else square
+    return min(FAST, 2.0 * math.sqrt(square))
 
 
 @kernel
