@@ -17,7 +17,7 @@ from tissue_sim.bench.sweeps.witness import Witness
 from tissue_sim.cli import main
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
 
@@ -33,6 +33,12 @@ def test_every_axis_is_crossed_with_every_integrator_and_region():
     assert {(c.integrator, c.local_region) for c in cells} == {(i, r) for i in INTEGRATORS for r in LOCAL_REGIONS}
     quick = {(c.axis, c.value) for c in cells_of(list(AXES), SMALL_ORGAN, quick=True)}
     assert quick < {(c.axis, c.value) for c in cells}
+
+
+def test_auto_is_left_out_where_it_would_do_again_what_off_does():
+    assert "auto" not in stability.regions_of(Organ.load(shipped_organ()))
+    assert stability.regions_of(Organ.load(shipped_organ(AS_BUILT))) == LOCAL_REGIONS
+    assert stability.regions_of(organ_of(SMALL_ORGAN)) == LOCAL_REGIONS
 
 
 @pytest.mark.parametrize(

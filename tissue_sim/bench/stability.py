@@ -17,6 +17,9 @@ from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, a
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
+from tissue_sim.model.settings import LOCAL_REGIONS
+from tissue_sim.model.simulation import moves_whole
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 OUTCOMES = ("stable", "guarded", "diverged")
@@ -51,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     organ = args.organ or (SMALL_ORGAN if args.quick else str(shipped_organ()))
-    cells = cells_of(axes, organ, args.quick)
+    cells = cells_of(axes, organ, args.quick, regions_of(organ_of(organ)))
     start = time.perf_counter()
     records = sweep(cells, args.jobs, args.backend)
     seconds = time.perf_counter() - start
@@ -68,6 +71,12 @@ def run(args: argparse.Namespace) -> int:
         write_json(report, picture.with_suffix(".json"))
         told([picture])
     return int(bool(args.check and violations(records)))
+
+
+def regions_of(organ: Organ) -> tuple[str, ...]:
+    """Local regions to try: where `auto` moves the whole of an organ's cells, it would do again what `off` does."""
+    same = len(organ.cell_nodes) > 0 and moves_whole(organ)
+    return tuple(region for region in LOCAL_REGIONS if not (same and region == "auto"))
 
 
 def sweep(cells: Sequence[Cell], jobs: int, backend: str = "loky") -> list[Record]:

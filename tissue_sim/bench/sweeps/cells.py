@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -101,13 +102,13 @@ def axes_named(names: str) -> list[str]:
     return chosen
 
 
-def cells_of(axes: list[str], organ: str, quick: bool) -> list[Cell]:
+def cells_of(axes: list[str], organ: str, quick: bool, regions: Sequence[str] = LOCAL_REGIONS) -> list[Cell]:
     """Every cell of the axes, in the order of the map; the slow explicit integrator has fewer values."""
     return [
         Cell(axis, value, integrator, region, organ, quick)
         for axis in axes
         for integrator in INTEGRATORS
-        for region in LOCAL_REGIONS
+        for region in regions
         for value in values_of(AXES[axis], integrator, quick)
     ]
 
