@@ -35,8 +35,10 @@ class Tissue(NamedTuple):
     fans: Fans  # the same cells as the whole organ takes them
     rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
     work: Floats  # (ROOM BLOCK,)
-    stiff_cells: Longs  # (f BLOCK CELLS,) places in the fans' cells where the last whole forces found one under STIFF
-    stiff: Longs  # (1,) how many; of some of the cells not 0 where these forces found any
+    # (f BLOCK CELLS,) places in the fans' cells of those under SQUEEZED in blocks with one under STIFF, as the last
+    # forces of the whole organ found them; and (1,) how many, of some cells not 0 where these forces found stiff ones.
+    squeezed_cells: Longs
+    stiff: Longs
 
 
 def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:

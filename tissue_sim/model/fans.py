@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, pack
-from tissue_sim.model.cell_law import STIFF, minor, pressure_of
+from tissue_sim.model.cell_law import SQUEEZED, STIFF, minor, pressure_of
 from tissue_sim.model.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
 
 CELLS = 3  # in a fan
@@ -211,7 +211,7 @@ def cell_forces(position: Any, tissue: Any, force: Any) -> None:
     for block in range(len(fans.nodes)):
         gather_fan(rows, fans.nodes[block], work)
         if _resist(work, fans.constants[block]) > 0:
-            stiff = _list_stiff(work, fans.constants[block], block, tissue.stiff_cells, stiff)
+            stiff = _list_squeezed(work, fans.constants[block], block, tissue.squeezed_cells, stiff)
         scatter_fan(rows, fans.nodes[block], work)
     for node in range(len(force)):
         for axis in range(3):
@@ -274,12 +274,15 @@ def _resist(work: Any, constant: Any) -> int:
 
 
 @kernel
-def _list_stiff(work: Any, constant: Any, block: int, listed: Any, count: int) -> int:
-    """Add the stiff cells of a block to those listed; returns how many there are now. None that only fills up."""
+def _list_squeezed(work: Any, constant: Any, block: int, listed: Any, count: int) -> int:
+    """Add the squeezed cells of a block with a stiff one to those listed; returns how many there are now.
+
+    None that only fills up.
+    """
     for c in range(BLOCK):
         for which in range(CELLS):
             shear = constant[(OWN + OWN_ROWS * which + 2) * BLOCK + c]
-            if work[(3 * ARMS + which) * BLOCK + c] < STIFF and shear > 0.0:
+            if work[(3 * ARMS + which) * BLOCK + c] < SQUEEZED and shear > 0.0:
                 listed[count] = (block * BLOCK + c) * CELLS + which
                 count += 1
     return count

@@ -67,7 +67,7 @@ def _find(model: Any, state: Any, mobility: Any, scratch: Any, step: float) -> i
     if state.status.region != Region.WHOLE:
         return 0
     for index in range(tissue.stiff[0]):
-        fan, which = divmod(tissue.stiff_cells[index], CELLS)
+        fan, which = divmod(tissue.squeezed_cells[index], CELLS)
         block, c = divmod(fan, BLOCK)
         constant, node = tissue.fans.constants[block], tissue.fans.nodes[block, c]
         own = OWN + OWN_ROWS * which
