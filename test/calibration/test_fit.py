@@ -1,5 +1,7 @@
 """The fit: slopes against finite differences, a known model recovered, caps and repeatability."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from helpers.scenes import ball
 from helpers.springs_of_ball import MODEL, ORGAN, SPRINGS, START, linear_answers
 from tissue_sim.calibration import fit as fitting
 from tissue_sim.calibration.calibrate import CELL_BOUNDS
-from tissue_sim.calibration.cases import fit_cases, held_out_cases
+from tissue_sim.calibration.cases import fit_cases, held_out_cases, principal
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fit import BOUNDS, Misfit, fit
 from tissue_sim.calibration.judge import errors
@@ -80,6 +82,29 @@ def test_curvature_is_that_of_gauss_and_newton(monkeypatch):
         behind[spring] *= 1.0 - 1e-4
         change = (linear_answers(ahead, force) - linear_answers(behind, force)) / (2e-4 * size)
         assert curvature[spring] == pytest.approx(2.0 * np.sum(change**2) / len(force), rel=0.3)
+
+
+def test_curvature_takes_the_fit_of_an_organ_on_a_small_clamp_further(monkeypatch):
+    """In as many evaluations: without it, and with all of it, the misfit stays higher."""
+    body = ball(2)
+    heights = body.surface_positions[body.surface_triangles][:, :, 2].mean(axis=1)
+    clamp = np.sort(body.surface_triangles[np.argmin(heights)])
+    organ = prepared(replace(body, fixed=clamp), Settings(interior=20))
+    model = assemble(organ)
+    elastic, even = Elastic(model), first_stiffness(organ, model)
+    moduli = even * np.exp(0.5 * np.random.default_rng(1).normal(size=len(even)))
+    force = fit_cases(organ, 60, 0)
+    misfit = Misfit(elastic, *principal(force, settled(elastic, moduli, force)))
+    curvature = misfit.curvature(even)
+    assert curvature.max() > 1e5 * np.median(curvature)
+
+    def left() -> float:
+        return misfit.evaluate(fit(misfit, even, 60, bounds=CELL_BOUNDS)).loss
+
+    found = left()
+    for power in (0.0, 0.5):
+        monkeypatch.setattr(fitting, "EVENED", power)
+        assert found < 0.7 * left()
 
 
 def test_a_known_model_is_recovered_in_what_it_does():

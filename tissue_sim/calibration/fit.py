@@ -23,6 +23,9 @@ UNTOLD = 1e-4  # of the squared displacements of the linear cases: a tenth of wh
 MEMORY = 20  # steps that L-BFGS remembers
 PROBES = 8  # draws that the misfit's curvature is estimated from
 EVEN = 0.1  # of the median curvature, added to each: what hardly counts isn't moved at will
+# The curvature's power by which each logarithm is scaled. At 1/2, all alike, a hundred evaluations end higher on every
+# organ that was tried: far from the fit, what curves most isn't what is most to gain.
+EVENED = 0.35
 
 
 class Evaluation(NamedTuple):
@@ -100,14 +103,14 @@ def fit(
 ) -> Floats:
     """Stiffness (p,) of the least misfit, from that at the start, by L-BFGS on its logarithms.
 
-    Each is counted in units in which the loss curves alike: where an organ hangs on a small clamp, some cells count
-    a hundred thousand times as much as most. iterations: evaluations at the most; watch: told the number of every
+    Each is counted in units in which the loss curves more alike: where an organ hangs on a small clamp, some cells
+    count a hundred thousand times as much as most. iterations: evaluations at the most; watch: told the number of every
     evaluation and the errors (c,) found; bounds: of the logarithm of stiffness over that at the start.
     """
     trace = misfit.elastic.trace()
     total = float(trace @ start)
     curvature = misfit.curvature(start) + 2.0 * shrink / len(start)
-    unit = 1.0 / np.sqrt(curvature / np.median(curvature) + EVEN)
+    unit = (curvature / np.median(curvature) + EVEN) ** -EVENED
     count = 0
 
     def objective(counted: Floats) -> tuple[float, Floats]:
