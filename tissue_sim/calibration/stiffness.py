@@ -16,7 +16,7 @@ from tissue_sim.organ.topology import assemble_like
 
 METHODS = ("cells", "groups")
 # Interior atoms for each surface node, where cells are fitted: more of them cost time and gain accuracy.
-INTERIOR_SHARE = {"fast": 0.3, "balanced": 0.75, "accurate": 1.35}
+INTERIOR_SHARE = {"fast": 0.3, "balanced": 0.75, "accurate": 1.5}
 ONE_STEP = ("fast",)  # aims for which masses are fitted with the stiffness, so that a step of 1 ms is stable
 CELL_LAYER = 0.7  # of them, in a layer under the surface
 CELL_START = (1.0, 0.5)  # of the tissue's mu and lambda: where the fit of cells begins
