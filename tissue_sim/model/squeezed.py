@@ -22,8 +22,8 @@ from tissue_sim.model.state import Region
 
 LEAST = 0.1  # of the volume at rest; with 0.2 nodes are thrown under the deepest pinch
 NEARLY = 0.2  # more than that, from which a cell may come under it while others are resolved
-RECOVERY_RATE = 50.0  # 1/s at which a cell that was under it comes back at the most
-HARDEST = 4.0  # times the pressure of its penalty for the whole volume, that holds a cell at the most
+RECOVERY_RATE = 200.0  # 1/s at which a cell that was under it comes back at the most
+HARDEST = 8.0  # times the pressure of its penalty for the whole volume, that holds a cell at the most
 MOST_SQUEEZED = 256  # cells resolved in a substep
 SQUEEZED_PASSES = 6  # over cells and contact points; what is left then, the next substep begins with
 SETTLED = 0.2  # of the impulses on cells, which a pass may still change
