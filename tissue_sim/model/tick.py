@@ -140,7 +140,7 @@ def steps_implicitly(model: Any, state: Any, settings: Any) -> Any:
 
 
 @kernel
-def _has_squeezed_cells(model: Any) -> bool:
+def _has_stiff_cells(model: Any) -> bool:
     return model.tissue.stiff[0] > 0
 
 
@@ -149,8 +149,8 @@ def _has_none(model: Any) -> bool:
     return False
 
 
-@chosen(lambda model: _has_squeezed_cells if has(model, "tissue") else _has_none)
-def has_squeezed_cells(model: Any) -> Any:
+@chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_none)
+def has_stiff_cells(model: Any) -> Any:
     """True when the last forces found cells that are squeezed so much that they ask for shorter substeps."""
 
 
@@ -176,7 +176,7 @@ def caution(model: Any, state: Any, begun: bool) -> int:
     begun: the forces of this tick's first substep are known.
     """
     if state.status.turned == 0:
-        return 2 if (begun and has_squeezed_cells(model)) or state.status.shivering > 0 else 1
+        return 2 if (begun and has_stiff_cells(model)) or state.status.shivering > 0 else 1
     return 4 if state.status.turned > CRUMPLED * len(model.cells) else 2
 
 
