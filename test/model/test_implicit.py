@@ -6,7 +6,7 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import spsolve
 
 from helpers.pressing import line
-from helpers.scenes import RADIUS, assembled, ball, changed, kidney
+from helpers.scenes import RADIUS, assembled, ball, ball_of_cells, changed, kidney
 from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
@@ -35,12 +35,12 @@ def matrix_of(model, step, stiffness_scale=1.0, damping_scale=1.0):
 
 
 # the matrix ------------------------------------------------------------------------------------
-@pytest.mark.parametrize("variant", ["surface", "volume", "hybrid"])
+@pytest.mark.parametrize("variant", ["surface", "volume", "hybrid", "cells"])
 @pytest.mark.parametrize("stretched", [0.0, 0.3])
 def test_bounding_stiffness_is_at_least_the_slope_of_the_forces(variant, stretched):
-    """v'Kv <= v'Sv, at rest for every spring; stretched for axial springs and return springs, which get no stiffer."""
-    model = assembled(ball(), variant)
-    if stretched:
+    """v'Kv <= v'Sv, at rest for all; stretched for axial springs, return springs and cells, which get no stiffer."""
+    model = assembled(ball_of_cells() if variant == "cells" else ball(), variant)
+    if stretched and variant != "cells":
         model = assembled(changed(ball(), angular_stiffness=0.0), variant)
     x = model.rest * (1.0 + stretched)
     bound, random = bounding_stiffness(model), np.random.default_rng(0)
@@ -108,7 +108,9 @@ def test_other_slot_is_written_and_the_one_in_use_stays():
 
 
 each_organ = pytest.mark.parametrize(
-    "organ", [ball(2), pytest.param(kidney(), marks=pytest.mark.slow)], ids=["ball", "kidney"]
+    "organ",
+    [ball(2), ball_of_cells(), pytest.param(kidney(), marks=pytest.mark.slow)],
+    ids=["ball", "cells", "kidney"],
 )
 
 
@@ -146,6 +148,24 @@ def test_settled_shape_is_that_of_the_symplectic_integrator(organ):
         shapes.append(found)
     assert np.abs(shapes[0]).max() > 5e-4
     assert np.linalg.norm(shapes[1] - shapes[0]) <= 1e-4 * np.linalg.norm(shapes[0])
+
+
+def test_cells_stiffer_than_the_matrix_knows_take_short_steps():
+    """A load that squeezes cells under a third: the tick is not one long step, and gains nothing when it is gone."""
+    simulation = Simulation(ball_of_cells(), integrator="implicit")
+    taken = set()
+    for _ in range(60):
+        poke(simulation, 1, [0.0, 0.0, -20.0])
+        taken.add(int(simulation.state.status.substeps))
+    squeezed = simulation.model.tissue.stiff[0]
+    before, energies = simulation.energy.total, []
+    for _ in range(3000):
+        simulation.step()
+        energies.append(simulation.energy.total)
+    assert squeezed > 0
+    assert min(taken) == 1 < max(taken)
+    assert max(energies) <= before * 1.01
+    assert simulation.asleep
 
 
 def test_rest_is_exact_and_reached_from_a_poke():

@@ -42,7 +42,7 @@ from tissue_sim.store import remembered
 SEED = 0  # of the fit's cases
 BALANCED = Settings().aim
 MORE_MODES = 20  # whose frequencies are looked at; masses are fitted to the lowest MODES
-_VERSION = "8"  # of what is remembered
+_VERSION = "9"  # of what is remembered
 
 
 class Effort(NamedTuple):

@@ -25,7 +25,7 @@ CLOSE = 0.985  # of the squared frequency that the step allows: a mode takes par
 # Weights of the lowest and of the fastest modes, beside a misfit of some 1e-3, and the share of the evaluations.
 STAGES = ((0.3, 0.03, 1.0 / 3.0), (1.0, 1.0, 2.0 / 3.0))
 SHRINK = 1e-4  # weight of the mean square of the logarithms of stiffness
-TOTAL = 1e-3  # weight of the whole mass, which the lowest frequencies know already
+TOTAL = 1e-1  # weight of the whole mass, which the lowest frequencies know only in part
 SPREAD = 1e-4  # weight of the mean square of the masses' logarithms, over those of the tissue around
 MASS_BOUNDS = (-3.0, 4.0)  # of these logarithms
 ROUGH = 1e-5  # of a squared frequency, to which the fastest are found

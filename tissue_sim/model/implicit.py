@@ -12,6 +12,7 @@ from scipy.sparse.linalg import splu
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Factor, Model
+from tissue_sim.model.cells import moduli_of, shapes_of
 
 
 class _Decomposition(NamedTuple):
@@ -24,10 +25,11 @@ class _Decomposition(NamedTuple):
 
 
 def bounding_stiffness(model: Model) -> csc_array:
-    """S (n, n) N/m: at least the stiffness of every spring in any direction, the same for x, y and z.
+    """S (n, n) N/m: at least the stiffness of every spring and cell at rest in any direction, the same for x, y and z.
 
     An axial spring is no stiffer in any direction than k along it, an angular spring no stiffer than k w w', w its
-    weights; return springs are on the diagonal.
+    weights; return springs are on the diagonal. Of a cell at rest no displacement's gradient costs more than its trace,
+    (2 mu + 3 lambda) V: in one direction alone, 2 mu + lambda, that holds until it is squeezed to less than half.
     """
     n = len(model.rest)
     rows: list[NDArray] = [np.arange(n)]
@@ -44,6 +46,12 @@ def bounding_stiffness(model: Model) -> csc_array:
     pairs = np.stack([model.spring_first, model.spring_second], axis=1)
     add(pairs, np.broadcast_to(np.array([-1.0, 1.0]), pairs.shape), model.spring_stiffness)
     add(model.angular_nodes, model.angular_weight, model.angular_stiffness)
+    if model.tissue is not None:
+        cells = model.cells
+        slope, volume = shapes_of(model.rest, cells)
+        mu, lam = moduli_of(model.tissue, len(cells))
+        for axis in range(3):
+            add(cells, slope[:, :, axis], (2.0 * mu + 3.0 * lam) * np.abs(volume))
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return coo_array(entries, shape=(n, n)).tocsc()
 

@@ -79,29 +79,30 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
         status.active = len(model.moving)
 
     scratch.impulse[:] = 0.0
-    implicit = settings.integrator == Integrator.IMPLICIT
-    whole = status.region == Region.WHOLE and (not implicit or steps_implicitly(model, state, settings))
-    begun = status.region == Region.WHOLE and not steps_implicitly(model, state, settings)
     # The first forces tell how stiff the cells are.
-    if begun:
+    whole = status.region == Region.WHOLE
+    implicit = steps_implicitly(model, state, settings, scratch)
+    if whole and not implicit:
         whole_forces(model, state.position, settings, scratch)
     regional = is_region_of_cells(model, state)
     if regional:
         region_forces(model, state, settings, scratch, False)
-    wanted = settings.substeps if whole else settings.region_substeps
-    factor = caution(model, state, begun or regional)
+    by_itself = settings.integrator == Integrator.IMPLICIT and not implicit
+    wanted = settings.region_substeps if by_itself or not whole else settings.substeps
+    factor = caution(model, state, whole or regional)
     substeps = wanted * status.backoff * factor
-    looking = begun and is_looked_at(model, state, substeps) and factor == 1
+    looking = whole and is_looked_at(model, state, substeps) and factor == 1
     eased = substeps < status.substeps
     status.substeps = substeps
-    set_mobility(model, state, settings, settings.tick_time / substeps, scratch)
+    set_mobility(model, state, settings, settings.tick_time / substeps, scratch, implicit)
     watch_contacts(state, shapes, settings, scratch)
     for substep in range(substeps):
         first = substep == 0
         if looking and substep == substeps - 1:
             begin_look(state, scratch)
-        known = first and (begun or (regional and substeps > 1))  # the last one of a region tells more
-        advance_substep(model, state, shapes, settings, scratch, substep, substeps, known, eased and first)
+        # The last one of a region tells more, and one that takes up momentum needs the forces where it is.
+        known = first and (whole or (regional and substeps > 1)) and not (implicit and eased)
+        advance_substep(model, state, shapes, settings, scratch, substep, substeps, implicit, known, eased and first)
     if looking:
         end_look(state, scratch)
     absorb_load(model, state, settings, scratch)
@@ -121,21 +122,26 @@ def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Ca
 
 
 @kernel
-def _if_sound(model: Any, state: Any, settings: Any) -> bool:
+def _if_sound(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
     status = state.status
-    return status.region == Region.WHOLE and status.turned == 0 and status.backoff == 1
+    if status.region != Region.WHOLE or status.turned > 0 or status.backoff > 1 or status.shivering > 0:
+        return False
+    predict(state.position, state.velocity, model.moving, settings.tick_time / settings.substeps, scratch.predicted)
+    whole_forces(model, scratch.predicted, settings, scratch)
+    return not has_stiff_cells(model)
 
 
 @kernel
-def _never(model: Any, state: Any, settings: Any) -> bool:
+def _never(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
     return False
 
 
 @_or(_if_sound, _never)
-def steps_implicitly(model: Any, state: Any, settings: Any) -> Any:
-    """True when this tick is one of the implicit integrator.
+def steps_implicitly(model: Any, state: Any, settings: Any, scratch: Any) -> Any:
+    """True when this tick is one of the implicit integrator; then scratch.force has its first forces.
 
-    Not in a local region; nor after a fault or while cells are inside out, where its one step gains energy.
+    Not in a local region; nor after a fault, while nodes shiver, or where cells are inside out or stiffer than its
+    matrix knows, where its one step gains energy.
     """
 
 
@@ -189,6 +195,7 @@ def advance_substep(
     scratch: Any,
     substep: int,
     substeps: int,
+    implicit: bool,
     begun: bool,
     eased: bool,
 ) -> None:
@@ -198,15 +205,14 @@ def advance_substep(
     """
     step = settings.tick_time / substeps
     couple_bodies(state, settings, scratch, step, 1.0 / (substeps - substep))
-    implicit = steps_implicitly(model, state, settings)
-    if state.status.region == Region.WHOLE:
-        if implicit and not eased:
+    if not begun:
+        if state.status.region != Region.WHOLE:
+            region_forces(model, state, settings, scratch, substep == substeps - 1)
+        elif implicit and not eased:
             predict(state.position, state.velocity, model.moving, step, scratch.predicted)
             whole_forces(model, scratch.predicted, settings, scratch)
-        elif not begun:
+        else:
             whole_forces(model, state.position, settings, scratch)
-    elif not begun:
-        region_forces(model, state, settings, scratch, substep == substeps - 1)
     add_loads(state, settings, scratch.force)
     if implicit and eased:
         carry_momentum(model, state, scratch.force, step)
@@ -326,13 +332,12 @@ def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
 
 
 @kernel
-def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any) -> None:
+def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any, implicit: bool) -> None:
     """Velocity that an impulse gives each node within a substep, (n,) 1/kg, and what integration takes of its mass.
 
     Only when settings have changed. The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With
     1/m alone a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
-    implicit = steps_implicitly(model, state, settings)
     slot = float(settings.factor_slot) if implicit else -1.0
     key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
     inertia = inertia_of(state, settings)

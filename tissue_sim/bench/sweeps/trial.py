@@ -245,7 +245,7 @@ class _Watch:
             return
         plain, implicit = (
             self.simulation.energy.total,
-            steps_implicitly(self.simulation.model, state, self.simulation.settings),
+            steps_implicitly(self.simulation.model, state, self.simulation.settings, self.simulation.scratch),
         )
         energy, modal = plain + self._held_besides(implicit), status.region == Region.MODAL
         if implicit != self._implicit:
