@@ -80,12 +80,6 @@ def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
     return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), np.linalg.det(edges) / 6.0
 
 
-def moduli_of(tissue: Tissue, count: int) -> tuple[Floats, Floats]:
-    """Lame's moduli mu and lambda of the first cells (count,) Pa."""
-    rows = tissue.constants.reshape(-1, CONSTANTS, BLOCK)
-    return 6.0 * rows[:, 8].ravel()[:count], 12.0 * rows[:, 7].ravel()[:count]
-
-
 def with_penalty(tissue: Tissue, rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Tissue:
     """The same with a penalty on squeezed cells: inverse_mass (n,) 1/kg, frequency rad/s the largest about rest."""
     slope, volume = shapes_of(rest, cells)  # slopes of J by each node, too

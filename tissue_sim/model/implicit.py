@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Factor, Model
-from tissue_sim.model.cells import moduli_of, shapes_of
+from tissue_sim.model.cells import cells_of, shapes_of
 
 
 class _Decomposition(NamedTuple):
@@ -47,11 +47,10 @@ def bounding_stiffness(model: Model) -> csc_array:
     add(pairs, np.broadcast_to(np.array([-1.0, 1.0]), pairs.shape), model.spring_stiffness)
     add(model.angular_nodes, model.angular_weight, model.angular_stiffness)
     if model.tissue is not None:
-        cells = model.cells
+        cells, (mu, lam), _ = cells_of(model.tissue)
         slope, volume = shapes_of(model.rest, cells)
-        mu, lam = moduli_of(model.tissue, len(cells))
         for axis in range(3):
-            add(cells, slope[:, :, axis], (2.0 * mu + 3.0 * lam) * np.abs(volume))
+            add(cells, slope[:, :, axis], (2.0 * mu + 3.0 * lam) * volume)
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return coo_array(entries, shape=(n, n)).tocsc()
 
