@@ -193,6 +193,12 @@ class Ticks:
         self._phase = np.full(1, _LOAD_PERIOD // 4)
         self._clock = np.zeros(2, dtype=np.int64)
 
+    def swing(self) -> None:
+        """From rest, raise the load and let it ebb once, without measuring."""
+        self.simulation.reset()
+        self._phase[0] = 0
+        self(_LOAD_PERIOD)
+
     def __call__(self, count: int) -> Floats:
         """Seconds (count,) of count ticks; two more before them warm the caches and don't count."""
         simulation = self.simulation
