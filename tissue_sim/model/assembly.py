@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.model.blocks import BLOCK, Blocks, aligned, empty_blocks, pack
-from tissue_sim.model.cells import SLOPES, Tissue, shapes_of, tissue_of, with_penalty
+from tissue_sim.model.cells import SLOPES, Tissue, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.critical_step import largest_frequency
+from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
+from tissue_sim.model.unloaded import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
 from tissue_sim.organ.topology import tetrahedral_edges
@@ -93,6 +95,9 @@ class Model(NamedTuple):
     hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0): searched on demand
     adjacency: Adjacency | None  # None: without a local region
     reduction: Reduction
+    borne: Floats  # (n, 3) N that holds the rest shape of cells against what they push there; (0, 3): nothing does
+    shape_gravity: Floats  # (3,) m/s^2, that the rest shape is the shape under
+    unloaded: Floats  # (n, 3) m, shape of the cells without it
     factor: Factor | None  # None: never stepped implicitly
     tissue: Tissue | None  # of cells; None: springs
     work: Floats  # (9 BLOCK,) room for the force kernels
@@ -110,7 +115,9 @@ NO_REDUCTION = Reduction(
 )
 
 
-def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> Model:
+def assemble(
+    organ: Organ, model: str = "auto", return_target: str = "rest", shape_gravity: ArrayLike = (0.0, 0.0, 0.0)
+) -> Model:
     """Arrays of one of the paper's three variants, or of cells; `auto`: the one that the organ was made for.
 
     `surface` has edge, angular and return springs of the surface alone (equation 1); `volume` a
@@ -121,8 +128,12 @@ def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> 
     return_target: where return springs pull to, the `rest` position or the boundary that the skeleton has
     `implied`; medial atoms return to rest in both.
 
+    shape_gravity (3,) m/s^2: the gravity that the organ's shape was taken under. Cells get the shape that they would
+    have without it; springs keep theirs, as if they had been put in afterwards.
+
     Raises UserError for an unknown variant or target, `volume` on an organ without interior points, `cells` on one
-    without cells, or `implied` on a variant without a skeleton or return springs.
+    without cells, or `implied` on a variant without a skeleton or return springs; and where the tissue is too soft for
+    shape_gravity.
     """
     if model not in MODEL_NAMES:
         raise UserError(f"unknown model '{model}'; choose one of {', '.join(MODEL_NAMES)}")
@@ -198,6 +209,9 @@ def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> 
             hops=NO_HOPS,
             adjacency=None,
             reduction=NO_REDUCTION,
+            borne=np.zeros((0, 3)),
+            shape_gravity=np.array(shape_gravity, dtype=np.float64),
+            unloaded=rest,
             factor=None,
             tissue=tissue_of(rest, organ.cell_nodes, organ.cell_mu, organ.cell_lambda) if by_cells else None,
             work=aligned(np.zeros(9 * BLOCK)),
@@ -205,8 +219,25 @@ def assemble(organ: Organ, model: str = "auto", return_target: str = "rest") -> 
     )
     if made.tissue is None:
         return made
-    frequency = largest_frequency(made)
-    return made._replace(tissue=with_penalty(made.tissue, rest, organ.cell_nodes, inverse_mass, frequency))
+    penalty = penalty_of(rest, organ.cell_nodes, inverse_mass, largest_frequency(made))
+    made = made._replace(tissue=with_penalty(made.tissue, penalty))
+    if not made.shape_gravity.any():
+        return made
+    return _bearing(made, organ.cell_nodes, Law(organ.cell_mu, organ.cell_lambda, penalty))
+
+
+def _bearing(model: Model, cells: Ints, law: Law) -> Model:
+    """The model whose cells push as those of the unloaded shape, and whose nodes bear their weight at rest."""
+    free = model.inverse_mass > 0.0
+    weight = np.zeros_like(model.rest)
+    weight[free] = model.shape_gravity / model.inverse_mass[free, None]
+    unloaded = unloaded_shape(model.rest, cells, law, weight, free)
+    bearing = model._replace(
+        unloaded=unloaded, tissue=with_penalty(tissue_of(unloaded, cells, law.mu, law.lam), law.penalty)
+    )
+    pushed = np.zeros_like(weight)
+    elastic_forces(bearing, model.rest, pushed)
+    return bearing._replace(borne=-pushed)
 
 
 def model_of(organ: Organ) -> ModelName:

@@ -80,18 +80,23 @@ def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
     return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), np.linalg.det(edges) / 6.0
 
 
-def with_penalty(tissue: Tissue, rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Tissue:
-    """The same with a penalty on squeezed cells: inverse_mass (n,) 1/kg, frequency rad/s the largest about rest."""
+def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Floats:
+    """Penalty (c,) J/m^3 on squeezed cells: inverse_mass (n,) 1/kg, frequency rad/s the largest about rest."""
     slope, volume = shapes_of(rest, cells)  # slopes of J by each node, too
     give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J, to an impulse along that, 1/(m^2 kg)
-    stiffness = np.zeros(len(cells))
+    penalty = np.zeros(len(cells))
     free = give > 0.0
-    stiffness[free] = PENALTY * frequency**2 / give[free] / (6.0 * volume[free])
+    penalty[free] = PENALTY * frequency**2 / give[free] / volume[free]
+    return penalty
+
+
+def with_penalty(tissue: Tissue, penalty: Floats) -> Tissue:
+    """The same with a penalty (c,) J/m^3 on squeezed cells."""
     constants = aligned(tissue.constants)
     rows = np.zeros(len(tissue.nodes) * BLOCK)
-    rows[: len(cells)] = stiffness
+    rows[: len(penalty)] = penalty / 6.0
     constants[:, 9 * BLOCK :] = rows.reshape(-1, BLOCK)
-    set_penalty(tissue.fans, 6.0 * stiffness)
+    set_penalty(tissue.fans, penalty)
     return tissue._replace(constants=constants)
 
 

@@ -18,7 +18,7 @@ class Energy(NamedTuple):
     """J."""
 
     kinetic: float
-    elastic: float  # of springs, angular springs and return springs, or of cells; 0 at rest
+    elastic: float  # of springs, angular springs and return springs, or of cells; 0 where no load bends them
 
     @property
     def total(self) -> float:
@@ -31,7 +31,7 @@ def energy_of(model: Model, position: Floats, velocity: Floats) -> Energy:
     moving = model.moving
     kinetic = 0.5 * float(np.sum(velocity[moving] ** 2 / model.inverse_mass[moving, None]))
     if model.tissue is not None:
-        return Energy(kinetic, cell_energy(position, model.rest, model.tissue))
+        return Energy(kinetic, cell_energy(position, model.unloaded, model.tissue))
     ends, law = (model.spring_first, model.spring_second), (model.spring_rest_length, model.spring_stiffness)
     axial = float(_axial_energy(position, *ends, *law))
     pulled = model.return_nodes

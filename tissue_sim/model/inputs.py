@@ -7,6 +7,7 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.contact_set import used_words
+from tissue_sim.model.prescribed import forget_prescribed
 from tissue_sim.model.regions import drop_region
 
 LONGEST_PERIOD = 20  # ticks over which a tool is led to its newest pose at the most
@@ -118,6 +119,7 @@ def reset_state(model: Any, state: Any) -> None:
     state.velocity[:] = 0.0
     state.nodal_force[:] = 0.0
     state.is_loaded[:] = 0
+    forget_prescribed(state)
     state.is_turned[:] = 0
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0

@@ -15,6 +15,7 @@ from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.contact_constraint import add_contact_impulses
 from tissue_sim.model.edge_gradient import edge_gradient
+from tissue_sim.model.gravity import is_heavy
 from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import freshness
@@ -41,7 +42,7 @@ def _nothing(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 @kernel
 def _choose(model: Any, state: Any, settings: Any, scratch: Any) -> None:
-    if is_slow(settings):
+    if takes_whole(model, state, settings):
         state.status.region = Region.WHOLE
         return
     modal_region.forget_region(state)
@@ -56,8 +57,13 @@ def choose_region(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def is_slow(settings: Any) -> bool:
-    """True where a modal region is asked for, but its surroundings would take up a load within a tick: a jump."""
+def takes_whole(model: Any, state: Any, settings: Any) -> bool:
+    """True where a local region can't be: what is around it is linear about an unloaded shape that nothing leads.
+
+    And where a modal region is asked for, but its surroundings would take up a load within a tick: a jump.
+    """
+    if state.status.prescribed > 0 or is_heavy(model, settings):
+        return True
     return settings.local_region >= LocalRegion.MODAL and settings.tick_time > SLOWEST * modal_region.LOAD_TIME
 
 
@@ -145,7 +151,7 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 @kernel
 def _change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     status = state.status
-    if is_slow(settings):
+    if takes_whole(model, state, settings):
         if status.region != Region.WHOLE:
             leave_region(model, state, settings, scratch)
         return

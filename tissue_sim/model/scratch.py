@@ -23,7 +23,7 @@ class Scratch(NamedTuple):
     mobility: Any  # (n,) 1/kg
     push: Any  # (3n,) s/kg, and
     shrink: Any  # (3n,), of integrators.symplectic_euler_whole
-    mobility_key: Any  # (5,) settings that they were worked out for
+    mobility_key: Any  # (6,) settings that they were worked out for
     velocity_before: Any  # (n, 3) m/s, at the beginning of its last substep
     predicted: Any  # (n, 3) m, of the implicit step
     change: Any  # (a, 3) m/s, of the implicit step
@@ -114,7 +114,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         mobility=empty(n),
         push=empty(3 * n),
         shrink=empty(3 * n),
-        mobility_key=empty(5),
+        mobility_key=empty(6),
         velocity_before=empty(n, 3),
         predicted=model.rest.copy(),
         change=empty(0 if model.factor is None else len(model.moving), 3),

@@ -39,6 +39,9 @@ class Settings(Record):
     runaway_span: float  # m, displacement that the guard takes for runaway
     coupling_stiffness: float  # N/m between a body and where it is held; 0: it is there
     coupling_damping: float  # N s/m on the tool
+    gravity_x: float  # m/s^2, in the organ's frame
+    gravity_y: float
+    gravity_z: float
     substeps: int  # in a tick, from the critical step
     region_substeps: int  # in a tick of a local region, whose nodes are never stepped implicitly
     integrator: int  # Integrator

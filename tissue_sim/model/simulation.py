@@ -18,6 +18,7 @@ from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.energy import Energy, energy_of
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
 from tissue_sim.model.records import words_of
@@ -29,9 +30,11 @@ from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.squeezed import add_held
 from tissue_sim.model.state import Region, State, make_state, take_fields
 from tissue_sim.model.world import (
+    free_world,
     load_world,
     make_world,
     pose_world,
+    prescribe_world,
     push_world,
     reset_world,
     show_world,
@@ -56,6 +59,8 @@ MOST_WHOLE = 20_000
 
 LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
 
+MOST_GRAVITY = 100.0  # m/s^2
+
 NO_TOOLS = make_shapes([], [])
 
 
@@ -73,7 +78,9 @@ class Simulation:
     skeleton, so for soft return springs; not with a modal region, whose modes are those about rest);
     integrator: symplectic (Euler with implicit nodal damping), explicit (the paper's forward Euler: short steps),
     implicit (stable at any step; prefactored). The nodes of a local region are never stepped implicitly;
-    substeps: in a tick, instead of those from the critical step.
+    substeps: in a tick, instead of those from the critical step;
+    gravity (3,) m/s^2 in the organ's frame; shape_gravity: the one under which the organ has its shape, by default the
+    same, so that it rests as it is. Cells get the shape that they have without it.
     Raises UserError for a name, rate or number out of range.
     """
 
@@ -88,6 +95,8 @@ class Simulation:
         return_target: str = "rest",
         integrator: str = "symplectic",
         substeps: int | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        shape_gravity: ArrayLike | None = None,
     ) -> None:
         if not 1.0 <= rate <= 100_000.0:
             raise UserError(f"rate {rate:g} Hz is outside 1..100000")
@@ -127,7 +136,11 @@ class Simulation:
         self.settings.local_region = LocalRegion[local_region.upper()]
         self.settings.region_force = 0.3
         self.settings.integrator = Integrator[integrator.upper()]
-        self.model: Model = self._with_tables(assemble(organ, model, return_target), local_region)
+        pulled = acceleration_of(gravity, "gravity")
+        borne = pulled if shape_gravity is None else acceleration_of(shape_gravity, "shape_gravity")
+        assembled = assemble(organ, model, return_target, borne)
+        self.model: Model = self._with_tables(assembled, local_region)
+        self.set_gravity(pulled)
         # Nothing that a tool can do moves tissue by more than the organ's own size.
         self.settings.runaway_span = float(np.linalg.norm(np.ptp(self.model.rest, axis=0)))
         n_bodies, n_modes = len(shapes.kind), len(self.model.reduction.frequency)
@@ -188,16 +201,51 @@ class Simulation:
 
         Raises UserError for nodes out of range or forces that are not finite.
         """
+        load_world(self.world, *self._at_nodes(nodes, forces, "forces"))
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """Set the gravity (3,) m/s^2 in the organ's frame. Raises UserError for what is none."""
+        settings = self.settings
+        settings.gravity_x, settings.gravity_y, settings.gravity_z = acceleration_of(gravity, "gravity")
+
+    def prescribe(self, nodes: ArrayLike, positions: ArrayLike, ticks: int = 1) -> None:
+        """Lead nodes (k,) evenly to positions (k, 3) m within some ticks, and hold them there until `free`.
+
+        Held nodes of the organ, too. Raises UserError for nodes out of range or positions that are not finite.
+        """
+        index, values = self._at_nodes(nodes, positions, "positions")
+        if ticks < 1:
+            raise UserError(f"{ticks} ticks are less than 1")
+        prescribe_world(self.world, index, values, ticks)
+
+    def free(self) -> None:
+        """Let prescribed nodes go; those that the organ is held at stay where they are until `reset`."""
+        free_world(self.world)
+
+    def reactions(self) -> Floats:
+        """Forces (n, 3) N that hold prescribed nodes, and those that the organ is held at, against what pulls there.
+
+        Without inertia: of an organ at rest, or nearly so. 0 where nothing holds.
+        """
+        force = self._residuals()
+        held = np.ones(len(force), dtype=bool)
+        held[self.model.moving] = False
+        held[self.state.prescribed_node[: self.state.status.prescribed]] = True
+        force[~held] = 0.0
+        return -force
+
+    def _at_nodes(self, nodes: ArrayLike, given: ArrayLike, name: str) -> tuple[NDArray[np.int64], Floats]:
+        """Nodes (k,) and what is given (k, 3) at each."""
         index = np.atleast_1d(np.asarray(nodes, dtype=np.int64))
-        values = np.asarray(forces, dtype=np.float64)
+        values = np.asarray(given, dtype=np.float64)
         if values.size != 3 * len(index) or values.shape[-1] != 3:
-            raise UserError(f"forces has shape {values.shape}, expected ({len(index)}, 3) for {len(index)} nodes")
-        values = values.reshape(len(index), 3)
+            raise UserError(f"{name} has shape {values.shape}, expected ({len(index)}, 3) for {len(index)} nodes")
+        values = np.ascontiguousarray(values.reshape(len(index), 3))
         if not np.all(np.isfinite(values)):
-            raise UserError("forces must be finite")
+            raise UserError(f"{name} must be finite")
         if len(index) and (index.min() < 0 or index.max() >= len(self.state.position)):
             raise UserError(f"nodes must lie in 0..{len(self.state.position) - 1}")
-        load_world(self.world, index, values)
+        return index, values
 
     def take_pose(self, body: int, pose: Floats, sequence: int) -> None:
         """Take up the newest pose (7,) of a tool's body, m and a unit quaternion xyzw; sequence: its number."""
@@ -306,25 +354,34 @@ class Simulation:
     def settle(
         self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0
     ) -> tuple[Floats, bool]:
-        """Displacements at rest under constant surface forces.
+        """Displacements at rest under constant surface forces, gravity, and what is prescribed.
 
-        forces (n_surface, 3) N. Steps from the rest shape until the residual force is under
-        tolerance times the load (and the organ, by its own pace, is all but still), or for `longest` simulated
-        seconds. The forces act at once, or are raised within `ramp` seconds, as a hand does, so that the organ
-        doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
+        forces (n_surface, 3) N. Steps from the rest shape until the residual force is under tolerance times the load,
+        or what holds prescribed nodes (and the organ, by its own pace, is all but still), or for `longest` simulated
+        seconds. Forces act, and prescribed nodes move, at once, or within `ramp` seconds, as a hand does, so that the
+        organ doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
         """
         n_surface = self.model.n_surface
+        state = self.state
+        led = state.prescribed_node[: state.status.prescribed].copy()
+        goal = state.prescribed_to[led]
         self.reset()
         loaded = np.flatnonzero(np.any(forces != 0.0, axis=1))
-        if not len(loaded):
+        heavy = is_out_of_balance(self.model, self.settings)
+        if not len(loaded) and not len(led) and not heavy:
             return np.zeros((n_surface, 3)), True
-        size = float(np.linalg.norm(forces))
-        state = self.state
+        load = forces.astype(np.float64)
+        if heavy:
+            pull = np.zeros_like(state.position)
+            add_weight(self.model, self.settings, pull)
+            load = load + pull[:n_surface]
+        size = float(np.linalg.norm(load))
         pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
         settled = False
         coming = max(LEAST_COMING, 2.0 / pace(self.model, self.settings))
         faults = state.count.faults
         raised = max(1, math.ceil(ramp * self.rate))
+        prescribe_world(self.world, led, goal, raised)
         for first in range(1, math.ceil(longest * self.rate) + 1, 20):
             for tick in range(first, first + 20):
                 load_world(self.world, loaded, min(1.0, tick / raised) * pushes)
@@ -333,7 +390,9 @@ class Simulation:
                 continue
             if state.count.faults > faults and not np.any(state.velocity):
                 continue
-            residual = self._residual(forces)
+            left = self._residuals(forces)
+            residual = float(np.linalg.norm(left[self._free_nodes()]))
+            size = max(size, float(np.linalg.norm(left[led])))
             speed = float(np.abs(state.velocity).max())
             reach = float(np.abs(state.position - self.model.rest).max())
             if residual <= tolerance * size and speed * coming <= tolerance * max(reach, 1e-9):
@@ -349,17 +408,33 @@ class Simulation:
         speed, reach = (np.linalg.norm(a) for a in (self.state.mode_velocity, self.state.mode_position))
         return bool(speed * 0.1 > tolerance * reach)
 
-    def _residual(self, forces: Floats) -> float:
-        """Norm of the force left on the nodes that may move, N; what holds squeezed cells is one of the forces."""
+    def _residuals(self, forces: Floats | float = 0.0) -> Floats:
+        """Force (n, 3) N left on every node under surface forces; what holds squeezed cells is one of the forces."""
         force = np.zeros_like(self.model.rest)
         elastic_forces(self.model, self.state.position, force)
         force *= self.settings.stiffness_scale
+        add_weight(self.model, self.settings, force)
         force[: self.model.n_surface] += forces
-        add_held(self.scratch, float(self.settings.tick_time) / self.state.status.substeps, force)
-        nodes = self.model.moving
+        add_held(self.scratch, float(self.settings.tick_time) / max(1, self.state.status.substeps), force)
+        return force
+
+    def _free_nodes(self) -> NDArray[np.int64]:
+        """Nodes (k,) that nothing leads."""
+        nodes: Any = self.model.moving
         if self.state.status.region != Region.WHOLE:
             nodes = self.scratch.moved_node[: self.scratch.moved[0]]
-        return float(np.linalg.norm(force[nodes]))
+        return np.asarray(nodes[self.state.is_prescribed[nodes] == 0], dtype=np.int64)
+
+
+def acceleration_of(given: ArrayLike, name: str) -> Floats:
+    """An acceleration (3,) m/s^2. Raises UserError, with the name, for what is none or beyond MOST_GRAVITY."""
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.shape != (3,) or not np.all(np.isfinite(values)) or np.linalg.norm(values) > MOST_GRAVITY:
+        raise UserError(f"{name} {given!r} is not three numbers, m/s^2, of {MOST_GRAVITY:g} together at most")
+    return values
 
 
 def moves_whole(organ: Organ) -> bool:

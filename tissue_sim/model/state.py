@@ -50,6 +50,8 @@ class Status(Record):
     touching: int  # contact points that touched in the last tick
     active: int  # nodes that were integrated in the last tick
     loaded: int  # nodes that nodal_force holds something for in this tick, listed in loaded_node
+    prescribed: int  # nodes whose position is prescribed, listed in prescribed_node
+    prescriptions: int  # times that these changed
     turned: int  # cells of the inside that are turned inside out
     next_cell: int  # where the rolling check of the cells goes on
     good_age: int  # ticks since the last good shape was kept; more than KEEP_EVERY right after a fault
@@ -125,6 +127,11 @@ class State(NamedTuple):
     contact_held: Floats  # (2, C, 3) N s across it; row 1 is room, within a substep for the whole of what was given
     loaded_node: Longs  # (n,) the nodes that nodal_force loads in this tick
     is_loaded: Longs  # (n,) 1 for those
+    prescribed_node: Longs  # (n,) the nodes whose position is prescribed
+    is_prescribed: Longs  # (n,) 1 for those
+    prescribed_ticks: Longs  # (n,) until they are there
+    prescribed_from: Floats  # (n, 3) m, where they are, on their way to
+    prescribed_to: Floats  # (n, 3) m
     is_turned: Longs  # (c,) 1 for cells of the inside that are turned inside out
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
     contacts: ContactSet  # which points may touch
@@ -168,6 +175,11 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
         "contact_held": (real, (2, MOST_POINTS, 3)),
         "loaded_node": (whole, (n,)),
         "is_loaded": (whole, (n,)),
+        "prescribed_node": (whole, (n,)),
+        "is_prescribed": (whole, (n,)),
+        "prescribed_ticks": (whole, (n,)),
+        "prescribed_from": (real, (n, 3)),
+        "prescribed_to": (real, (n, 3)),
         "is_turned": (whole, (n_cells,)),
         "region_hop": (whole, (n,)),
     }

@@ -14,6 +14,7 @@ from tissue_sim.model.contact_constraint import add_contact_impulses, resolve_co
 from tissue_sim.model.contact_gap import is_touched
 from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import (
@@ -23,6 +24,7 @@ from tissue_sim.model.integrators import (
     symplectic_euler,
     symplectic_euler_whole,
 )
+from tissue_sim.model.prescribed import count_prescribed, lead_prescribed
 from tissue_sim.model.regions import (
     absorb_load,
     change_region,
@@ -57,6 +59,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     status.tick += 1
     advance_held(state, settings, scratch)
     forced = status.loaded > 0 or has_tip_force(state, settings)
+    forced = forced or status.prescribed > 0 or is_out_of_balance(model, settings)
     status.touching = 0
     if status.asleep:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
@@ -108,6 +111,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
     check_cells(model, state, scratch)
+    count_prescribed(state)
     report_wrenches(state, shapes, settings, scratch)
     change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
@@ -213,10 +217,11 @@ def advance_substep(
             whole_forces(model, scratch.predicted, settings, scratch)
         else:
             whole_forces(model, state.position, settings, scratch)
-    add_loads(state, settings, scratch.force)
+    add_loads(model, state, settings, scratch.force)
     if implicit and eased:
         carry_momentum(model, state, scratch.force, step)
     integrate(model, state, shapes, settings, scratch, step, implicit)
+    lead_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings, implicit)
     state.status.touching = resolve_contacts(
         model, state, shapes, scratch.mobility, scratch, settings.friction, step, pushed
@@ -341,9 +346,11 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
     slot = float(settings.factor_slot) if implicit else -1.0
     key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
     inertia = inertia_of(state, settings)
-    if key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale and key[4] == inertia:
+    changes = float(state.status.prescriptions)
+    same = key[0] == step and key[1] == damping and key[2] == slot and key[3] == scale
+    if same and key[4] == inertia and key[5] == changes:
         return
-    key[0], key[1], key[2], key[3], key[4] = step, damping, slot, scale, inertia
+    key[0], key[1], key[2], key[3], key[4], key[5] = step, damping, slot, scale, inertia, changes
     mobility, moving, inverse_mass = scratch.mobility, model.moving, model.inverse_mass
     for index in range(len(moving)):
         node = moving[index]
@@ -354,6 +361,8 @@ def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: An
             mobility[node] = inverse
         else:
             mobility[node] = inverse / inertia / (1.0 + step * inverse * damping * model.damping[node])
+        if state.is_prescribed[node] == 1:
+            mobility[node] = 0.0
         push = step / inertia * inverse
         shrink = 1.0 / (1.0 + push * (damping * inertia) * model.damping[node])
         for axis in range(3):
@@ -371,8 +380,9 @@ def scale_force(settings: Any, force: Any) -> None:
 
 
 @kernel
-def add_loads(state: Any, settings: Any, force: Any) -> None:
+def add_loads(model: Any, state: Any, settings: Any, force: Any) -> None:
     """Add the external forces."""
+    add_weight(model, settings, force)
     for index in range(state.status.loaded):
         node = state.loaded_node[index]
         for c in range(3):

@@ -8,6 +8,7 @@ from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
+from tissue_sim.model.prescribed import free_nodes, prescribe_nodes
 from tissue_sim.model.records import words_of
 from tissue_sim.model.regions import show_region
 from tissue_sim.model.settings import Settings
@@ -60,6 +61,18 @@ def show_world(world: Any) -> None:
 def load_world(world: Any, nodes: Any, forces: Any) -> None:
     """Add forces (k, 3) N to nodes (k,) for the coming tick."""
     load_nodes(world.state, nodes, forces)
+
+
+@kernel
+def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
+    """From the next tick on lead nodes (k,) to positions (k, 3) m within so many ticks, and hold them there."""
+    prescribe_nodes(world.state, nodes, positions, ticks)
+
+
+@kernel
+def free_world(world: Any) -> None:
+    """Let prescribed nodes go."""
+    free_nodes(world.model, world.state)
 
 
 @kernel

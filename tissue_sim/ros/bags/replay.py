@@ -184,6 +184,7 @@ class _Player:
             shapes=self.tools.shapes,
             return_target=parameters.get("return_target", "rest"),
             integrator=parameters.get("integrator", "symplectic"),
+            shape_gravity=recording.config["shape_gravity"],
         )
         self.poses = self._body_poses()
         self.forces = self._body_forces()

@@ -71,6 +71,8 @@ class TissueNode(Node):
             shapes=tools.shapes,
             return_target=values["return_target"],
             integrator=values["integrator"],
+            gravity=values["gravity"],
+            shape_gravity=[0.0, 0.0, 0.0] if values["shape_is_unloaded"] else None,
         )
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
@@ -183,6 +185,7 @@ class TissueNode(Node):
             "node": self.get_fully_qualified_name(),
             "organ": {"name": self.organ.name, "digest": self.organ.digest()},
             "parameters": self.parameters.values(),
+            "shape_gravity": self.simulation.model.shape_gravity.tolist(),
             "tools": self.parameters.tools,
         }
 

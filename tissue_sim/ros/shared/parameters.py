@@ -17,6 +17,7 @@ from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Settings
+from tissue_sim.model.simulation import acceleration_of
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
 from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform, unit_quaternion
 from tissue_sim.ros.shared.priority import HIGHEST
@@ -41,6 +42,13 @@ class Spec:
 
 def _check_pose(value: Any) -> None:
     Transform.of_pose(value)
+
+
+def _check_gravity(value: Any) -> None:
+    try:
+        acceleration_of(list(value), "of")
+    except UserError as error:
+        raise ValueError(str(error)) from None
 
 
 NODE_SPECS = (
@@ -81,6 +89,8 @@ NODE_SPECS = (
     Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting="ramp_time"),
     Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting="stiffness_scale"),
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
+    Spec("gravity", [0.0, 0.0, 0.0], "m/s^2 in the organ's frame", live=True, check=_check_gravity),
+    Spec("shape_is_unloaded", False, "the organ file's shape is the one without gravity, not the one under it"),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made", live=True),
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
@@ -193,6 +203,7 @@ class Parameters:
         for spec in NODE_SPECS:
             if spec.setting:
                 setattr(settings, spec.setting, self[spec.name])
+        settings.gravity_x, settings.gravity_y, settings.gravity_z = self["gravity"]
 
     def values(self) -> dict[str, Any]:
         """All parameters by name, as plain values."""

@@ -1,0 +1,43 @@
+"""Gravity over ROS: the organ rests in its own shape, sags when gravity changes, and a bag of it replays."""
+
+import pytest
+
+from helpers.ros.clients import Client
+from helpers.ros.processes import UNHURRIED, running_node
+from tissue_sim.cli import main
+
+DOWN = [0.0, 0.0, -9.81]  # m/s^2
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("gravity")
+
+
+@pytest.fixture(scope="module")
+def client(folder):
+    with running_node(folder, f"gravity:={DOWN}", UNHURRIED, f"record_folder:={folder}"):
+        client = Client()
+        assert client.spin_until(lambda: client.diagnostics and client.moved() < 1.0)
+        yield client
+        client.close()
+
+
+def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, capsys):
+    assert client.moved() < 1e-6
+    started = client.record(True)
+    assert started.success, started.message
+    assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful
+    assert client.spin_until(lambda: client.moved() > 5e-3)
+    assert client.set_parameter("gravity", DOWN).successful
+    assert client.spin_until(lambda: client.moved() < 1e-6)
+    assert client.record(False).success
+    assert main(["replay", started.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
+    assert "repeats" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("bad", [[0.0, 0.0], [0.0, float("nan"), 0.0], [0.0, 0.0, -1000.0]])
+def test_bad_gravity_is_refused(client, bad):
+    answer = client.set_parameter("gravity", bad)
+    assert not answer.successful
+    assert "gravity" in answer.reason
