@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, ball_of_cells, filled
+from helpers.states import snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
@@ -99,6 +100,35 @@ def test_a_region_hands_over_when_nodes_are_led():
     for _ in range(2):
         simulation.step()
     assert few < simulation.state.status.active == len(simulation.model.moving)
+
+
+def test_node_outside_a_region_sets_out_from_where_it_is():
+    organ = ball(3)
+    simulation, twin = (Simulation(organ, local_region="modal") for _ in range(2))
+    top, far = int(np.argmax(organ.surface_positions[:, 2])), int(np.argmax(organ.surface_positions[:, 0]))
+    for one in (simulation, twin):
+        for _ in range(30):
+            one.apply_force([top], [[0.0, 0.0, -0.05]])
+            one.step()
+    start = twin.positions[far].copy()
+    assert np.abs(start - organ.surface_positions[far]).max() > 1e-6
+    goal = start + [0.001, 0.0, 0.0]
+    simulation.prescribe([far], [goal], ticks=2)
+    simulation.step()
+    np.testing.assert_allclose(simulation.positions[far], 0.5 * (start + goal), atol=1e-12)
+
+
+def test_restored_state_has_its_own_prescribed_nodes():
+    """Prescribed as often, but other nodes: what contact may push is worked out anew."""
+    organ = ball(2)
+    simulation, other = Simulation(organ), Simulation(organ)
+    first, second = (int(node) for node in simulation.model.moving[:2])
+    for one, node in ((simulation, first), (other, second)):
+        one.prescribe([node], [organ.rest_positions[node]])
+        one.step()
+    simulation.restore(snapshot(other))
+    simulation.step()
+    assert simulation.scratch.mobility[first] > 0.0 == simulation.scratch.mobility[second]
 
 
 def test_bad_nodes_and_positions_are_named():

@@ -22,8 +22,7 @@ def excess(model: Any, settings: Any) -> tuple[float, float, float]:
 @kernel
 def is_heavy(model: Any, settings: Any) -> bool:
     """True when nodes have a weight to add, or an organ in equilibrium with it is not about its unloaded shape."""
-    gx, gy, gz = excess(model, settings)
-    return len(model.borne) > 0 or gx != 0.0 or gy != 0.0 or gz != 0.0
+    return len(model.borne) > 0 or is_out_of_balance(model, settings)
 
 
 @kernel

@@ -350,6 +350,7 @@ class Simulation:
             self.state.words[:] = before
             raise UserError(str(error)) from None
         self.scratch.stale[0] = 1
+        self.scratch.mobility_key[:] = 0.0  # it may prescribe other nodes, as often
 
     def settle(
         self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0

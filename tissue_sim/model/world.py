@@ -10,7 +10,7 @@ from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.prescribed import free_nodes, prescribe_nodes
 from tissue_sim.model.records import words_of
-from tissue_sim.model.regions import show_region
+from tissue_sim.model.regions import leave_region, show_region
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.tick import tick
 
@@ -65,7 +65,12 @@ def load_world(world: Any, nodes: Any, forces: Any) -> None:
 
 @kernel
 def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
-    """From the next tick on lead nodes (k,) to positions (k, 3) m within so many ticks, and hold them there."""
+    """From the next tick on lead nodes (k,) to positions (k, 3) m within so many ticks, and hold them there.
+
+    The whole organ moves from here on, from where the region and the rest of it are.
+    """
+    if not world.state.status.asleep:
+        leave_region(world.model, world.state, world.settings, world.scratch)
     prescribe_nodes(world.state, nodes, positions, ticks)
 
 
