@@ -5,7 +5,7 @@
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
 DEMO_EXTRAS := ros,viewer
-EXTRAS := $(DEMO_EXTRAS),image,calibration,bench,test
+EXTRAS := $(DEMO_EXTRAS),image,calibration,cluster,bench,test
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
 unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH

@@ -56,6 +56,7 @@ setup(
         "viewer": ["viser"],
         "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
+        "cluster": ["distributed"],
         # `colcon test` runs pytest because this extra names it.
         "test": ["pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
         "docs": ["sphinx", "myst-parser", "furo", "sphinx-autoapi"],

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from helpers.cluster import cluster_in
+from helpers.paths import ROOT
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared.domains import claim_domain
 
@@ -34,3 +36,17 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What starts processes comes first: it takes long and waits, and would go on alone at the end."""
     items.sort(key=lambda item: not {"ros", "bench"} & set(item.path.parts))
+
+
+@pytest.fixture
+def helpers_on_path(monkeypatch):
+    """Other processes find test/helpers, too."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT / "test"))
+
+
+@pytest.fixture
+def cluster(tmp_path, helpers_on_path):
+    """Address of a Dask scheduler with two workers, and a client of it."""
+    pytest.importorskip("distributed")
+    with cluster_in(tmp_path) as found:
+        yield found

@@ -273,6 +273,12 @@ def one_fault(monkeypatch):
     monkeypatch.setattr(stability, "sweep", lambda *_: [good, bad, forgiven])
 
 
+def test_a_cluster_finds_what_this_machine_does(cluster):
+    cells = [cell(), cell(value=2.0)]
+    here, there = stability.sweep(cells, 1), stability.sweep(cells, 1, cluster[0])
+    assert [replace(record, seconds=0.0) for record in there] == [replace(record, seconds=0.0) for record in here]
+
+
 @pytest.mark.usefixtures("one_fault")
 def test_check_fails_where_a_default_cell_diverged(capsys):
     assert bench("--quick", "--check") == 1
@@ -287,7 +293,7 @@ def test_check_fails_where_a_default_cell_diverged(capsys):
     [
         (["--axes", "colour"], "--axes: no axis 'colour'"),
         (["--jobs", "0"], "--jobs 0"),
-        (["--axes", "rate", "--backend", "abacus"], "--backend abacus"),
+        (["--axes", "rate", "--scheduler", "abacus"], "no Dask scheduler answers at abacus"),
         (["no_such_organ.npz"], "no_such_organ.npz does not exist"),
     ],
 )

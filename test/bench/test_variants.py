@@ -68,6 +68,21 @@ def test_fits_are_kept(monkeypatch, tmp_path, fits):
     np.testing.assert_array_equal(found.plain.spring_stiffness, ORGAN.spring_stiffness)
 
 
+@pytest.mark.slow
+def test_a_clusters_fits_are_kept_as_if_made_here(monkeypatch, tmp_path, cluster):
+    """Whose workers have no say in how much effort a fit is given: so at full effort, of a small organ."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    variants.fit_on_cluster(ORGAN, [ORGAN.n_surface], cluster[0])
+    monkeypatch.setattr(variants, "fitted", None)
+    found = variants_of(Body(ORGAN), ORGAN.n_surface, fits=True, every_aim=True)
+    assert set(found.cells) == set(INTERIOR_SHARE)
+    assert all(is_fitted(organ) for organ in (*found.cells.values(), found.groups))
+
+
+def is_fitted(organ):
+    return "linear loads" in organ.provenance["fit"]
+
+
 def test_calibrated_organ_is_taken_as_it_is_at_its_own_size():
     own = replace(ORGAN, provenance={"calibration": {"method": "cells"}})
     assert is_calibrated(own)

@@ -77,6 +77,40 @@ def test_swing_decays_with_half_the_damping_rate(beam):
     np.testing.assert_allclose(np.diff(times), period, rtol=0.03)
 
 
+@pytest.mark.parametrize("linear", [True, False])
+def test_a_load_let_fall_swings_twice_as_far_as_it_holds(beam, linear):
+    """Undamped, from rest: u(t) = u_rest (1 - cos w t) for a load of the first mode's shape."""
+    period = 1.0 / frequencies(beam, 1)[0]
+    held = first_mode(beam)
+    load = (beam.stiffness @ held.ravel()).reshape(held.shape)
+    motion = swing(beam, np.zeros_like(held), period, period / 40.0, 0.0, tip(beam), linear, load=load)
+    wanted = held[tip(beam)[0], 1] * (1.0 - np.cos(2.0 * np.pi * motion.time / period))
+    np.testing.assert_allclose(motion.displacement[:, 0, 1], wanted, atol=0.03 * wanted.max())
+
+
+def test_a_velocity_to_begin_with(beam):
+    period = 1.0 / frequencies(beam, 1)[0]
+    shape = first_mode(beam)
+    omega, end = 2.0 * np.pi / period, tip(beam)
+    motion = swing(beam, 0.0 * shape, period, period / 40.0, 0.0, end, True, velocity=omega * shape)
+    wanted = shape[end[0], 1] * np.sin(omega * motion.time)
+    np.testing.assert_allclose(motion.displacement[:, 0, 1], wanted, atol=0.02 * wanted.max())
+
+
+def test_a_weight_on_the_end_slows_a_beam_down():
+    """Rayleigh: with a weight of m on the end of a beam of 33/140 of its mass there, f^2 falls as the sum of both."""
+    solid = box(np.linspace(0.0, LENGTH, 9), [0.0, WIDTH], [0.0, 1.2 * WIDTH], E, 0.0, DENSITY)
+    solid.held[solid.nodes[:, 0] == 0.0] = True
+    alone, beam = frequencies(solid, 1)[0], DENSITY * LENGTH * 1.2 * WIDTH**2
+    ends = np.flatnonzero(solid.nodes[:, 0] == LENGTH)
+    weight = np.zeros(len(solid.nodes))
+    weight[ends] = beam / len(ends)
+    solid.add_masses(weight)
+    assert solid.mass.sum() == pytest.approx(2.0 * beam)
+    share = 33.0 / 140.0
+    assert frequencies(solid, 1)[0] == pytest.approx(alone * np.sqrt(share / (share + 1.0)), rel=0.03)
+
+
 def test_organ_let_go_starts_where_it_settled_and_comes_to_rest():
     organ = ball(1)
     body = Body(organ, grading=Grading(clamp=0))

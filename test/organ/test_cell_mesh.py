@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, kidney
+from tissue_sim.bench.measured.lattice import shell
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import LEAST_QUALITY, quality_of, tetrahedra, tissue_cells, with_cells
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.organ.topology import assemble_like
+from tissue_sim.organ.topology import assemble_like, assemble_organ
 
 
 def calibrated():
@@ -94,3 +95,20 @@ def test_cells_that_make_no_sense_are_refused_by_name(change, words):
     changed = {name: how(getattr(organ, name)) for name, how in change.items()}
     with pytest.raises(UserError, match=words):
         replace(organ, **changed)
+
+
+def test_a_body_with_edges_keeps_their_cells():
+    """Those of a box have two faces on the surface at a right angle; without them its edges would hang by a thread."""
+    index, triangles = shell((9, 7, 6))
+    surface = 0.005 * index
+    atoms = np.linspace([0.008, 0.015, 0.0125], [0.032, 0.015, 0.0125], 5)
+    about = {"atom_positions": atoms, "atom_radius": np.full(5, 0.0125), "atom_parent": np.arange(-1, 4)}
+    made = with_cells(
+        assemble_organ(
+            name="box", surface_positions=surface, surface_triangles=triangles, fixed=(), interior_atoms=120, **about
+        )
+    )
+    volume, _ = quality_of(made.rest_positions, made.cell_nodes)
+    assert volume.sum() == pytest.approx(made.volume, rel=1e-3)
+    alone = np.bincount(made.cell_nodes.ravel(), minlength=made.n_nodes) == 1
+    assert alone.sum() <= 8, "corners at the most"

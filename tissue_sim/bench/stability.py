@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import emit, told, write_json
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
+from tissue_sim.calibration.cohort import on_cluster
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
 from tissue_sim.model.settings import LOCAL_REGIONS
@@ -39,11 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"of {', '.join(AXES)}; force and depth mean each of theirs (default: all, some fewer with --quick)",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument(
-        "--backend",
-        default="loky",
-        help="joblib backend: loky (processes here), or dask or ray where one is set up and registered",
-    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="let the workers of a Dask cluster do it instead")
     parser.add_argument("--check", action="store_true", help="exit with 1 when a cell with default settings diverged")
 
 
@@ -56,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     organ = args.organ or (SMALL_ORGAN if args.quick else str(shipped_organ()))
     cells = cells_of(axes, organ, args.quick, regions_of(organ_of(organ)))
     start = time.perf_counter()
-    records = sweep(cells, args.jobs, args.backend)
+    records = sweep(cells, args.jobs, args.scheduler)
     seconds = time.perf_counter() - start
     report = _report(records, organ, args.quick, seconds)
     shown = summary(records, seconds)
@@ -79,26 +76,33 @@ def regions_of(organ: Organ) -> tuple[str, ...]:
     return tuple(region for region in LOCAL_REGIONS if not (same and region == "auto"))
 
 
-def sweep(cells: Sequence[Cell], jobs: int, backend: str = "loky") -> list[Record]:
-    """Run the cells on `jobs` processes, with a progress bar; the records in the order of the cells.
+def sweep(cells: Sequence[Cell], jobs: int, scheduler: str | None = None) -> list[Record]:
+    """Run the cells on `jobs` processes or a cluster, with a progress bar; the records in the order of the cells.
 
-    Raises UserError for a backend that joblib doesn't know, and what the first simulation raises.
+    Raises UserError when the cluster's scheduler doesn't answer, and what the first simulation raises.
     """
-    from joblib import Parallel, delayed, parallel_config
     from tqdm import tqdm
 
     _compile(cells)
     found: dict[tuple[str, float, str, str], Record] = {}
     order = sorted(cells, key=made_for)  # those that use the same simulation after each other
-    try:
-        with parallel_config(backend=backend, n_jobs=jobs):
-            parallel = Parallel(return_as="generator_unordered", batch_size=1)
-    except (ValueError, ImportError) as error:
-        raise UserError(f"--backend {backend}: {str(error).splitlines()[0]}") from None
-    done = parallel(delayed(run_cell)(cell) for cell in order)
-    for record in tqdm(done, total=len(cells), disable=None, desc="cells", unit="cell"):
+    for record in tqdm(_records(order, jobs, scheduler), total=len(cells), disable=None, desc="cells", unit="cell"):
         found[record.axis, record.value, record.integrator, record.local_region] = record
     return [found[cell.axis, cell.value, cell.integrator, cell.local_region] for cell in cells]
+
+
+def _records(cells: Sequence[Cell], jobs: int, scheduler: str | None) -> Iterator[Record]:
+    """As they are ready."""
+    if scheduler is None:
+        from joblib import Parallel, delayed
+
+        parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+        yield from parallel(delayed(run_cell)(cell) for cell in cells)
+        return
+    for _, record in on_cluster(run_cell, cells, scheduler):
+        if isinstance(record, UserError):
+            raise record
+        yield record
 
 
 def violations(records: Sequence[Record]) -> list[Record]:

@@ -25,7 +25,7 @@ from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
 from tissue_sim.bench.printing import emit, figure, made_or_skipped, noise_lines, told, with_remarks
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
-from tissue_sim.bench.variants import variants_of
+from tissue_sim.bench.variants import fit_on_cluster, variants_of
 from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
 from tissue_sim.calibration.fem import Body, volume_change
 from tissue_sim.calibration.reference import reference_error
@@ -94,6 +94,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " none with --quick)",
     )
     parser.add_argument("--quick", action="store_true", help="fewer loads, the organ's own points alone, in 2 minutes")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="let the workers of a Dask cluster make the fits; ticks are timed here"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -102,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
     points = sizes_named(args.points) if args.points else () if args.quick else POINTS
     organ = Organ.load(args.organ or shipped_organ())
     start = time.perf_counter()
+    if args.scheduler and not args.quick:
+        fit_on_cluster(organ, sorted({organ.n_surface, *points}), args.scheduler)
     found = in_one_thread(measure, organ, points, args.quick)
     figures = as_json(organ, found, time.perf_counter() - start)
     emit(figures, text(figures), args.json)

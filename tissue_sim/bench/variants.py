@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from tissue_sim.bench.sizes import Sized, at_size, sized
 from tissue_sim.bench.surface_field import answers
 from tissue_sim.calibration.calibrate import CELL_BOUNDS
 from tissue_sim.calibration.cases import fit_cases, principal
+from tissue_sim.calibration.cohort import spread
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
@@ -41,8 +43,10 @@ from tissue_sim.store import remembered
 
 SEED = 0  # of the fit's cases
 BALANCED = Settings().aim
+GROUPS = "groups"
 MORE_MODES = 20  # whose frequencies are looked at; masses are fitted to the lowest MODES
 _VERSION = "9"  # of what is remembered
+_MISSING = "not fitted yet"
 
 
 class Effort(NamedTuple):
@@ -50,6 +54,14 @@ class Effort(NamedTuple):
 
     cases: int
     steps: int
+
+
+class Fit(NamedTuple):
+    """A calibration that a size needs."""
+
+    reference: Organ  # whose finite-element body answers
+    organ: Organ  # that is fitted
+    kind: str  # groups, or what cells are for
 
 
 class Variants(NamedTuple):
@@ -82,14 +94,59 @@ def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False)
     organ = body.organ
     plain = at_size(organ, points)
     own = points == organ.n_surface
-    ready = own and is_calibrated(organ)
     if not fits:
         missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
-        return Variants(plain, "takes minutes to fit, left out of --quick", {BALANCED: organ if ready else missing})
-    cells: dict[str, Organ | str] = {}
-    for aim in INTERIOR_SHARE if every_aim else (BALANCED,):
-        cells[aim] = organ if ready and aim == BALANCED else _kept(body, prepared(plain, Settings(aim=aim)), aim)
-    return Variants(plain, _kept(body, plain, "groups") if own else "fitted at the organ's own size alone", cells)
+        return Variants(
+            plain, "takes minutes to fit, left out of --quick", {BALANCED: organ if _ready(organ, own) else missing}
+        )
+    made = {
+        fit.kind: _kept(fit, lambda fit: fitted(body, fit.organ, fit.kind, effort_at(points)))
+        for fit in fits_of(organ, plain, every_aim)
+    }
+    springs = made.pop(GROUPS, "fitted at the organ's own size alone")
+    return Variants(plain, springs, {BALANCED: organ, **made} if _ready(organ, own) else made)
+
+
+def fits_of(organ: Organ, plain: Organ, every_aim: bool) -> list[Fit]:
+    """The fits that variants of a size need: plain is the organ of that size as the pipeline makes it."""
+    own = plain.n_surface == organ.n_surface
+    aims = INTERIOR_SHARE if every_aim else (BALANCED,)
+    found = [
+        Fit(organ, prepared(plain, Settings(aim=aim)), aim)
+        for aim in aims
+        if not (aim == BALANCED and _ready(organ, own))
+    ]
+    return [*found, Fit(organ, plain, GROUPS)] if own else found
+
+
+def fit_on_cluster(organ: Organ, points: Sequence[int], scheduler: str) -> None:
+    """Have a Dask cluster make the fits of several sizes that are not kept yet; they are kept then.
+
+    Raises UserError when the scheduler doesn't answer. What fails there is tried again, and told of, where it is used.
+    """
+
+    def missing(_: Fit) -> dict[str, Any]:
+        raise UserError(_MISSING)
+
+    fits = [fit for count in points for fit in fits_of(organ, at_size(organ, count), count == organ.n_surface)]
+    fits = [fit for fit in fits if _kept(fit, missing) == _MISSING]
+    for number, made in spread(made_alone, fits, scheduler=scheduler):
+        if not isinstance(made, UserError):
+            _kept(fits[number], partial(_given, made))
+
+
+def _given(made: dict[str, NDArray], _: Fit) -> dict[str, NDArray]:
+    return made
+
+
+def made_alone(fit: Fit) -> dict[str, NDArray]:
+    """A fit with a body of its own."""
+    return fitted(Body(fit.reference), fit.organ, fit.kind, effort_at(fit.organ.n_surface))
+
+
+def _ready(organ: Organ, own: bool) -> bool:
+    """Whether the organ itself is the calibrated one of its own size."""
+    return own and is_calibrated(organ)
 
 
 def is_calibrated(organ: Organ) -> bool:
@@ -98,20 +155,20 @@ def is_calibrated(organ: Organ) -> bool:
     return isinstance(figures, dict) and figures.get("method") == "cells"
 
 
-def _kept(body: Body, organ: Organ, kind: str) -> Organ | str:
+def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
     """The organ calibrated, from the user's cache when it was done before; the reason when it can't be."""
-    effort = effort_at(organ.n_surface)
-    source = f"{_VERSION} {SEED} {tuple(effort)} {body.organ.digest()} {organ.digest()}"
+    effort = effort_at(fit.organ.n_surface)
+    source = f"{_VERSION} {SEED} {tuple(effort)} {fit.reference.digest()} {fit.organ.digest()}"
     key = hashlib.sha256(source.encode()).hexdigest()
     try:
-        made: dict[str, Any] = remembered(f"calibrated-{kind}", key, lambda: fitted(body, organ, kind, effort))
+        made: dict[str, Any] = remembered(f"calibrated-{fit.kind}", key, lambda: make(fit))
     except UserError as error:
         return str(error)
     lowest, next_ones = 100.0 * made["modes_off"]
-    told = f"{kind}: {effort.cases} linear loads, {effort.steps} evaluations; its modes 1 to {MODES} are off by"
+    told = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; its modes 1 to {MODES} are off by"
     told += f" {lowest:.1f} % at most, {MODES + 1} to {MORE_MODES} by {next_ones:.1f} %"
     values = {name: value for name, value in made.items() if name != "modes_off"}
-    return dataclasses.replace(organ, provenance={**organ.provenance, "fit": told}, **values)
+    return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": told}, **values)
 
 
 def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDArray]:
@@ -128,7 +185,7 @@ def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDA
     elastic, start = Elastic(model), first_stiffness(organ, model)
     misfit = _misfit(elastic, body, size, pushes)
     with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {kind}", leave=False) as bar:
-        if kind == "groups":
+        if kind == GROUPS:
             stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: bar.update())
         else:
             stiffness = fit(misfit, start, effort.steps, lambda *_: bar.update(), bounds=CELL_BOUNDS)

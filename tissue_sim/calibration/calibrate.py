@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+import tissue_sim
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.background import Poke, Reference
 from tissue_sim.calibration.cases import (
@@ -31,6 +32,7 @@ from tissue_sim.calibration.joint import TICK, Together, fit_together, for_one_s
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.reference import reference_error
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
+from tissue_sim.calibration.thickness import check_thickness
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.critical_step import largest_frequency, model_step, substeps_for
@@ -66,8 +68,10 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     """Fit the organ's cells or groups of springs, and its masses, to finite elements of its shape and tissue; judge it.
 
     The finite-element body settles the held-out loads in a process of its own meanwhile.
-    Raises UserError when the organ has no clamp or can't be filled, or a library is missing.
+    Raises UserError when the organ has no clamp, is too thin for its triangles or can't be filled, or a library is
+    missing.
     """
+    check_thickness(organ)
     start = prepared(organ, settings)
     body = Body(start)
     held_out = held_out_cases(start, settings.smooth, settings.sharp)
@@ -138,6 +142,8 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     finally:
         reference.stop()
     figures: dict[str, Any] = {
+        "made_of": organ.digest(),
+        "version": tissue_sim.__version__,
         "method": settings.method,
         "settings": asdict(settings),
         "reference": {

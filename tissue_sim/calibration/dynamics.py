@@ -24,6 +24,10 @@ KEPT = 8  # steps that L-BFGS remembers
 SMOOTHED = 2  # steps after a release
 
 
+class Unsteady(UserError):
+    """A time step that doesn't converge."""
+
+
 class Motion(NamedTuple):
     """A motion, at t instants; the first is the start."""
 
@@ -71,11 +75,17 @@ def swing(
     linear: bool = False,
     smoothed: int = 0,
     watch: Callable[[], None] | None = None,
+    velocity: Floats | None = None,
+    load: Floats | None = None,
 ) -> Motion:
-    """Free motion of a solid from displacements (n, 3) m at rest, of which nodes (k,) are followed.
+    """Motion of a solid from displacements (n, 3) m, of which nodes (k,) are followed.
+
+    velocity (n, 3) m/s that it begins with, none if None; load: dead forces (n, 3) N, none if None. The energy is
+    without theirs.
 
     Implicit midpoint rule: second order, symplectic, and for the linear solid it keeps the energy exactly. With
-    d the displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v, where c is the damping rate.
+    d the displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v + p, where p is the load and c the
+    damping rate.
     Frequencies far above 1/h keep neither their period nor their damping: where the start excites them, as a load
     does that is suddenly gone, the first `smoothed` steps are two half steps of implicit Euler each, which have the
     same matrix and quench them (Rannacher 1984); the order stays. watch: called after every step.
@@ -87,12 +97,14 @@ def swing(
     count = round(seconds / step)
     shift = 4.0 / step**2 + 2.0 * damping_rate / step
     factor = solid.factor(np.zeros_like(solid.nodes), shift)
-    moved, velocity = np.where(solid.held, 0.0, start), np.zeros_like(start)
+    moved = np.where(solid.held, 0.0, start)
+    velocity = np.zeros_like(start) if velocity is None else np.where(solid.held, 0.0, velocity)
+    pull = np.zeros_like(start) if load is None else load
     half = np.zeros_like(start)
     history, energies = [moved[nodes]], [_energy(solid, moved, velocity, linear)]
     for number in range(count):
         for _ in range(2 if number < smoothed else 1):
-            push = (2.0 / step) * (solid.mass @ velocity)
+            push = (2.0 / step) * (solid.mass @ velocity) + pull
             if linear:
                 right = np.where(solid.held, 0.0, push - (solid.stiffness @ moved.ravel()).reshape(moved.shape))
                 half = factor.solve(right.reshape(-1, 1)).reshape(moved.shape)
@@ -113,7 +125,7 @@ def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: 
     """Displacement (n, 3) m over half a step, from a guess.
 
     L-BFGS (Nocedal 1980) about the matrix of the linear solid, whose mass part is exact: a few iterations, where
-    Newton's method would assemble a matrix for each.
+    Newton's method would assemble a matrix for each. Raises Unsteady when it doesn't converge.
     """
     half, enough, level = guess.copy(), 0.0, math.inf
     steps: list[Floats] = []
@@ -145,7 +157,7 @@ def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: 
         half = half + taken
         if size <= enough:
             return half
-    raise UserError("a time step of the finite-element body does not converge; take a shorter step")
+    raise Unsteady("a time step of the finite-element body does not converge; take a shorter step")
 
 
 def _size(solid: Solid, forces: Floats, factor: Cholesky) -> float:

@@ -118,6 +118,13 @@ class Solid:
         n = len(self.nodes)
         return csr_array((found, self._columns, self._row_start), shape=(n, n))
 
+    def add_masses(self, masses: Floats) -> None:
+        """Put point masses (n,) kg on nodes, beside the tissue's own: weights that hang there."""
+        share = (masses / np.maximum(np.bincount(self.elements.ravel(), minlength=len(masses)), 1))[self.elements]
+        corner = np.arange(NODES)
+        self._element_masses[:, corner, corner] += share
+        self.__dict__.pop("mass", None)  # which is made of them
+
     @cached_property
     def _factor(self) -> Cholesky:
         return self.factor(np.zeros_like(self.nodes))

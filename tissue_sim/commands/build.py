@@ -16,7 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
-from tissue_sim.organ.making import Request, organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_image, organ_from_mask, organ_from_mesh
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 
 if TYPE_CHECKING:
@@ -66,7 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     organ.add_argument("--name", help="name of the organ (default: the input's file name)")
     organ.add_argument("--points", type=int, default=994, help="points of the balloon (default: %(default)s)")
-    organ.add_argument("--atoms", type=int, default=48, help="medial atoms of the skeleton (default: %(default)s)")
+    organ.add_argument(
+        "--atoms",
+        type=int,
+        help=f"medial atoms of the skeleton (default: {MOST_ATOMS}, fewer where they would lie closer than"
+        f" {SPARSE:g} edges of the surface)",
+    )
     organ.add_argument(
         "--branches",
         choices=("auto", "none"),
@@ -186,7 +191,8 @@ def _check_counts(args: argparse.Namespace) -> None:
 
     if not args.keep_points:
         check_points(args.points)
-    check_atoms(args.atoms)
+    if args.atoms is not None:
+        check_atoms(args.atoms)
     check_tissue(args.youngs_modulus, args.poisson_ratio, args.density)
     check_interior(args.interior)
     if args.image:

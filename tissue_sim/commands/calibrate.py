@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
-from tissue_sim.calibration.calibrate import Calibrated, calibrate
+import tissue_sim
+from tissue_sim.bars import Bars
+from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.stiffness import INTERIOR_SHARE, METHODS, Settings
 from tissue_sim.calibration.verdict import lines, write_pictures
+from tissue_sim.commands.calibrate_many import (
+    add_cluster,
+    calibrate_many,
+    check_cluster,
+    outputs_of,
+    write_figures,
+    write_whole,
+)
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
@@ -29,8 +35,12 @@ _DEFAULT = Settings()
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz) with held nodes")
-    parser.add_argument("--out", required=True, metavar="ORGAN2", help="organ file (.npz) to write")
+    parser.add_argument("organ", nargs="+", metavar="ORGAN", help="organ file (.npz) with held nodes; or several")
+    parser.add_argument(
+        "--out", required=True, metavar="ORGAN2", help="organ file (.npz) to write; of several organs a folder"
+    )
+    add_cluster(parser)
+    parser.add_argument("--json", metavar="FILE", help="of several organs, write all figures there")
     parser.add_argument(
         "--method",
         choices=METHODS,
@@ -74,19 +84,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate, write the organ and print the figures; returns 0, or 1 with --check when a bound is missed."""
+    """Calibrate, write and print figures; returns 0, or 1 when an organ of several failed or, with --check, a bound."""
     settings = _settings(args)
     out = Path(args.out)
+    several = len(args.organ) > 1 or out.is_dir()
+    if several or any(option is not None for option in (args.jobs, args.scheduler, args.json)):
+        return _run_many(args, settings)
     if out.suffix != ".npz":
         raise UserError(f"--out {out} must end in .npz")
     if not out.parent.is_dir():
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
     if args.report and importlib.util.find_spec("matplotlib") is None:
         raise UserError("--report needs matplotlib: pip install 'tissue_sim[calibration]'")
-    organ = Organ.load(args.organ)
+    organ = Organ.load(args.organ[0])
     started = time.perf_counter()
     folder = out.with_name(f".{out.name}.calibration")
-    checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": _version(), **asdict(settings)})
+    checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": tissue_sim.__version__, **asdict(settings)})
     if checkpoint.found:
         print(f"going on from {folder}")
     try:
@@ -94,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         sys.stderr.write(f"stopped; the same command goes on from {folder}\n")
         raise
-    _save(found, out)
+    write_whole(found.organ, out)
     checkpoint.remove()
     for line in lines(found.figures):
         print(line)
@@ -102,11 +115,44 @@ def run(args: argparse.Namespace) -> int:
         for path in write_pictures(found, Path(args.report)):
             print(f"{path}: picture")
     print(f"{out}: {found.organ.name}, {time.perf_counter() - started:.0f} s")
-    missed = list(_missed(found.figures))
-    if args.check:
-        for line in missed:
-            print(f"missed: {line}")
-    return 1 if args.check and missed else 0
+    missed = list(_missed(found.figures)) if args.check else []
+    for line in missed:
+        print(f"missed: {line}")
+    return int(bool(missed))
+
+
+def _run_many(args: argparse.Namespace, settings: Settings) -> int:
+    """Calibrate several organs into a folder."""
+    if args.report:
+        raise UserError("--report is of one organ")
+    check_cluster(args)
+    folder = Path(args.out)
+    if folder.suffix == ".npz":
+        raise UserError(f"--out {folder} must be a folder for several organs, or with --jobs, --scheduler or --json")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make folder {folder}: {error.strerror}; name another with --out") from None
+    organs = [Path(name) for name in args.organ]
+    outputs = outputs_of(organs, folder)
+    try:
+        found = calibrate_many(organs, outputs, settings, args.jobs or 1, args.scheduler)
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; the same command goes on from here\n")
+        raise
+    if args.json:
+        write_figures(found, Path(args.json))
+    failed = [name for name, figures in found.items() if isinstance(figures, str)]
+    print(f"{folder}: {len(found) - len(failed)} organs calibrated, {len(failed)} not")
+    missed = [
+        f"{name}: {line}"
+        for name, figures in found.items()
+        if args.check and not isinstance(figures, str)
+        for line in _missed(figures)
+    ]
+    for line in missed:
+        print(f"missed: {line}")
+    return int(bool(failed or missed))
 
 
 def _settings(args: argparse.Namespace) -> Settings:
@@ -127,16 +173,6 @@ def _settings(args: argparse.Namespace) -> Settings:
     return Settings(**{name: getattr(args, name) for name in names})
 
 
-def _save(found: Calibrated, out: Path) -> None:
-    """Write the organ, whole or not at all."""
-    part = out.with_name(f".{out.name}.part")
-    found.organ.save(part)
-    try:
-        os.replace(part, out)
-    except OSError as error:
-        raise UserError(f"cannot write organ file {out}: {error.strerror}") from None
-
-
 def _missed(figures: dict[str, Any]) -> Iterator[str]:
     """Bounds that are missed."""
     held_out = figures["held_out"]
@@ -152,31 +188,3 @@ def _missed(figures: dict[str, Any]) -> Iterator[str]:
     for found in held_out.values():
         if found["settled"] < found["cases"]:
             yield f"{found['cases'] - found['settled']} of {found['cases']} loads did not settle"
-
-
-def _version() -> str:
-    import tissue_sim
-
-    return tissue_sim.__version__
-
-
-class Bars:
-    """A bar for each stage on a terminal, and a line when it is done."""
-
-    @contextmanager
-    def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
-        """See calibrate.Progress."""
-        started = time.perf_counter()
-        last = ""
-        # disable=None: tqdm stays silent where standard error is no terminal.
-        with tqdm(total=total, desc=name, disable=None, leave=False, dynamic_ncols=True) as bar:
-
-            def done(remark: str = "") -> None:
-                nonlocal last
-                last = remark or last
-                bar.update(1)
-                bar.set_postfix_str(last)
-
-            yield done
-        seconds = time.perf_counter() - started
-        print(f"{name}: {last + ', ' if last else ''}{seconds:.1f} s", flush=True)

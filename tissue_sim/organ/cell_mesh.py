@@ -16,6 +16,9 @@ from tissue_sim.organ.winding import inside
 # nothing, and would set the critical step.
 LEAST_QUALITY = 0.1
 LEAST_SHARE = 0.9  # of the volume
+# Degrees between two faces of a cell on the surface, beyond which it is left out: a dent must turn such a cell inside
+# out. Narrower ones are the edges of a body, as a cube has them; without them those hang by a thread.
+WIDEST = 120.0
 _FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
@@ -34,15 +37,16 @@ def tetrahedra(points: Floats, surface: Floats, triangles: Ints) -> Longs:
 def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) -> Ints:
     """Cells (c, 4) of positive volume that fill a closed surface, between points (n, 3) m.
 
-    The points begin with those of the surface. Left out are slivers, and cells with two faces on the surface, which a
-    dent must turn inside out; not where that would leave a node without any cell. Raises UserError for a node that has
-    none all the same, or where cells fill too little.
+    The points begin with those of the surface. Left out are slivers, and cells with two faces on the surface at a
+    wide angle; not where that would leave a node without any cell. Raises UserError for a node that has none all the
+    same, or where cells fill too little.
     """
     cells = tetrahedra(points, surface, triangles)
     volume, quality = quality_of(points, cells)
     cells[volume < 0.0] = cells[volume < 0.0][:, [1, 0, 2, 3]]
     order = np.argsort(-np.abs(quality), kind="stable")
-    sound = (np.abs(quality) > LEAST_QUALITY) & (_faces_on(cells, triangles) < 2)
+    sound = np.abs(quality) > LEAST_QUALITY
+    sound[sound] = _widest_angle(points, cells[sound], triangles) <= WIDEST
     missed = np.ones(len(points), dtype=bool)
     missed[cells[sound]] = False
     for cell in order[~sound[order]]:  # the best ones first
@@ -76,13 +80,23 @@ def quality_of(points: Floats, cells: Longs | Ints) -> tuple[Floats, Floats]:
     return volume, 6.0 * np.sqrt(2.0) * volume / square**1.5
 
 
-def _faces_on(cells: Longs, triangles: Ints) -> Longs:
-    """How many faces of each cell are triangles of the surface, (c,)."""
+def _widest_angle(points: Floats, cells: Longs, triangles: Ints) -> Floats:
+    """Widest angle inside each cell between two of its faces on the surface, degrees (c,); 0 without two of them."""
     size = int(cells.max(initial=0)) + 1
 
     def keys(faces: Longs | Ints) -> Longs:
         corner = np.sort(faces.astype(np.int64), axis=-1)
         return (corner[..., 0] * size + corner[..., 1]) * size + corner[..., 2]
 
-    faces = keys(np.stack([cells[:, face] for face in _FACES], axis=1))
-    return np.isin(faces, keys(triangles)).sum(axis=1)
+    on = np.isin(keys(np.stack([cells[:, face] for face in _FACES], axis=1)), keys(triangles))
+    corner = points[cells]
+    slopes = np.linalg.inv(np.where(on.sum(axis=1)[:, None, None] > 1, corner[:, 1:] - corner[:, :1], np.eye(3)))
+    # Of each corner's share: towards the corner, across the face opposite to it.
+    inward = np.concatenate([-slopes.sum(axis=2)[:, None], slopes.transpose(0, 2, 1)], axis=1)
+    inward /= np.linalg.norm(inward, axis=2, keepdims=True)
+    widest = np.zeros(len(cells))
+    for a in range(4):
+        for b in range(a + 1, 4):
+            between = np.degrees(np.arccos(np.clip(-np.einsum("ci,ci->c", inward[:, a], inward[:, b]), -1.0, 1.0)))
+            widest = np.maximum(widest, np.where(on[:, a] & on[:, b], between, 0.0))
+    return widest

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
     from tissue_sim.organ.surfaces.surface import Wall
 
+MOST_ATOMS = 48
+SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 
 
@@ -26,13 +28,15 @@ _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 class Request:
     """What an organ is made with, whatever it is made from.
 
-    branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a segmentation must keep, None for any
-    organ's; accept: pass it on when it doesn't keep them. interior_atoms: further atoms along the spokes.
+    atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
+    a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
+    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them. interior_atoms: further
+    atoms along the spokes.
     """
 
     name: str
     points: int = 994
-    atoms: int = 48
+    atoms: int | None = None
     branches: str = "auto"
     interior_atoms: int = 0
     organ: str | None = None
@@ -171,15 +175,21 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
     from tissue_sim.organ.topology import assemble_organ
 
     with progress.stage("skeleton"):
-        skeleton = extract(wall, request.atoms, request.branches)
+        skeleton = extract(wall, request.atoms or MOST_ATOMS, request.branches)
+        if request.atoms is None and skeleton.branches <= 1:
+            edge = 1e3 * float(np.linalg.norm(positions[triangles] - positions[triangles[:, [1, 2, 0]]], axis=2).mean())
+            room = 1 + int(skeleton.length / (SPARSE * edge))
+            if room < MOST_ATOMS:
+                skeleton = extract(wall, room, request.branches)
+    atoms = len(skeleton.radius)
     branches = f" in {skeleton.branches} branches" if skeleton.branches > 1 else ""
     low, high = skeleton.radius.min(), skeleton.radius.max()
     progress.say(
-        f"skeleton of {request.atoms} atoms{branches} along {skeleton.length:.1f} mm, radius {low:.1f} to"
+        f"skeleton of {atoms} atoms{branches} along {skeleton.length:.1f} mm, radius {low:.1f} to"
         f" {high:.1f} mm {progress.took('skeleton')}"
     )
     figures = {
-        "atoms": request.atoms,
+        "atoms": atoms,
         "branches": request.branches,
         "interior_atoms": request.interior_atoms,
         "skeleton_length_mm": round(skeleton.length, 3),

@@ -1,0 +1,1 @@
+"""Bodies that others have measured, built, calibrated and moved as organs are."""

@@ -1,0 +1,95 @@
+"""A measured body as an organ: its surface kept, atoms inside, calibrated to finite elements of its shape."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Ints
+from tissue_sim.calibration.calibrate import Progress, calibrate
+from tissue_sim.calibration.checkpoint import Checkpoint
+from tissue_sim.calibration.solid import Solid
+from tissue_sim.calibration.stiffness import Settings
+from tissue_sim.errors import UserError
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.making import Request, organ_from_mesh
+from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
+from tissue_sim.organ.organ import Organ
+
+MOST_STEPS = 40  # of Newton's method
+SHORTEST = 1e-4  # of a step of it
+CLOSE = 1e-8  # of the largest force, that may be left
+
+
+class Material(NamedTuple):
+    """What a body is made of."""
+
+    youngs_modulus: float  # Pa
+    poisson_ratio: float
+    density: float  # kg/m^3
+
+
+class Rate(NamedTuple):
+    """Time for a millisecond of the real-time model, and what it did."""
+
+    median: float  # s
+    p99: float  # s
+    faults: int
+
+
+def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: Material) -> Organ:
+    """The organ of a surface (n, 3) m, (t, 3), held where `fixed` says, with the pipeline's atoms and springs."""
+    request = Request(name=name, fixed=fixed, **material._asdict())
+    return organ_from_mesh(SurfaceMesh(positions, triangles, ()), request, keep_points=True)
+
+
+def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
+    """The organ calibrated with defaults; what it takes is kept in the folder, and the organ written there."""
+    settings = Settings()
+    inputs = {"organ": organ.digest(), **asdict(settings)}
+    checkpoint = Checkpoint(folder / f".{organ.name}.calibration", inputs)
+    made = calibrate(organ, settings, checkpoint, progress).organ
+    made.save(folder / f"{organ.name}.npz")
+    return made
+
+
+def settle_led(solid: Solid, led: Floats) -> Floats:
+    """Rest (n, 3) m of a neo-Hookean solid whose held axes are where `led` (n, 3) m says, from the linear one.
+
+    Newton's method, each step factored and shortened until the energy falls. Raises UserError when it comes to nothing.
+    """
+    pull = np.where(solid.held, 0.0, (solid.stiffness @ np.where(solid.held, led, 0.0).ravel()).reshape(led.shape))
+    moved = np.where(solid.held, led, solid.solve(-pull[None])[0])
+    energy, forces, _ = solid.energy(moved)
+    first = np.abs(forces).max()
+    for _ in range(MOST_STEPS):
+        left = np.where(solid.held, 0.0, -forces)
+        if not np.isfinite(energy):
+            break
+        if np.abs(left).max() <= CLOSE * first:
+            return moved
+        step, length = solid.factor(moved).solve(left.reshape(-1, 1)).reshape(moved.shape), 1.0
+        while solid.energy(moved + length * step)[0] > energy and length > SHORTEST:
+            length *= 0.5
+        moved = moved + length * step
+        energy, forces, _ = solid.energy(moved)
+    raise UserError("the finite elements of a measured body don't settle between where its surface is led")
+
+
+def timed(simulation: Simulation, ticks: int, watch: Callable[[], None] | None = None) -> Rate:
+    """Step so many milliseconds; watch: called after each, outside what is timed."""
+    took, before = np.empty(ticks), int(simulation.state.count.faults)
+    for tick in range(ticks):
+        began = time.perf_counter()
+        simulation.step()
+        took[tick] = time.perf_counter() - began
+        if watch is not None:
+            watch()
+    per_tick = took * simulation.rate * 1e-3
+    faults = int(simulation.state.count.faults) - before
+    return Rate(float(np.median(per_tick)), float(np.quantile(per_tick, 0.99)), faults)

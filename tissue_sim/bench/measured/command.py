@@ -1,0 +1,107 @@
+"""`tissue_sim bench measured`: bodies that others have measured, beside our finite elements and the real-time model."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.bars import Bars
+from tissue_sim.bench.arguments import check_shared
+from tissue_sim.bench.measured import beam, truth_cube
+from tissue_sim.bench.measured.plots import write_pictures
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.errors import UserError
+
+BODIES = ("cube", "beam")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--data", metavar="FOLDER", required=True, help="where the measured tables lie")
+    parser.add_argument(
+        "--out", metavar="FOLDER", required=True, help="for pictures, the calibrated bodies and what is kept of them"
+    )
+    parser.add_argument("--bodies", nargs="+", choices=BODIES, default=BODIES, help="which")
+    parser.add_argument(
+        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
+    )
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Build, calibrate, predict and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    data = Path(args.data)
+    for body, file in (("cube", truth_cube.FILE), ("beam", beam.FILE)):
+        if body in args.bodies and not (data / file).is_file():
+            raise UserError(f"{data / file} does not exist; name the folder of the measured tables with --data")
+    found, pictures = in_one_thread(measure, data, Path(args.out), tuple(args.bodies))
+    emit(found, text(found), args.json)
+    told(pictures)
+    return exit_code(found, check=args.check)
+
+
+def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str, Any], list[Path]]:
+    """Figures, bounds, and pictures. Raises UserError as the bodies do."""
+    found: dict[str, Any] = {}
+    bounds: list[Bound] = []
+    cube, bent = None, None
+    if "cube" in bodies:
+        cube = truth_cube.measure(data, folder, Bars())
+        found["truth_cube"] = truth_cube.as_json(cube)
+        last = found["truth_cube"][-1]
+        behind = last["model_mean_mm"] - last["elements_mean_mm"]
+        at = f"at {truth_cube.STRAINS[-1]:g} %"
+        bounds += [
+            Bound(f"truth cube: inner beads {at}, mean", last["model_mean_mm"], truth_cube.MOST_OFF, "mm"),
+            Bound(f"truth cube: behind finite elements {at}", behind, truth_cube.MOST_BEHIND, "mm"),
+        ]
+    if "beam" in bodies:
+        fit, bent = beam.measure(data, folder, Bars())
+        found["beam"] = beam.as_json(fit, bent)
+        for weight in (load for load in beam.WEIGHTS if beam.WEIGHTS[load] > 0.0):
+            some = [one for one in bent if one.run.startswith(weight)]
+            still = max(abs(one.off["model"]) for one in some)
+            moving = max(one.off_moving["model"] for one in some)
+            bounds += [
+                Bound(f"beam, {weight}: travel at rest, the worse run", still, beam.MOST_OFF, "%"),
+                Bound(f"beam, {weight}: motion, the worse run", moving, beam.MOST_OFF_MOVING, "%"),
+            ]
+    found["bounds"] = [bound.as_json() for bound in bounds]
+    return found, write_pictures(cube, bent, folder)
+
+
+def text(found: dict[str, Any]) -> str:
+    """The figures as tables."""
+    lines: list[str] = []
+    if "truth_cube" in found:
+        rows = [["strain %", "finite elements mm", "worst", "model mm", "worst", "us a ms", "faults"]]
+        for one in found["truth_cube"]:
+            means = [f"{one[f'{who}_{what}_mm']:.3f}" for who in ("elements", "model") for what in ("mean", "worst")]
+            rows.append([f"{one['strain_percent']:g}", *means, f"{one['tick_us']:.0f}", str(one["faults"])])
+        lines += ["truth cube (Kerdok et al. 2003): 125 inner beads, off what was measured", *aligned(rows), ""]
+    if "beam" in found:
+        rest = [["run", "at rest mm", "finite elements", "%", "model", "%", "motion: finite elements %", "model %"]]
+        rest[0] += ["us a ms", "faults"]
+        for one in found["beam"]["runs"]:
+            travel, off, moving = one["rest_mm"], one["rest_off_percent"], one["motion_off_percent"]
+            rest.append(
+                [
+                    one["run"],
+                    f"{travel['measured']:.2f}",
+                    *(cell for who in ("elements", "model") for cell in (f"{travel[who]:.2f}", f"{off[who]:+.1f}")),
+                    *(f"{moving[who]:.1f}" for who in ("elements", "model")),
+                    f"{one['tick_us']:.0f}",
+                    str(one["faults"]),
+                ]
+            )
+        fit = found["beam"]
+        lines += [
+            f"beam (Zhang et al. 2021): fitted without a weight, {1e-3 * fit['modulus_at_rest_pa']:.0f} kPa at rest,"
+            f" {1e-3 * fit['modulus_moving_pa']:.0f} kPa within a second, damping ratio {fit['damping_ratio']:.3f}",
+            *aligned(rest),
+            "",
+        ]
+    return "\n".join([*lines, *bound_lines(found["bounds"])])

@@ -1,0 +1,105 @@
+"""Pictures of measured bodies: where the cube's inner beads went, how the beam's end moved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.bench.measured.beam import WEIGHTS, Bent
+from tissue_sim.bench.measured.truth_cube import Compressed
+from tissue_sim.errors import UserError
+
+_MEASURED, _ELEMENTS, _MODEL = "#222222", "#2166ac", "#d55e00"
+MIDDLE = 2  # of the inner beads' layers
+
+
+def write_pictures(cube: list[Compressed] | None, bent: list[Bent] | None, folder: Path) -> list[Path]:
+    """Write truth_cube.png and beam.png of what there is; returns their paths.
+
+    Raises UserError when the folder can't be written.
+    """
+    paths = []
+    try:
+        if cube is not None:
+            paths.append(folder / "truth_cube.png")
+            _cube(cube).savefig(paths[-1], dpi=140)
+        if bent is not None:
+            paths.append(folder / "beam.png")
+            _beam(bent).savefig(paths[-1], dpi=140)
+    except OSError as error:
+        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
+    return paths
+
+
+def _cube(found: list[Compressed]) -> Any:
+    """A layer of beads at the last strain, and how far all inner beads are off at every strain."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    layer, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
+    last = found[-1]
+    shown = ((last.measured, "o", _MEASURED, "measured"), (last.elements, "+", _ELEMENTS, "finite elements"))
+    for beads, mark, colour, label in (*shown, (last.model, "x", _MODEL, "model")):
+        x, z = 1e3 * beads[:, MIDDLE, :, 0].ravel(), 1e3 * beads[:, MIDDLE, :, 2].ravel()
+        filled = {"facecolors": "none", "edgecolors": colour} if mark == "o" else {"color": colour}
+        layer.scatter(x, z, s=60, marker=mark, label=label, **filled)
+    layer.set_aspect("equal")
+    layer.set_xlabel("x (mm)")
+    layer.set_ylabel("z (mm)")
+    layer.set_title(f"middle layer of the inner beads, {last.strain:g} %", loc="left", fontsize=10)
+    layer.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3, fontsize=9)
+    for offset, who, colour, label in (
+        (-0.2, "elements", _ELEMENTS, "finite elements"),
+        (0.2, "model", _MODEL, "model"),
+    ):
+        values = [one.off[who].ravel() for one in found]
+        boxes = errors.boxplot(
+            values, positions=np.arange(len(found)) + offset, widths=0.3, patch_artist=True, manage_ticks=False
+        )
+        for box in boxes["boxes"]:
+            box.set(facecolor=colour, alpha=0.5, label=label if box is boxes["boxes"][0] else None)
+    errors.set_xticks(range(len(found)), [f"{one.strain:g} %" for one in found])
+    errors.axhline(0.35, color="#777777", linestyle=":", label="what a bead is good to")
+    errors.set_ylabel("off the measured bead (mm)")
+    errors.set_ylim(bottom=0.0)
+    errors.legend(frameon=False, fontsize=9)
+    for axis in (layer, errors):
+        _bare(axis)
+    return figure
+
+
+def _beam(found: list[Bent]) -> Any:
+    """How the markers at the free end go down, by measurement and prediction, a panel for each weight."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    panels = figure.subplots(1, len(WEIGHTS))
+    for panel, load in zip(panels, WEIGHTS, strict=True):
+        for number, one in enumerate(some for some in found if some.run.startswith(load)):
+            first = number == 0
+            down = {"measured": one.measured, "finite elements": one.elements, "model": one.model}
+            styles = ((_MEASURED, 2.5, 0.45), (_ELEMENTS, 1.2, 1.0), (_MODEL, 1.2, 1.0))
+            for (label, moved), (colour, width, strength) in zip(down.items(), styles, strict=True):
+                panel.plot(
+                    one.time,
+                    1e3 * moved[:, :, 2].mean(axis=1),
+                    color=colour,
+                    linewidth=width,
+                    alpha=strength,
+                    linestyle="-" if first else "--",
+                    label=label if first else None,
+                )
+        panel.set_xlabel("time (s)")
+        worst = max(some.off_moving["model"] for some in found if some.run.startswith(load))
+        panel.set_title(f"{load}: model {worst:.1f} % off", loc="left", fontsize=10)
+        _bare(panel)
+    panels[0].set_ylabel("free end's markers, upward (mm)")
+    panels[0].legend(frameon=False, fontsize=9, title="runs a (solid) and b (dashed)", title_fontsize=9)
+    return figure
+
+
+def _bare(axis: Any) -> None:
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)

@@ -1,0 +1,143 @@
+"""Many calculations, several at once: on this machine, or on a Dask cluster.
+
+Each has a process of its own, with one thread of linear algebra, so that its result is the same bits wherever it runs
+and whatever runs beside it; and one that ends takes no other with it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.child import end_with_parent
+from tissue_sim.errors import UserError
+
+CONNECT = 10.0  # s that a scheduler may take to answer
+TRIES = 3  # more, of a calculation that failed on the cluster for no reason of its own
+AHEAD = 256  # items that the cluster has at a time: hundreds of workers have enough to do, and no scheduler is flooded
+_ASKED, _ANSWERED = "asked", "answered"  # files that a calculation's process reads and writes
+
+
+def spread[Item](
+    job: Callable[[Item], Any], items: Iterable[Item], *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, Any]]:
+    """What job makes of every item, with the item's index, in the order in which they are ready.
+
+    In place of a result that there is none of, a UserError that says why. jobs: processes at once, here;
+    scheduler: address of a Dask scheduler, whose workers take them instead. job and items are pickled, items one after
+    the other as there is room for them; the job must be a module's function.
+    Raises UserError when the scheduler doesn't answer or `distributed` is missing.
+    """
+    if scheduler is not None:
+        yield from on_cluster(_in_process, ((job, item) for item in items), scheduler)
+        return
+    stopped = threading.Event()
+    following = enumerate(items)
+    running: dict[Future[Any], int] = {}
+    with ThreadPoolExecutor(jobs) as threads:
+        try:
+            while True:
+                for number, item in itertools.islice(following, jobs - len(running)):
+                    running[threads.submit(_in_process, (job, item), stopped)] = number
+                if not running:
+                    return
+                done, _ = wait(running, 0.2, FIRST_COMPLETED)  # in turns, so that an interrupt comes through
+                for future in done:
+                    yield running.pop(future), future.result()
+        finally:
+            stopped.set()
+
+
+def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], scheduler: str) -> Iterator[tuple[int, Any]]:
+    """What job makes of every item in the processes of a Dask cluster's workers; else as `spread`."""
+    try:
+        import distributed
+    except ModuleNotFoundError:
+        raise UserError("--scheduler needs distributed: pip install 'tissue_sim[cluster]'") from None
+    try:
+        client = distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError):
+        raise UserError(f"no Dask scheduler answers at {scheduler}; start one with 'dask scheduler'") from None
+    following = enumerate(items)
+    number: dict[Any, int] = {}
+
+    def submitted(count: int) -> Iterator[Any]:
+        for index, item in itertools.islice(following, count):
+            # Not pure: the same item asked for again is worked out again, whatever the cluster remembers.
+            future = client.submit(job, item, pure=False, retries=TRIES)
+            number[future.key] = index
+            yield future
+
+    with client:
+        ready = distributed.as_completed(list(submitted(AHEAD)), loop=client.loop)
+        for future in ready:
+            try:
+                result = future.result()
+            except UserError as error:
+                result = error
+            except distributed.KilledWorker:
+                result = UserError("its workers were lost, one after the other; it may need more memory")
+            except Exception as error:  # of a worker that lacks a package, say: whatever it is, the others go on
+                result = UserError(f"{type(error).__name__} on the cluster: {error}")
+            yield number.pop(future.key), result
+            for more in submitted(1):
+                ready.add(more)
+
+
+def _in_process(work: tuple[Callable[[Any], Any], Any], stopped: threading.Event | None = None) -> Any:
+    """Run job(item) in a fresh process; returns what it returns, or a UserError.
+
+    By a process of its own kind: Dask's workers are daemons, which multiprocessing lets have no children.
+    """
+    if stopped is not None and stopped.is_set():
+        return UserError("stopped")
+    with tempfile.TemporaryDirectory(prefix="tissue_sim-") as folder:
+        (Path(folder) / _ASKED).write_bytes(pickle.dumps(work))
+        command = [sys.executable, "-m", "tissue_sim.calibration.cohort", folder]
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+            told = _told(process, stopped)
+        answer = Path(folder) / _ANSWERED
+        if process.returncode == 0 and answer.is_file():
+            return pickle.loads(answer.read_bytes())
+    if process.returncode < 0:
+        name = signal.Signals(-process.returncode).name
+        return UserError(f"its process was ended by {name}; it may need more memory")
+    return UserError(f"its process failed: {told.splitlines()[-1] if told else process.returncode}")
+
+
+def _told(process: subprocess.Popen[bytes], stopped: threading.Event | None) -> str:
+    """What a process wrote to its standard error until it ended, or was killed for everything is to stop."""
+    while True:
+        try:
+            return process.communicate(timeout=0.2)[1].decode(errors="replace").strip()
+        except subprocess.TimeoutExpired:
+            if stopped is not None and stopped.is_set():
+                process.kill()
+
+
+def _answer(folder: Path) -> None:
+    """In the process of a calculation: run it, and write what comes of it."""
+    end_with_parent()
+    job, item = pickle.loads((folder / _ASKED).read_bytes())
+    try:
+        found = job(item)
+    except UserError as error:
+        found = error
+    part = folder / f"{_ANSWERED}.part"
+    part.write_bytes(pickle.dumps(found))
+    part.replace(folder / _ANSWERED)
+
+
+if __name__ == "__main__":
+    _answer(Path(sys.argv[1]))
