@@ -20,6 +20,7 @@ from tissue_sim.bench import tradeoff
 from tissue_sim.bench.peers.rows import CALIBRATED, rows_of
 from tissue_sim.bench.tradeoff import Case, Error, Found, Judged, as_json, error_of, load_of, pareto, text
 from tissue_sim.bench.variants import BALANCED, Variants
+from tissue_sim.calibration.reference import finer_body
 
 ORGAN = ball(2)
 NONE = Variants(ORGAN, "not calibrated", {BALANCED: "not calibrated"})
@@ -227,7 +228,7 @@ def test_missing_finite_elements_are_named(monkeypatch, capsys):
 
 
 def test_reference_hands_out_loads_for_tuning_apart_from_the_others():
-    body, cases, tuning = tradeoff.reference(ball(1), 1, 1)
+    body, cases, tuning, accuracy = tradeoff.reference(ball(1), 1, 1)
     assert [case.kind == "sharp" for case in cases] == [False, True]
     assert len(tuning) == tradeoff.TUNING
     for one in tuning:
@@ -236,6 +237,9 @@ def test_reference_hands_out_loads_for_tuning_apart_from_the_others():
     assert min(deep) > 0.001
     assert max(deep) < 0.02
     assert body.n_nodes > 200
+    assert accuracy.finer_nodes > 2 * body.n_nodes
+    linear = finer_body(body, np.stack([case.force for case in (*cases, *tuning)])).n_nodes
+    assert linear == accuracy.finer_nodes, "for all loads at once"
 
 
 @pytest.mark.slow

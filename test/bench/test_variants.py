@@ -16,6 +16,7 @@ from tissue_sim.bench.organs import patch_load
 from tissue_sim.bench.sizes import sized
 from tissue_sim.bench.variants import Effort, effort_at, fitted, is_calibrated, variants_of
 from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.reference import finer_body
 from tissue_sim.calibration.stiffness import INTERIOR_SHARE, Settings, prepared
 
 ORGAN = filled(ball(1), 8)
@@ -37,7 +38,7 @@ def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
     nodes, forces = patch_load(ORGAN, 1e-3)
     force = np.zeros((ORGAN.n_surface, 3))
     force[nodes] = forces
-    wanted = Body(ORGAN).settle_linear(force[None])[0]
+    wanted = finer_body(Body(ORGAN), force[None]).settle_linear(force[None])[0]
     organs = {"none": ORGAN} | {method: organ_of(method, made) for method, made in fits.items()}
     error = {
         name: np.linalg.norm(Simulation(organ).settle(force, 1e-5)[0] - wanted) / np.linalg.norm(wanted)
@@ -106,7 +107,7 @@ def test_finer_organ_learns_from_the_references_body(monkeypatch, tmp_path, fits
     force = np.zeros((ORGAN.n_surface, 3))
     nodes, forces = patch_load(ORGAN, 1e-3)
     force[nodes] = forces
-    wanted = body.settle_linear(force[None])[0]
+    wanted = finer_body(body, force[None]).settle_linear(force[None])[0]
 
     def error(organ):
         size = sized(organ, ORGAN)

@@ -24,8 +24,8 @@ def test_loads_near_buckling_are_named_with_how_far_they_go():
     np.testing.assert_array_equal(kept, [0, 3])
     wanted.displacement[0, 1, 2] = 0.008
     cases.centre[:] = [np.array([1])] * 5
-    force, node = _poke(cases, wanted, kept)  # the bump, though the sharp one were as near
+    force, node = _poke(cases, wanted, kept, POKE)  # the bump, though the sharp one were as near
     assert node == 1
     np.testing.assert_allclose(force, cases.force[0] * POKE / 0.008)
     with pytest.raises(UserError, match="settle under none"):
-        _poke(cases, wanted, kept[:0])
+        _poke(cases, wanted, kept[:0], POKE)

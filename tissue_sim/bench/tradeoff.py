@@ -28,7 +28,7 @@ from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interle
 from tissue_sim.bench.variants import fit_on_cluster, variants_of
 from tissue_sim.calibration.cases import held_out_cases, scale_to_depth
 from tissue_sim.calibration.fem import Body, volume_change
-from tissue_sim.calibration.reference import reference_error
+from tissue_sim.calibration.reference import Refined, finer_body, refined
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -134,7 +134,7 @@ def sizes_named(text: str) -> tuple[int, ...]:
 
 def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
     """The reference, then every row at every size; meant for a process of one thread."""
-    body, cases, tuning = reference(organ, *(QUICK_LOADS if quick else LOADS))
+    body, cases, tuning, accuracy = reference(organ, *(QUICK_LOADS if quick else LOADS))
     rows: list[tuple[Row, Sized]] = []
     for count in sorted({organ.n_surface, *points}):
         own = count == organ.n_surface
@@ -144,7 +144,7 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
             (row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], own=own, quick=quick)
         ]
     measured, noise = measure_rows(rows, cases, 0.2 if quick else 1.0)
-    return Found(measured, cases, body.n_nodes, accuracy_of(organ, cases, quick), noise.p99 / noise.median)
+    return Found(measured, cases, body.n_nodes, str(accuracy), noise.p99 / noise.median)
 
 
 def measure_rows(
@@ -168,8 +168,8 @@ def measure_rows(
     return [row._replace(update=timings.get(str(number))) for number, row in enumerate(measured)], timings[NOISE]
 
 
-def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], list[Case]]:
-    """The reference's body, the loads with its answers, and those for tuning.
+def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], list[Case], Refined]:
+    """The reference's body, the loads with its answers, those for tuning, and how good it is.
 
     Raises UserError when it doesn't settle under a load.
     """
@@ -181,27 +181,22 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
     ):
         scaled = scale_to_depth(cases, body.settle_linear(cases.force), organ, seed)
         drawn += zip(scaled.kind, scaled.force, strict=True)
-    answers = body.settle_many(force for _, force in drawn)
+    forces = np.stack([force for _, force in drawn])
+    finer = finer_body(body, forces)
+    linear, finer_linear = body.settle_linear(forces), finer.settle_linear(forces)
+    accuracy = refined(body, finer, linear, finer_linear)
+    answers = body.settle_many(forces)
     found = []
-    for (kind, force), answer in zip(
-        drawn, tqdm(answers, disable=None, desc="reference", total=len(drawn), unit="load"), strict=True
+    for (kind, force), lacking, answer in zip(
+        drawn,
+        finer_linear - linear,
+        tqdm(answers, disable=None, desc="reference", total=len(drawn), unit="load"),
+        strict=True,
     ):
         if not answer.converged:
             raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")
-        found.append(Case(kind, force, answer.displacement, answer.volume_change))
-    return body, found[: smooth + sharp], found[smooth + sharp :]
-
-
-def accuracy_of(organ: Organ, cases: Sequence[Case], quick: bool) -> str:
-    """How far the reference itself is off, one line: a finer mesh under these very loads.
-
-    quick: what an organ's calibration has found with the same finite elements, where it has one.
-    """
-    known = organ.provenance.get("calibration")
-    if quick and isinstance(known, dict):
-        return str(known["reference"]["error"])
-    forces = np.stack([case.force for case in cases])
-    return str(reference_error(organ, forces))
+        found.append(Case(kind, force, answer.displacement + lacking, answer.volume_change))
+    return body, found[: smooth + sharp], found[smooth + sharp :], accuracy
 
 
 def load_of(case: Case, size: Sized) -> Load:

@@ -10,13 +10,11 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.cases import Cases
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
-from tissue_sim.calibration.dynamics import Unsteady, release
+from tissue_sim.calibration.dynamics import release
 from tissue_sim.calibration.fem import Body, Settled
 from tissue_sim.calibration.judge import RELEASE_STEP, RELEASE_TIME, Answer
 from tissue_sim.calibration.remote import Remote
 from tissue_sim.organ.organ import Organ
-
-FINER = (1, 2, 4, 8)  # steps in one of a release, each where those before don't converge: a thin vessel needs them
 
 Poke = tuple[Floats, int]  # forces (n_surface, 3) N that a release begins with, and the node that is followed
 
@@ -116,15 +114,8 @@ class _Bodies:
 
     def release(self, force: Floats, node: int, rate: float) -> Arrays:
         """Motion of a node from the shape settled under forces (n_surface, 3) N, let go."""
-        for finer in FINER:
-            try:
-                motion = release(self._made(), force, RELEASE_TIME, RELEASE_STEP / finer, rate, [node])
-            except Unsteady:
-                if finer == FINER[-1]:
-                    raise
-                continue
-            break
-        return {"time": motion.time[::finer], "displacement": motion.displacement[::finer, 0]}
+        motion = release(self._made(), force, RELEASE_TIME, RELEASE_STEP, rate, [node])
+        return {"time": motion.time, "displacement": motion.displacement[:, 0]}
 
     def _made(self) -> Body:
         if self._body is None:

@@ -20,6 +20,7 @@ from tissue_sim.calibration.cases import (
     held_out_cases,
     principal,
     scale_to_depth,
+    size_of,
 )
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
 from tissue_sim.calibration.dynamics import lowest_frequencies
@@ -30,7 +31,7 @@ from tissue_sim.calibration.groups import GROUPS, group_of, search
 from tissue_sim.calibration.inertia import MODES, damping_rate, fit_mass, frequencies_of
 from tissue_sim.calibration.joint import TICK, Together, fit_together, for_one_substep
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
-from tissue_sim.calibration.reference import reference_error
+from tissue_sim.calibration.reference import Refined, answers_made_good, made_good, samples_of
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
 from tissue_sim.calibration.thickness import check_thickness
 from tissue_sim.errors import UserError
@@ -41,7 +42,7 @@ from tissue_sim.organ.organ import Organ
 CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over the first: without, some cells are all but void
 GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
 BUCKLING = 3.0  # times as far by one law of elasticity as by the other: a load near buckling tells nothing of an organ
-POKE = 0.005  # m, of the release
+POKE = 0.005  # m, of the release, for an organ of a kidney's size
 
 
 class Progress(Protocol):
@@ -71,6 +72,13 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
     Raises UserError when the organ has no clamp, is too thin for its triangles or can't be filled, or a library is
     missing.
     """
+    # One core is the reference's, and threads that wait for it would take more time than they save. And the result is
+    # the same bits on a machine of any number of cores.
+    with _one_thread():
+        return _calibrated(organ, settings, checkpoint, progress)
+
+
+def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
     check_thickness(organ)
     start = prepared(organ, settings)
     body = Body(start)
@@ -88,54 +96,58 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
         linear = checkpoint.remember("linear-reference", respond)
         done(f"{body.n_nodes} nodes, {len(pushes)} cases")
     judged = scale_to_depth(held_out, linear["held_out"], start, HELD_OUT_SEED, DEPTH)
-    size = np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2))
-    judged_linear = linear["held_out"] * size[:, None, None]
+    size = (np.linalg.norm(judged.force, axis=(1, 2)) / np.linalg.norm(held_out.force, axis=(1, 2)))[:, None, None]
+    judged_linear = linear["held_out"] * size
     rate = damping_rate(linear["frequencies"])
-    model = assemble(start)
-    elastic = Elastic(model)
 
     def poke(wanted: Answer) -> Poke:
-        return _poke(judged, wanted, _telling(judged, judged_linear, wanted))
+        return _poke(judged, wanted, _telling(judged, judged_linear, wanted), POKE * size_of(start))
 
     reference = Reference(start, checkpoint, judged, poke, rate)
     try:
-        # One core is the reference's. Threads that wait for it would take more time than they save.
-        with _one_thread():
-            misfit = Misfit(elastic, *principal(pushes, linear["fit"]))
-            first = first_stiffness(start, model)
-            group = group_of(start, model) if settings.method == "groups" else None
-            with progress.stage("fit", _most_evaluations(settings)) as done:
-                stiffness = checkpoint.remember(
-                    "fit", lambda: {"stiffness": _fitted(first, group, misfit, settings, done)}
-                )["stiffness"]
+        some = samples_of(len(pushes))
+        with progress.stage("finer mesh", 1) as done:
+            finer = checkpoint.remember(
+                "finer-mesh", lambda: answers_made_good(body, judged.force, judged_linear, pushes[some])
+            )
+            accuracy = Refined(int(finer["nodes"]), int(finer["finer_nodes"]), finer["difference"])
+            done(f"{accuracy.finer_nodes} nodes, {accuracy.worst:.2f} % left at worst")
+        model = assemble(start)
+        elastic = Elastic(model)
+        answers = made_good(linear["fit"], linear["fit"][some], finer["samples"])
+        misfit = Misfit(elastic, *principal(pushes, answers))
+        first = first_stiffness(start, model)
+        group = group_of(start, model) if settings.method == "groups" else None
+        with progress.stage("fit", _most_evaluations(settings)) as done:
+            stiffness = checkpoint.remember(
+                "fit", lambda: {"stiffness": _fitted(first, group, misfit, settings, done)}
+            )["stiffness"]
+            found_error = misfit.evaluate(stiffness).error
+            done(f"{100.0 * found_error.mean():.2f} %")
+        with progress.stage("masses", 1) as done:
+            mass = checkpoint.remember(
+                "mass", lambda: {"mass": fit_mass(start, elastic, stiffness, linear["frequencies"])}
+            )["mass"]
+            done()
+        if settings.method == "cells" and settings.aim in ONE_STEP:
+            together = for_one_substep(start, misfit, first, linear["frequencies"], rate)
+            with progress.stage("both for a step of 1 ms", 3 * settings.evaluations // 2) as done:
+                both = checkpoint.remember("both", lambda: _both(together, stiffness, mass, settings, done))
+                stiffness, mass = both["stiffness"], both["mass"]
                 found_error = misfit.evaluate(stiffness).error
                 done(f"{100.0 * found_error.mean():.2f} %")
-            with progress.stage("masses", 1) as done:
-                mass = checkpoint.remember(
-                    "mass", lambda: {"mass": fit_mass(start, elastic, stiffness, linear["frequencies"])}
-                )["mass"]
-                done()
-            if settings.method == "cells" and settings.aim in ONE_STEP:
-                together = for_one_substep(start, misfit, first, linear["frequencies"], rate)
-                with progress.stage("both for a step of 1 ms", 3 * settings.evaluations // 2) as done:
-                    both = checkpoint.remember("both", lambda: _both(together, stiffness, mass, settings, done))
-                    stiffness, mass = both["stiffness"], both["mass"]
-                    found_error = misfit.evaluate(stiffness).error
-                    done(f"{100.0 * found_error.mean():.2f} %")
-            with progress.stage("error of the reference", 1) as done:
-                accuracy = reference_error(start)
-                done(f"{accuracy.worst:.2f} % at worst")
         made = replace(with_stiffness(start, model, stiffness), mass=mass, damping=rate * mass)
         with progress.stage("held-out reference", len(judged)) as done:
-            wanted = reference.answer(done)
+            settled = reference.answer(done)
+            wanted = settled._replace(displacement=settled.displacement + finer["answers"] - judged_linear)
         with progress.stage("release", 1) as done:
             theirs = reference.motion()
-            motion = released(made, *poke(wanted), theirs["time"], theirs["displacement"])
+            motion = released(made, *poke(settled), theirs["time"], theirs["displacement"])
             done()
         bent = list(_near_buckling(judged, judged_linear, wanted).values())
         unsettled = int(np.count_nonzero(wanted.converged == 0.0))
         kept = _telling(judged, judged_linear, wanted)
-        judged, judged_linear = judged.chosen(kept), judged_linear[kept]
+        judged, judged_linear = judged.chosen(kept), finer["answers"][kept]
         wanted = Answer(*(part[kept] for part in wanted))
         with progress.stage("held-out", len(judged)) as done:
             found = settled_answers(made, judged, done)
@@ -276,8 +288,8 @@ def _telling(cases: Cases, linear: Floats, wanted: Answer) -> Longs:
     return np.setdiff1d(np.flatnonzero(wanted.converged), list(_near_buckling(cases, linear, wanted)))
 
 
-def _poke(cases: Cases, wanted: Answer, kept: Longs) -> Poke:
-    """Forces that dent the finite-element body by about 5 mm, of a bump if possible, and the node in their middle.
+def _poke(cases: Cases, wanted: Answer, kept: Longs, deep: float) -> Poke:
+    """Forces that dent the finite-element body by some depth, m, nearly, of a bump if possible, and the node there.
 
     Raises UserError when no case is kept.
     """
@@ -286,6 +298,6 @@ def _poke(cases: Cases, wanted: Answer, kept: Longs) -> Poke:
     centre = np.array([nodes[0] for nodes in cases.centre])
     depth = np.linalg.norm(wanted.displacement[np.arange(len(cases)), centre], axis=1)
     bump = np.array([kind == "bump" for kind in cases.kind], dtype=bool)
-    off = np.abs(depth - POKE) + np.where(bump, 0.0, 1.0)
+    off = np.abs(depth - deep) + np.where(bump, 0.0, 1.0)
     case = int(kept[np.argmin(off[kept])])
-    return cases.force[case] * (POKE / depth[case]), int(centre[case])
+    return cases.force[case] * (deep / depth[case]), int(centre[case])

@@ -68,6 +68,11 @@ class Surface(NamedTuple):
     edge: float  # m, median
 
 
+def size_of(organ: Organ) -> float:
+    """What lengths are multiplied by, 1 for an organ of a kidney's size or larger."""
+    return min(1.0, (organ.volume / KIDNEY) ** (1.0 / 3.0))
+
+
 def surface_of(organ: Organ) -> Surface:
     """Normals, areas and neighbours of the organ's surface nodes."""
     positions, triangles = organ.surface_positions, organ.surface_triangles
@@ -78,11 +83,10 @@ def surface_of(organ: Organ) -> Surface:
     ring = np.split(pairs[:, 1], np.flatnonzero(np.diff(pairs[:, 0])) + 1)
     free = np.ones(n, dtype=bool)
     free[organ.fixed] = False
-    size = min(1.0, (organ.volume / KIDNEY) ** (1.0 / 3.0))
     apart = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
     edge = float(np.median(apart[apart > 0.0]))
     normal, area = vertex_normals(positions, triangles), node_area(positions, triangles)
-    return Surface(positions, normal, area, ring, free, size, edge)
+    return Surface(positions, normal, area, ring, free, size_of(organ), edge)
 
 
 def split_centres(organ: Organ) -> tuple[Longs, Longs]:

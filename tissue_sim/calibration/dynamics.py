@@ -24,10 +24,6 @@ KEPT = 8  # steps that L-BFGS remembers
 SMOOTHED = 2  # steps after a release
 
 
-class Unsteady(UserError):
-    """A time step that doesn't converge."""
-
-
 class Motion(NamedTuple):
     """A motion, at t instants; the first is the start."""
 
@@ -125,7 +121,7 @@ def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: 
     """Displacement (n, 3) m over half a step, from a guess.
 
     L-BFGS (Nocedal 1980) about the matrix of the linear solid, whose mass part is exact: a few iterations, where
-    Newton's method would assemble a matrix for each. Raises Unsteady when it doesn't converge.
+    Newton's method would assemble a matrix for each. Raises UserError when it doesn't converge.
     """
     half, enough, level = guess.copy(), 0.0, math.inf
     steps: list[Floats] = []
@@ -157,7 +153,7 @@ def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: 
         half = half + taken
         if size <= enough:
             return half
-    raise Unsteady("a time step of the finite-element body does not converge; take a shorter step")
+    raise UserError("a time step of the finite-element body does not converge; take a shorter step")
 
 
 def _size(solid: Solid, forces: Floats, factor: Cholesky) -> float:

@@ -19,6 +19,7 @@ LEAST_SHARE = 0.9  # of the volume
 # Degrees between two faces of a cell on the surface, beyond which it is left out: a dent must turn such a cell inside
 # out. Narrower ones are the edges of a body, as a cube has them; without them those hang by a thread.
 WIDEST = 120.0
+LEAST_CELLS = 4  # of a node, before one of its cells is left out for its angle
 _FACES = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
@@ -45,16 +46,17 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
     volume, quality = quality_of(points, cells)
     cells[volume < 0.0] = cells[volume < 0.0][:, [1, 0, 2, 3]]
     order = np.argsort(-np.abs(quality), kind="stable")
-    sound = np.abs(quality) > LEAST_QUALITY
-    sound[sound] = _widest_angle(points, cells[sound], triangles) <= WIDEST
-    missed = np.ones(len(points), dtype=bool)
-    missed[cells[sound]] = False
+    fat = np.abs(quality) > LEAST_QUALITY
+    sound = fat.copy()
+    sound[fat] = _widest_angle(points, cells[fat], triangles) <= WIDEST
+    count = np.bincount(cells[sound].ravel(), minlength=len(points))
     for cell in order[~sound[order]]:  # the best ones first
-        if abs(quality[cell]) > 1e-3 and missed[cells[cell]].any():
+        least = LEAST_CELLS if fat[cell] else 1
+        if abs(quality[cell]) > 1e-3 and (count[cells[cell]] < least).any():
             sound[cell] = True
-            missed[cells[cell]] = False
-    if missed.any():
-        raise UserError(f"organ '{name}': no cell joins {missed.sum()} nodes; build it with other --atoms")
+            count[cells[cell]] += 1
+    if not count.all():
+        raise UserError(f"organ '{name}': no cell joins {np.sum(count == 0)} nodes; build it with other --atoms")
     share = float(np.abs(volume[sound]).sum()) / signed_volume(surface, triangles)
     if share < LEAST_SHARE:
         raise UserError(f"cells fill {100.0 * share:.0f} % of organ '{name}'; build it with more --interior atoms")

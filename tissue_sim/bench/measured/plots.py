@@ -56,15 +56,20 @@ def _cube(found: list[Compressed]) -> Any:
     ):
         values = [one.off[who].ravel() for one in found]
         boxes = errors.boxplot(
-            values, positions=np.arange(len(found)) + offset, widths=0.3, patch_artist=True, manage_ticks=False
+            values,
+            positions=np.arange(len(found)) + offset,
+            widths=0.3,
+            patch_artist=True,
+            manage_ticks=False,
+            medianprops={"color": "black"},
         )
         for box in boxes["boxes"]:
             box.set(facecolor=colour, alpha=0.5, label=label if box is boxes["boxes"][0] else None)
     errors.set_xticks(range(len(found)), [f"{one.strain:g} %" for one in found])
     errors.axhline(0.35, color="#777777", linestyle=":", label="what a bead is good to")
     errors.set_ylabel("off the measured bead (mm)")
-    errors.set_ylim(bottom=0.0)
-    errors.legend(frameon=False, fontsize=9)
+    errors.set_ylim(0.0, 1.3 * max(float(one.off[who].max()) for one in found for who in one.off))
+    errors.legend(frameon=False, fontsize=9, loc="upper left")
     for axis in (layer, errors):
         _bare(axis)
     return figure
