@@ -14,7 +14,10 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
 # What isn't ours: options of other programs, and names that come from elsewhere.
-FOREIGN_OPTIONS = {"--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"}
+FOREIGN_OPTIONS = {
+    *("--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"),
+    *("--nworkers", "--nthreads"),  # of dask worker
+}
 FOREIGN_WORDS = {"foxglove_bridge", "use_sim_time", "rclpy", "SCHED_FIFO", "ROS_DOMAIN_ID", "namespace"}
 
 COMMAND_LINE = re.compile(r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)")

@@ -5,7 +5,7 @@ import pytest
 
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.image import Volume
-from tissue_sim.organ.making import Request, organ_from_mask
+from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_mask
 
 
 def test_a_mirrored_mask_still_points_outward():
@@ -32,3 +32,17 @@ def test_stages_are_watched_in_order_and_timed(tmp_path):
     assert all(seconds > 0.0 for seconds in progress.record.seconds.values())
     assert progress.record.wall is not None
     assert progress.record.organ.n_surface == 100
+
+
+def test_a_body_without_a_long_axis_gets_fewer_atoms_unless_they_are_asked_for():
+    """Forty-eight on the short centreline of a ball would lie closer than its surface's edges, with slivers between."""
+    grid = np.indices((40, 40, 40)) - 19.5
+    mask = Volume((grid**2).sum(axis=0) < 300, np.ones(3), np.zeros(3), np.eye(3), "ball")
+    organ = organ_from_mask(mask, Request(name="ball", points=400))
+    corner = organ.surface_positions[organ.surface_triangles]
+    edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean()
+    apart = np.linalg.norm(np.diff(organ.atom_positions, axis=0), axis=1)
+    assert 2 <= organ.n_atoms < MOST_ATOMS
+    assert apart.mean() >= SPARSE * edge
+    assert organ.provenance["atoms"] == organ.n_atoms
+    assert organ_from_mask(mask, Request(name="ball", points=400, atoms=MOST_ATOMS)).n_atoms == MOST_ATOMS
