@@ -8,7 +8,19 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text()
 # What only finite elements, peers, images, plots and checks need.
-OTHERS = ("skfem", "netgen", "mujoco", "pypbd", "SimpleITK", "skimage", "matplotlib", "joblib", "pytest", "mypy")
+OTHERS = (
+    "skfem",
+    "netgen",
+    "mujoco",
+    "pypbd",
+    "SimpleITK",
+    "skimage",
+    "matplotlib",
+    "joblib",
+    "distributed",
+    "pytest",
+    "mypy",
+)
 
 
 def extras(name):
@@ -18,7 +30,7 @@ def extras(name):
 
 def test_demo_installs_what_it_needs_and_no_more():
     assert extras("DEMO_EXTRAS") == ["ros", "viewer"]
-    assert set(extras("EXTRAS")) == {"image", "calibration", "bench", "test"}
+    assert set(extras("EXTRAS")) == {"image", "calibration", "cluster", "bench", "test"}
 
 
 def test_programs_of_the_demo_load_without_the_other_extras():

@@ -64,7 +64,7 @@ def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
     found: dict[Path, Path] = {}
     for organ in organs:
         out = folder / f"{organ.stem}.npz"
-        if out.exists() and out.samefile(organ) if organ.exists() else False:
+        if out.resolve() == organ.resolve():
             raise UserError(f"--out {folder} is where {organ} lies; name another folder")
         if out in found:
             raise UserError(f"{found[out]} and {organ} have the same name, and would both be written to {out}")
