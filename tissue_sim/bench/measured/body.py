@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+import tissue_sim
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.calibration.calibrate import Progress, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
@@ -51,7 +52,7 @@ def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: M
 def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
     """The organ calibrated with defaults; what it takes is kept in the folder, and the organ written there."""
     settings = Settings()
-    inputs = {"organ": organ.digest(), **asdict(settings)}
+    inputs = {"organ": organ.digest(), "version": tissue_sim.__version__, **asdict(settings)}
     checkpoint = Checkpoint(folder / f".{organ.name}.calibration", inputs)
     made = calibrate(organ, settings, checkpoint, progress).organ
     made.save(folder / f"{organ.name}.npz")
