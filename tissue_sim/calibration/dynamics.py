@@ -12,16 +12,21 @@ from scipy.sparse import eye_array, kron
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from tissue_sim.array_types import Floats
-from tissue_sim.calibration.cholesky import Cholesky
+from tissue_sim.calibration.cholesky import Cholesky, NotPositive
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.errors import UserError
 
 TOLERANCE = 1e-3  # of the forces and inertia of a step, in the norm of its matrix
 MOST_ITERATIONS = 60  # in a time step
+WORN = 20  # iterations in a time step, after which the matrix is factored anew
 UPHILL = 1e-9  # of what a step makes least, that rounding may add
 KEPT = 8  # steps that L-BFGS remembers
 SMOOTHED = 2  # steps after a release
+
+
+class Unsteady(UserError):
+    """A time step that doesn't converge."""
 
 
 class Motion(NamedTuple):
@@ -105,7 +110,13 @@ def swing(
                 right = np.where(solid.held, 0.0, push - (solid.stiffness @ moved.ravel()).reshape(moved.shape))
                 half = factor.solve(right.reshape(-1, 1)).reshape(moved.shape)
             else:
-                half = _half_step(solid, moved, push, shift, factor, half)
+                try:
+                    half, used = _half_step(solid, moved, push, shift, factor, half)
+                except Unsteady:
+                    factor = _about(solid, moved, shift, factor)
+                    half, used = _half_step(solid, moved, push, shift, factor, np.zeros_like(half))
+                if used > WORN:
+                    factor = _about(solid, moved, shift, factor)
             if number < smoothed:
                 moved, velocity = moved + half, (2.0 / step) * half
             else:
@@ -117,17 +128,27 @@ def swing(
     return Motion(np.linspace(0.0, step * count, count + 1), np.array(history), np.array(energies))
 
 
-def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: Cholesky, guess: Floats) -> Floats:
-    """Displacement (n, 3) m over half a step, from a guess.
+def _about(solid: Solid, moved: Floats, shift: float, other: Cholesky) -> Cholesky:
+    """The factor of a step about a state that has turned far from rest; the other where that state is unstable."""
+    try:
+        return solid.factor(moved, shift)
+    except NotPositive:
+        return other
 
-    L-BFGS (Nocedal 1980) about the matrix of the linear solid, whose mass part is exact: a few iterations, where
-    Newton's method would assemble a matrix for each. Raises UserError when it doesn't converge.
+
+def _half_step(
+    solid: Solid, moved: Floats, push: Floats, shift: float, factor: Cholesky, guess: Floats
+) -> tuple[Floats, int]:
+    """Displacement (n, 3) m over half a step, from a guess, and iterations.
+
+    L-BFGS (Nocedal 1980) about the matrix of the solid at rest, or not far from here, whose mass part is exact: a few
+    iterations, where Newton's method would assemble a matrix for each. Raises Unsteady when it doesn't converge.
     """
     half, enough, level = guess.copy(), 0.0, math.inf
     steps: list[Floats] = []
     changes: list[Floats] = []
     before, taken = np.zeros_like(half), np.zeros_like(half)
-    for _ in range(MOST_ITERATIONS):
+    for used in range(1, MOST_ITERATIONS + 1):
         energy, inner, least = solid.energy(moved + half)
         reached = energy + float(np.vdot(half, 0.5 * shift * (solid.mass @ half) - push))
         # An element is turned over, or the way leads up, as where a solid is nearly incompressible: half of it.
@@ -152,8 +173,8 @@ def _half_step(solid: Solid, moved: Floats, push: Floats, shift: float, factor: 
         before, taken = slope, -way
         half = half + taken
         if size <= enough:
-            return half
-    raise UserError("a time step of the finite-element body does not converge; take a shorter step")
+            return half, used
+    raise Unsteady("a time step of the finite-element body does not converge; take a shorter step")
 
 
 def _size(solid: Solid, forces: Floats, factor: Cholesky) -> float:
