@@ -39,8 +39,8 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
     """Cells (c, 4) of positive volume that fill a closed surface, between points (n, 3) m.
 
     The points begin with those of the surface. Left out are slivers, and cells with two faces on the surface at a
-    wide angle; not where that would leave a node without any cell. Raises UserError for a node that has none all the
-    same, or where cells fill too little.
+    wide angle; not where that would leave a node with few cells, as in a fin, or none. Raises UserError for a node that
+    has none all the same, or where cells fill too little.
     """
     cells = tetrahedra(points, surface, triangles)
     volume, quality = quality_of(points, cells)

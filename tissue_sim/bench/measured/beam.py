@@ -147,9 +147,7 @@ class Beam:
 
     def simulation(self, weight: float, stiffness: float = 1.0, damping_ratio: float | None = None) -> Simulation:
         """Under gravity, straight, at rest; stiffness: times the organ's; without a ratio as damped as it is."""
-        mass = self.organ.mass.copy()
-        mass[self.edge] += weight / -GRAVITY[2] / len(self.edge)
-        damping = self.organ.damping
+        mass, damping = self.mass(weight), self.organ.damping
         if damping_ratio is not None:
             damping = 2.0 * damping_ratio * 2.0 * math.pi * self.lowest(mass, stiffness) * mass
         loaded = replace(self.organ, mass=mass, damping=damping)
@@ -157,6 +155,12 @@ class Beam:
         simulation.settings.stiffness_scale = stiffness
         simulation.set_substeps()
         return simulation
+
+    def mass(self, weight: float) -> Floats:
+        """Masses (n,) kg with a weight, N, on the edge of the free end."""
+        mass = self.organ.mass.copy()
+        mass[self.edge] += weight / -GRAVITY[2] / len(self.edge)
+        return mass
 
     def lowest(self, mass: Floats, stiffness: float) -> float:
         """The lowest frequency, Hz."""
@@ -313,9 +317,7 @@ def predicted(beam: Beam, run: Run, fit: Fitted, rests: tuple[float, float]) -> 
     elements = Elements(plain(fit.moving), run.weight)
     organ = beam.organ
     at = places(elements.body.solid.nodes, organ.rest_positions, organ.cell_nodes)
-    mass = organ.mass.copy()
-    mass[beam.edge] += run.weight / -GRAVITY[2] / len(beam.edge)
-    damping_rate = 4.0 * math.pi * fit.damping_ratio * beam.lowest(mass, stiffness)
+    damping_rate = 4.0 * math.pi * fit.damping_ratio * beam.lowest(beam.mass(run.weight), stiffness)
     frames = len(run.moved) - 1 - run.led
     free = elements.follow(frames, damping_rate, at @ (start - organ.rest_positions), at @ speed)
     by_elements = np.full_like(run.moved, np.nan)
