@@ -38,13 +38,11 @@ def _force(message: WrenchStamped) -> np.ndarray:
     return np.array([message.wrench.force.x, message.wrench.force.y, message.wrench.force.z])
 
 
-def _efforts(message: Float64MultiArray, turned: Rotation) -> np.ndarray:
+def _efforts(message: Float64MultiArray) -> np.ndarray:
     # forward_command_controller takes as many numbers as it has joints, and else stops with an error.
     assert len(message.data) == 3
-    return turned.apply(message.data)
+    return np.array(message.data)
 
-
-EE_POSE = Rotation.from_euler("y", 1.5707)  # transform_rotation of ee_pose_broadcaster, before which the device's axes
 
 BRIDGES = {
     # mtsIntuitiveResearchKitArm: a wrench in the axes of the end effector
@@ -53,16 +51,16 @@ BRIDGES = {
     "saw_force_dimension": Bridge(
         "/MTMR/measured_cp", "MTMR_base", "/MTMR/body/servo_cf", WrenchStamped, lambda m, _: _force(m)
     ),
-    # an omega.3 has no orientation of its own: ee_pose carries that of the broadcaster's transform
+    # fd_hardware hands the efforts to dhdSetForceAndTorque along fd_base, and ee_pose_broadcaster turns nothing:
+    # transform_rotation is 0, 0, 0 in fd_controllers.yaml of main and humble
     "forcedimension_ros2": Bridge(
         "/fd/ee_pose",
         "fd_base",
         "/fd/fd_controller/commands",
         Float64MultiArray,
-        _efforts,
+        lambda m, _: _efforts(m),
         qos_profile_system_default,
         qos_profile_system_default,
-        EE_POSE,
     ),
     # mtsSensableHD: what came in servo_cf goes to HD_CURRENT_FORCE as it is
     "geomagic_touch": Bridge("/arm/measured_cp", "base", "/arm/servo_cf", WrenchStamped, lambda m, _: _force(m)),
