@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint format organ colcon clean FORCE
+.PHONY: help demo test test-slow test-least lint format organ colcon clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -32,6 +32,9 @@ test: lint ## checks and tests; PYTEST="-k node" for some of them
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)
 
+test-least: ## model, contacts and node over the least versions of numpy, scipy and numba; NUMBA=0.60.0 for another
+	@.ci/least $(NUMBA)
+
 lint: .venv/.installed ## ruff and mypy
 	@$(PY) -m ruff check --output-format concise
 	@$(PY) -m ruff format --check --output-format concise || { echo 'run "make format"'; exit 1; }
@@ -52,7 +55,7 @@ colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels,
 	@$(COLCON) test-result --test-result-base .colcon/build
 
 clean: ## removes .venv, caches and builds
-	@rm -rf .venv .colcon .mypy_cache .pytest_cache .ruff_cache build install log dist *.egg-info
+	@rm -rf .venv .venv-least .colcon .mypy_cache .pytest_cache .ruff_cache build install log dist *.egg-info
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A stamp holds the folder it was made in: scripts know their path, so a checkout that was moved installs anew.

@@ -47,7 +47,7 @@ setup(
     # No ROS package here: with an apt installation they come from rosdep, with PyPI alone from the extra "ros".
     # Least versions: package.xml has the same.
     install_requires=[
-        *("numpy>=1.26.4", "scipy>=1.12.0", "numba>=0.59.1"),
+        *("numpy>=1.26.4", "scipy>=1.11.4", "numba>=0.59.1"),
         *("trimesh", "python-fcl", "rosbags", "tqdm"),
     ],
     extras_require={

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array
 
 from helpers.blocks import box
 from helpers.scenes import ball
@@ -22,7 +22,7 @@ def block(half, down):
     solid = box(across, across, -0.001 * np.array([0.0, *down])[::-1], E, NU)
     solid.held[solid.nodes[:, 2] < -0.03 + 1e-9] = True
     top = np.flatnonzero((solid.nodes[:, 2] > -1e-9) & (np.abs(solid.nodes[:, :2]).max(axis=1) < 0.03 - 1e-9))
-    return solid, Points(solid.nodes[top], csr_array(eye_array(len(solid.nodes), format="csr")[top]))
+    return solid, Points(solid.nodes[top], csr_array(np.eye(len(solid.nodes))[top]))
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import diags_array
 from scipy.sparse.linalg import spsolve
 
 from helpers.pressing import line
@@ -10,6 +9,7 @@ from helpers.scenes import RADIUS, assembled, ball, ball_of_cells, changed, kidn
 from helpers.states import assert_same, snapshot
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.model.diagonal import diagonal
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.implicit import bounding_stiffness, make_factor, write_factor
 from tissue_sim.model.integrators import implicit_euler
@@ -29,7 +29,7 @@ def poke(simulation, ticks, force):
 def matrix_of(model, step, stiffness_scale=1.0, damping_scale=1.0):
     """M + h D + h^2 S of the moving nodes, kg."""
     moving = model.moving
-    heavy = diags_array(1.0 / model.inverse_mass[moving] + step * damping_scale * model.damping[moving])
+    heavy = diagonal(1.0 / model.inverse_mass[moving] + step * damping_scale * model.damping[moving])
     stiff = bounding_stiffness(model)[moving][:, moving]
     return (heavy + step**2 * stiffness_scale * stiff).tocsc()
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import diags_array
 
 from helpers.scenes import assembled, ball, free_ball, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model import reduction
+from tissue_sim.model.diagonal import diagonal
 from tissue_sim.model.modes import N_MODES, stiffness_matrix
 from tissue_sim.model.reduction import MODES_BESIDE_TABLE, compliance, reduce_model
 from tissue_sim.model.simulation import Simulation
@@ -43,7 +43,7 @@ def test_modes_are_orthonormal_and_bear_their_frequencies(organ):
     assert made.shape.shape == (organ.n_nodes, 3, MODES_BESIDE_TABLE)
     mass = np.divide(1.0, model.inverse_mass, where=model.inverse_mass > 0.0, out=np.zeros(organ.n_nodes))
     shape = made.shape.reshape(-1, MODES_BESIDE_TABLE)
-    gram = shape.T @ diags_array(np.repeat(mass, 3)) @ shape
+    gram = shape.T @ diagonal(np.repeat(mass, 3)) @ shape
     np.testing.assert_allclose(gram, np.eye(MODES_BESIDE_TABLE), atol=1e-9)
     stiff = shape.T @ (stiffness_matrix(model) @ shape)
     largest = made.frequency[-1] ** 2

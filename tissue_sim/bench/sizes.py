@@ -13,12 +13,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, eye_array
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.triangles import nearest_weights
+from tissue_sim.model.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.resample import thicken
 from tissue_sim.organ.topology import assemble_like, node_area
@@ -75,7 +76,7 @@ class Sized:
 def sized(organ: Organ, reference: Organ) -> Sized:
     """An organ beside the reference, whose surface is another one of the same body or its own."""
     if organ.n_surface == reference.n_surface and np.array_equal(organ.surface_positions, reference.surface_positions):
-        same = csr_array(eye_array(organ.n_surface))
+        same = diagonal(np.ones(organ.n_surface)).tocsr()
         return Sized(organ, reference, same, same)
     return Sized(organ, reference, interpolation(organ, reference), interpolation(reference, organ))
 

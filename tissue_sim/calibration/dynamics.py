@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import eye_array, kron
+from scipy.sparse import kron
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from tissue_sim.array_types import Floats
@@ -201,7 +201,7 @@ def frequencies(solid: Solid, count: int) -> Floats:
     if not 0 < count < len(free):
         raise UserError(f"{count} frequencies were asked for; the body has 1..{len(free) - 1}")
     stiffness = solid.stiffness.tocsr()[free][:, free]
-    mass = kron(solid.mass, eye_array(3), format="csr")[free][:, free]
+    mass = kron(solid.mass, np.eye(3), format="csr")[free][:, free]
     whole = np.zeros((solid.nodes.size, 1))
 
     def invert(right: Floats) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
@@ -16,6 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.factor import Factor
 from tissue_sim.errors import UserError
+from tissue_sim.model.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
@@ -118,7 +119,7 @@ def modes_of(tangent: csc_array, factor: Factor, mass: Floats, count: int, start
     """Squared frequencies (count,), ascending, 1/s^2, and shapes (a, count) 1/sqrt(kg) of masses (a,) kg."""
     size = len(mass)
     inverse = LinearOperator((size, size), matvec=factor.solve, dtype=np.float64)
-    matrix = diags_array(mass, format="csc")
+    matrix = diagonal(mass).tocsc()
     square, shape = eigsh(tangent, k=count, M=matrix, sigma=0.0, OPinv=inverse, v0=start, tol=1e-8)
     order = np.argsort(square)
     return square[order], shape[:, order]

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import eigsh
 
 from tissue_sim.array_types import Floats
 from tissue_sim.calibration.fit import Misfit, descended
 from tissue_sim.calibration.inertia import modes_of, tissue_mass
 from tissue_sim.model.critical_step import SAFETY, stable_frequency
+from tissue_sim.model.diagonal import diagonal
 from tissue_sim.organ.organ import Organ
 
 FASTEST = 40  # modes that are held under what the step allows
@@ -131,6 +132,6 @@ def fit_together(
 def _fastest(tangent: csc_array, mass: Floats, start: Floats) -> tuple[Floats, Floats]:
     """The largest squared frequencies (FASTEST,) 1/s^2, and shapes (a, FASTEST) 1/sqrt(kg) of masses (a,) kg."""
     root = 1.0 / np.sqrt(mass)
-    scaled = (diags_array(root) @ tangent @ diags_array(root)).tocsr()
+    scaled = (diagonal(root) @ tangent @ diagonal(root)).tocsr()
     square, shape = eigsh(scaled, k=min(FASTEST, len(mass) - 1), which="LA", v0=start, tol=ROUGH)
     return square, shape * root[:, None]

@@ -42,7 +42,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     else:
         fault = check(model, state, watched_nodes(model, state, scratch), span * span, speed * speed, energy)
         if not modes_are_finite(state):
-            fault = Fault.NOT_FINITE
+            fault = Fault.NOT_FINITE.value
     collapsing = status.turned > MOST_TURNED * len(model.cells)
     if collapsing and not status.collapsing:
         count.faults += 1
@@ -126,7 +126,8 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
         sped_sum += sped
     if good and sped_sum <= energy * len(nodes):
         return 0
-    return Fault.RUNAWAY if moved_sum + sped_sum < math.inf else Fault.NOT_FINITE
+    # Values, not members: Numba before 0.61 makes no one type of a member and a number.
+    return Fault.RUNAWAY.value if moved_sum + sped_sum < math.inf else Fault.NOT_FINITE.value
 
 
 @kernel

@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.assembly import Factor, Model
 from tissue_sim.model.cells import cells_of, shapes_of
+from tissue_sim.model.diagonal import diagonal
 
 
 class _Decomposition(NamedTuple):
@@ -85,7 +86,7 @@ def _decompose(model: Model, step: float, stiffness_scale: float, damping_scale:
         return _Decomposition(none, np.zeros(1, dtype=np.int32), none, np.zeros(0), np.zeros(0), np.zeros(n))
     heavy = 1.0 / model.inverse_mass[moving] + step * damping_scale * model.damping[moving]
     stiff = bounding_stiffness(model)[moving][:, moving]
-    matrix = (diags_array(heavy) + step * step * stiffness_scale * stiff).tocsc()
+    matrix = (diagonal(heavy) + step * step * stiffness_scale * stiff).tocsc()
     # Symmetric and positive definite: no pivoting, so U = D L' and the rows stay with their columns.
     solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     lower = solver.L.tocsc()
@@ -97,11 +98,11 @@ def _decompose(model: Model, step: float, stiffness_scale: float, damping_scale:
     order = moving[place].astype(np.int32)
     start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
     row, value, pivot = lower.indices[below].astype(np.int32), lower.data[below], 1.0 / solver.U.diagonal()
-    diagonal = np.zeros(len(moving))
+    inverse = np.zeros(len(moving))
     work = np.full(len(moving), -1, dtype=np.int32), np.zeros(len(moving)), np.zeros(len(moving))
-    inverse_diagonal(start, row, value, pivot, diagonal, np.zeros(len(row)), *work)
+    inverse_diagonal(start, row, value, pivot, inverse, np.zeros(len(row)), *work)
     mobility = np.zeros(n)
-    mobility[order] = diagonal
+    mobility[order] = inverse
     return _Decomposition(order, start, row, value, pivot, mobility)
 
 

@@ -6,13 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import Model
 from tissue_sim.model.cells import cells_of, strain_rows
+from tissue_sim.model.diagonal import diagonal
 
 N_MODES = 144  # a third of that triples the error of the region's surroundings
 _RIGID = 1e-9  # square of a frequency, over the largest diagonal, that is taken for 0
@@ -33,7 +34,7 @@ def free_axes(model: Model) -> NDArray[np.int64]:
 def stiffness_matrix(model: Model) -> csc_array:
     """Tangent stiffness (3n, 3n) N/m at rest, where nothing carries a force."""
     rows, owner, stiffness = strains_of(model)
-    return (rows.T @ diags_array(stiffness[owner]) @ rows).tocsc()
+    return (rows.T @ diagonal(stiffness[owner]) @ rows).tocsc()
 
 
 class Strains(NamedTuple):
@@ -75,7 +76,7 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
     if count < 1:
         return Modes(np.zeros(0), np.zeros((n, 3, 0)))
     # Scaled by the root of the mass, the problem is an ordinary symmetric one.
-    root = diags_array(np.repeat(np.sqrt(model.inverse_mass[moving]), 3))
+    root = diagonal(np.repeat(np.sqrt(model.inverse_mass[moving]), 3))
     scaled = (root @ stiffness_matrix(model)[free][:, free] @ root).tocsc()
     start = np.random.default_rng(0).standard_normal(len(free))
     try:

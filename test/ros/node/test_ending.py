@@ -83,7 +83,7 @@ def test_a_node_that_fails_leaves_no_force_standing(monkeypatch):
 
     executor = SimpleNamespace(add_node=lambda _: None, spin_once=fail)
     monkeypatch.setattr(serve, "TissueNode", lambda: node)
-    monkeypatch.setattr(serve, "EventsExecutor", lambda: executor)
+    monkeypatch.setattr(serve, "make_executor", lambda: executor)
     monkeypatch.setattr(serve, "_start_rclpy", lambda _: None)
     ending = SimpleNamespace(asked=threading.Event(), started=lambda: None, closes=lambda: None)
     interval = sys.getswitchinterval()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 
 import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
@@ -13,6 +12,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.ros.node.node import TissueNode
 from tissue_sim.ros.shared.dds import use_shipped_profile
 from tissue_sim.ros.shared.ending import Ending, Interrupted
+from tissue_sim.ros.shared.executors import OLD_RCLPY, is_usual, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
@@ -33,7 +33,9 @@ def serve(arguments: list[str], ending: Ending) -> int:
     try:
         _start_rclpy(arguments)
         node = TissueNode()
-        executor = EventsExecutor()
+        executor = make_executor()
+        if is_usual():
+            node.get_logger().warning(OLD_RCLPY)
         executor.add_node(node)
         node.start()
         ending.started()

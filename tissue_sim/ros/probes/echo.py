@@ -8,9 +8,9 @@ from __future__ import annotations
 import sys
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.experimental import EventsExecutor
 
 from tissue_sim.ros.shared.client import Stop, client_node, stream_qos
+from tissue_sim.ros.shared.executors import make_executor
 from tissue_sim.ros.shared.priority import prefer
 
 IN, OUT = "echo/measured_cp", "echo/servo_cf"
@@ -22,7 +22,7 @@ def main(priority: str = "0") -> None:
     with Stop() as stop, client_node("echo", "") as node:
         publisher = node.create_publisher(PoseStamped, OUT, stream_qos())
         node.create_subscription(PoseStamped, IN, publisher.publish, stream_qos(), raw=True)
-        executor = EventsExecutor()
+        executor = make_executor()
         executor.add_node(node)
         prefer(int(priority))
         while not stop:

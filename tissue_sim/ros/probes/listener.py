@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import sys
 
-from rclpy.experimental import EventsExecutor
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.shared.client import Stop, client_node
+from tissue_sim.ros.shared.executors import make_executor
 
 
 def main(target: str) -> None:
     """Run until SIGINT or SIGTERM."""
     with Stop() as stop, client_node("listener", "") as node:
         node.create_subscription(MarkerArray, f"/{target}/markers", lambda _: None, 1, raw=True)
-        executor = EventsExecutor()
+        executor = make_executor()
         executor.add_node(node)
         while not stop:
             executor.spin_once(timeout_sec=0.1)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
@@ -19,6 +18,7 @@ from tissue_sim.ros.probes.echo import IN, OUT
 from tissue_sim.ros.probes.graph import first_within
 from tissue_sim.ros.probes.hand import DEPTH, FAR, SWING, Hand
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.executors import make_executor
 
 PATIENCE = 0.05  # s for an answer, after which it counts as lost
 SETTLING, PAUSE = 2.0, 0.25  # s until the organ rests, and between poses that are to find the node napping
@@ -62,7 +62,7 @@ class Probe(Hand):
         node.create_subscription(WrenchStamped, "left/servo_cf", self._on_answer, newest, raw=True)
         node.create_subscription(PoseStamped, OUT, self._on_answer, newest, raw=True)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 10)
-        self._executor = EventsExecutor()
+        self._executor = make_executor()
         self._executor.add_node(node)
 
     def meet(self) -> None:
