@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Pose, PoseStamped, TransformStamped, Wrench, WrenchStamped
 from nav_msgs.msg import Odometry
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
@@ -63,12 +63,21 @@ class Tools(Client):
         }
         self.forces = node.create_publisher(Wrench, "plain/measured_cf", best_effort)
         self.tf = node.create_publisher(TransformStamped, "/tf_static", LATCHED)
+        self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) heard from tf
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        for topic, qos in (("/tf_static", latched), ("/tf", 10)):
+            node.create_subscription(TransformStamped, topic, self._on_transform, qos)
         keep = {tool: felt.append for tool, felt in self.felt.items()}
         subscribe = node.create_subscription
         subscribe(Wrench, "plain/servo_cf", lambda m: keep["plain"](six(m)), best_effort)
         subscribe(Float64MultiArray, "named/servo_cf", lambda m: keep["named"](np.array(m.data)), 10)
         subscribe(WrenchStamped, "odometry/servo_cf", lambda m: keep["odometry"](six(m.wrench)), best_effort)
         subscribe(WrenchStamped, "led/servo_cf", lambda m: keep["led"](six(m.wrench)), best_effort)
+
+    def _on_transform(self, message: TransformStamped) -> None:
+        offset, turn = message.transform.translation, message.transform.rotation
+        pose = np.array([offset.x, offset.y, offset.z, turn.x, turn.y, turn.z, turn.w])
+        self.frames[message.header.frame_id, message.child_frame_id] = pose
 
     def send(self, tool: str, place: np.ndarray, turn: Rotation, frame: str = "") -> None:
         """Publish a pose in a tool's own frame."""
@@ -153,6 +162,24 @@ def test_frame_that_tf_does_not_know_is_refused_by_name(node, tools):
     line = next(line for line in node.text().splitlines() if "'moon'" in line)
     assert "expected 'elsewhere' (parameter led.frame_id names another); tf leads from none of that name to" in line
     assert "does not exist" in line
+
+
+def test_tf_hears_where_organ_and_tools_are(node, tools):
+    """What parameters place, but no frame that a driver tells of itself; and the tips, in the organ's frame."""
+    turn = Rotation.from_euler("x", 0.3)
+    there = np.array([0.3, 0.2, 0.1])
+
+    def is_heard():
+        tools.send("plain", in_device(there), TURN.inv() * turn)
+        tools.spin(0.02)
+        return ("organ", "plain_tip") in tools.frames
+
+    assert tools.spin_until(is_heard)
+    assert tools.spin_until(lambda: ("world", "arm_base") in tools.frames and ("world", "organ") in tools.frames)
+    assert not any("elsewhere" in names for names in tools.frames)
+    np.testing.assert_allclose(tools.frames["world", "organ"], [*ORGAN, 0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(tools.frames["world", "arm_base"], [*OFFSET, *TURN.as_quat()])
+    np.testing.assert_allclose(tools.frames["organ", "plain_tip"], [*there, *turn.as_quat()], atol=1e-9)
 
 
 def in_device(point: np.ndarray) -> np.ndarray:

@@ -34,9 +34,10 @@ from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.node.presenter import Presenter
 from tissue_sim.ros.node.served_tool import ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
+from tissue_sim.ros.node.tf_broadcast import tf_broadcast
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
-from tissue_sim.ros.shared.parameters import Parameters, frames_of, tool_of, topics_of
+from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.report import Report, Reports
@@ -87,7 +88,12 @@ class TissueNode(Node):
             finder, self.physics, self.ports, self.recorder, self._woken, self.get_logger().warning
         )
         self.finder = finder
-        self.presenter = Presenter(self, self.organ, self.frame_id, self.physics, self.ports, self.recorder, tools)
+        broadcast = None
+        if values["broadcast_tf"]:
+            broadcast = tf_broadcast(self, self.frame_id, values.tools, placed_frames(values, values.tools))
+        self.presenter = Presenter(
+            self, self.organ, self.frame_id, self.physics, self.ports, self.recorder, tools, broadcast
+        )
         self.diagnostics = Diagnostics(self, self.organ.name)
         self.live = LiveSettings(
             self.simulation,

@@ -96,6 +96,8 @@ class Outlet:
             with noted():
                 self._presenter.present_tools()
             with noted():
+                self._presenter.broadcast_tips()
+            with noted():
                 self._poll_bag()
         if now >= self._next_look:
             self._next_look = max(self._next_look + degrade.LOOK_EVERY, now)

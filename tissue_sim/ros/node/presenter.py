@@ -18,6 +18,7 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.markers import OrganMarkers, all_finite, write_displacement
+from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tool_markers import ToolMarkers
 from tissue_sim.ros.node.tool_port import ToolPort
 from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, FULL_FORCE, MOVING
@@ -42,9 +43,11 @@ class Presenter:
         ports: Sequence[ToolPort],
         recorder: Recorder,
         tools: ToolSet,
+        broadcast: TfBroadcast | None,
     ) -> None:
         self._organ, self._physics, self._ports, self._recorder = organ, physics, list(ports), recorder
         self._clock = node.get_clock()
+        self._broadcast, self._tips_sent = broadcast, [0] * len(self._ports)
         self._mesh = node.create_publisher(Mesh, "~/mesh", LATCHED)
         self._markers = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, "~/surface", STREAM)
@@ -136,6 +139,17 @@ class Presenter:
         self._tools_shown, self._tools_sent = shown, now
         placed = [pose.placed if is_fresh else None for pose, is_fresh in zip(newest, fresh, strict=True)]
         self._tools.publish(self._tool_bytes.message(self._clock.now().nanoseconds, placed, tips, forces))
+
+    def broadcast_tips(self) -> None:
+        """Tell tf where the tools are, of those with a new pose."""
+        if self._broadcast is None:
+            return
+        newest = [port.newest for port in self._ports]
+        moved = [pose.sequence != sent for pose, sent in zip(newest, self._tips_sent, strict=True)]
+        if any(moved):
+            self._tips_sent = [pose.sequence for pose in newest]
+            poses = [pose.pose if is_new else None for pose, is_new in zip(newest, moved, strict=True)]
+            self._broadcast.tips(self._clock.now().nanoseconds, poses)
 
     def report(self, report: Report) -> None:
         """Add what was not published."""

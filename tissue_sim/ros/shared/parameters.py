@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -56,6 +56,7 @@ NODE_SPECS = (
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
     Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
+    Spec("broadcast_tf", True, "tell tf where organ, tools' frames and tips are; needs tf2_ros"),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
     Spec(
         "realtime_priority",
@@ -166,6 +167,22 @@ def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | No
     # Without a name for the base, tf itself knows where the organ is.
     led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
     return Frames(known, values[f"{tool}.motion_scale"], led)
+
+
+def placed_frames(values: Values, tools: Sequence[str]) -> dict[str, tuple[str, Transform]]:
+    """The frames that parameters place in base_frame, each with its parent and the transform to that; none without it.
+
+    A tool's frame without a base_pose is its driver's to tell.
+    """
+    organ_id, base_id = values["frame_id"], values["base_frame"]
+    if not base_id or base_id == organ_id:
+        return {}
+    placed = {organ_id: (base_id, Transform.of_pose(values["organ_pose"]))}
+    for tool in tools:
+        frame_id, pose = values[f"{tool}.frame_id"], Transform.of_pose(values[f"{tool}.base_pose"])
+        if frame_id not in ("", base_id, organ_id) and not pose.is_identity:
+            placed[frame_id] = (base_id, pose)
+    return placed
 
 
 class Parameters:

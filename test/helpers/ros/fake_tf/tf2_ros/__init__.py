@@ -1,4 +1,4 @@
-"""Takes the place of tf2_ros where only ROS's wheels are: the same calls, for single static transforms."""
+"""Takes the place of tf2_ros where only ROS's wheels are: the same calls, each transform a message of its own."""
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.duration import Duration
@@ -39,3 +39,22 @@ class TransformListener:
         self.subscription = node.create_subscription(
             TransformStamped, "/tf_static", lambda message: buffer.set_transform(message, "test"), qos
         )
+
+
+class _Broadcaster:
+    def __init__(self, node: Node, topic: str, qos: QoSProfile) -> None:
+        self.pub_tf = node.create_publisher(TransformStamped, topic, qos)
+
+    def sendTransform(self, transform: TransformStamped | list[TransformStamped]) -> None:
+        for one in transform if isinstance(transform, list) else [transform]:
+            self.pub_tf.publish(one)
+
+
+class StaticTransformBroadcaster(_Broadcaster):
+    def __init__(self, node: Node, qos: QoSProfile | int | None = None) -> None:
+        super().__init__(node, "/tf_static", qos or QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+
+class TransformBroadcaster(_Broadcaster):
+    def __init__(self, node: Node, qos: QoSProfile | int | None = None) -> None:
+        super().__init__(node, "/tf", qos or QoSProfile(depth=100))
