@@ -64,7 +64,7 @@ class SurfaceRow(Record):
 def pack(**arrays: NDArray) -> NDArray[np.uint8]:
     """Arrays as the bytes of an npz."""
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays)
+    np.savez(stream, **arrays)
     return np.frombuffer(stream.getvalue(), dtype=np.uint8)
 
 
