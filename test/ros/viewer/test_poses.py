@@ -55,7 +55,7 @@ def test_a_link_has_the_nodes_names_and_qos():
 # over ROS --------------------------------------------------------------------------------------
 def test_a_node_without_these_parameters_tells_none(tmp_path, graph):
     node = Process([STAND_IN], tmp_path / "node.log")
-    reader = NodeParameters("tissue_sim")
+    reader = NodeParameters(graph, "tissue_sim")
     try:
         node.wait_for("up")
         assert wait_for(lambda: [found for found in [reader.poll()] if found is not None]) == [{}]

@@ -64,7 +64,7 @@ class SurfaceRow(Record):
 def pack(**arrays: NDArray) -> NDArray[np.uint8]:
     """Arrays as the bytes of an npz."""
     stream = io.BytesIO()
-    np.savez(stream, **arrays)
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
     return np.frombuffer(stream.getvalue(), dtype=np.uint8)
 
 

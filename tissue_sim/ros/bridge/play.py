@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
-        parameters = NodeParameters(args.node)
+        parameters = NodeParameters(node, args.node)
         meshes = client.Inbox(node, Mesh, f"/{args.node}/mesh", client.latched_qos())
         mesh = _wait_until(meshes.take, args.wait, stop)
         values = None if mesh is None else _wait_until(parameters.poll, args.wait, stop)

@@ -110,6 +110,18 @@ def client_node(name: str, target: str) -> Iterator[Node]:
         rclpy.try_shutdown()
 
 
+def node_beside(node: Node, what: str) -> Node:
+    """Another node of a program, in the same namespace and with its name before `what`."""
+    import rclpy
+
+    return rclpy.create_node(
+        f"{node.get_name()}_{what}",
+        namespace=node.get_namespace(),
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
+
+
 def stream_qos() -> QoSProfile:
     """Of poses, wrenches and surfaces."""
     from tissue_sim.ros.shared.qos import STREAM

@@ -6,11 +6,12 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from tissue_sim.ros.shared.client import node_beside
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
 NODE_NAMES = ("tools", *(spec.name for spec in NODE_SPECS))
@@ -18,13 +19,13 @@ ASK_AGAIN = 1.0  # s: a server drops the answer to a client that it has not whol
 
 
 class NodeParameters:
-    """Reads the parameters of the node `target` and of its tools.
+    """Reads the parameters of the node `target` and of its tools, for the node `client`.
 
     It has a node of its own, for an executor that takes up nothing but the answers.
     """
 
-    def __init__(self, target: str) -> None:
-        self._node = rclpy.create_node("parameter_reader", enable_rosout=False, start_parameter_services=False)
+    def __init__(self, client: Node, target: str) -> None:
+        self._node = node_beside(client, "parameters")
         self._client = self._node.create_client(GetParameters, f"/{target}/get_parameters")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)

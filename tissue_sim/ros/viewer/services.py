@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from tissue_sim.ros.shared.client import node_beside
 from tissue_sim.ros.viewer.panel import Wish
 
 PATIENCE = 5.0  # s
@@ -22,8 +23,8 @@ class Services:
     They have a node of their own, for an executor that takes up nothing but their answers.
     """
 
-    def __init__(self, target: str) -> None:
-        self._node = rclpy.create_node("viewer_services", enable_rosout=False, start_parameter_services=False)
+    def __init__(self, viewer: Node, target: str) -> None:
+        self._node = node_beside(viewer, "services")
         self._reset = self._node.create_client(Trigger, f"/{target}/reset")
         self._record = self._node.create_client(SetBool, f"/{target}/record")
         self._executor = SingleThreadedExecutor()

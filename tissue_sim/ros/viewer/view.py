@@ -33,6 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
     parser.add_argument("--tools", type=client.names, help="names of the tools (default: the node's)")
     parser.add_argument(
+        "--layout",
+        choices=("rviz", "foxglove"),
+        help="print a layout for that viewer which fits the node, instead of serving a page",
+    )
+    parser.add_argument(
         "--patience",
         type=client.number(0.1, 3600.0, "s"),
         default=PATIENCE,
@@ -42,6 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGINT or SIGTERM; returns 0. Raises UserError when it can't be served."""
+    if args.layout:
+        from tissue_sim.ros.viewer.layout import write
+
+        return write(args.layout, args.node)
     check_port(args.host, args.port)
     with (
         client.Stop() as stop,

@@ -1,0 +1,77 @@
+"""`tissue_sim view --layout`: the layouts that ship for RViz and Foxglove, made to fit a node."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.shipped import shipped_file
+from tissue_sim.ros.shared import client
+
+LAYOUTS = {"rviz": "config/tissue_sim.rviz", "foxglove": "config/foxglove.json"}
+WAIT = 3.0  # s for the node to tell its parameters
+# What the layouts that ship are made for.
+NODE, FRAME = "tissue_sim", "organ"
+TOOLS = {"left": "/left/servo_cf", "right": "/right/servo_cf"}
+
+
+def fitted(kind: str, node: str, frame_id: str = FRAME, tools: Mapping[str, str] = TOOLS) -> str:
+    """The text of a layout, of LAYOUTS, for a node.
+
+    node: its name with its namespace. frame_id: the organ's. tools: for each the absolute topic of its wrenches.
+    Raises UserError when the layout isn't installed.
+    """
+    path = shipped_file(LAYOUTS[kind])
+    if path is None:
+        raise UserError(f"{LAYOUTS[kind]} is not there; install tissue_sim anew")
+    text = path.read_text(encoding="utf-8").replace(f"/{NODE}/", f"/{node}/")
+    return (_rviz if kind == "rviz" else _foxglove)(text, frame_id, tools)
+
+
+def write(kind: str, node: str) -> int:
+    """Print a layout that fits a node as it answers now, or as it is by default; returns 0."""
+    values = _asked(node)
+    namespace = f"/{node}".rpartition("/")[0]
+    if values is None:
+        sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are taken for its own\n")
+        print(fitted(kind, node, tools={tool: namespace + topic for tool, topic in TOOLS.items()}), end="")
+        return 0
+    topics = {tool: values[f"{tool}.servo_cf"] or f"{tool}/servo_cf" for tool in values["tools"]}
+    absolute = {tool: topic if topic.startswith("/") else f"{namespace}/{topic}" for tool, topic in topics.items()}
+    print(fitted(kind, node, values["frame_id"], absolute), end="")
+    return 0
+
+
+def _asked(node: str) -> dict[str, Any] | None:
+    """The node's parameters, or None when it doesn't tell them in time."""
+    from tissue_sim.ros.shared.node_parameters import NodeParameters
+
+    with client.client_node("layout", node) as own:
+        parameters = NodeParameters(own, node)
+        end = time.monotonic() + WAIT
+        while (values := parameters.poll()) is None and time.monotonic() < end:
+            time.sleep(0.02)
+        return values or None
+
+
+def _rviz(text: str, frame_id: str, tools: Mapping[str, str]) -> str:
+    for line in ("Fixed Frame", "Target Frame"):
+        text = text.replace(f"{line}: {FRAME}\n", f"{line}: {frame_id}\n")
+    before = "".join(f"        {tool}: true\n" for tool in TOOLS)
+    return text.replace(before, "".join(f"        {tool}: true\n" for tool in tools))
+
+
+def _foxglove(text: str, frame_id: str, tools: Mapping[str, str]) -> str:
+    layout = json.loads(text)
+    panels = layout["configById"]
+    panels["3D!organ"]["followTf"] = frame_id
+    plot = panels["Plot!force"]
+    like = plot["paths"][0]
+    plot["paths"] = [
+        like | {"value": f"{topic}.wrench.force.@norm", "label": f"{tool}, N"} for tool, topic in tools.items()
+    ]
+    return json.dumps(layout, indent=2) + "\n"
