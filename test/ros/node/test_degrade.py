@@ -109,12 +109,12 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     simulation = Simulation(ball(2), rate=rate, local_region=local_region, integrator=integrator)
     values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
     values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
-    posted = []
+    posted, physics = [], Physics(simulation)
     made = LiveSettings(
         simulation,
-        Physics(simulation),
+        physics,
         Values(values),
-        posted.append,
+        lambda one: posted.append((physics.post_settings(one), one)),
         [SimpleNamespace(period=period) for period in (1e-3, 4e-3)],
     )
     return made, posted
@@ -123,7 +123,7 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
 def test_coupling_is_no_stiffer_than_the_devices_bear():
     made, posted = live(coupling_stiffness=2000.0)
     made.update()
-    assert posted[-1].coupling_stiffness == made.coupling_stiffness == 2000.0, "unknown damping: no bound"
+    assert posted[-1][1].coupling_stiffness == made.coupling_stiffness == 2000.0, "unknown damping: no bound"
     made, posted = live(**{"coupling_stiffness": 2000.0, "left.device_damping": 2.0, "right.device_damping": 1.0})
     made.update()
     # Of the slower tool: half its period, the period until the next pose, and a tick.
@@ -139,17 +139,17 @@ def test_levels_become_settings_with_substeps_of_their_own():
     assert made.marker_rate == 10.0
     assert posted == [], "the loop has nothing to do with it"
     made.update(REGION)
-    assert posted[-1].region_force == ANY_FORCE
+    assert posted[-1][1].region_force == ANY_FORCE
     made.update(RATE)
-    settings = posted[-1]
+    sequence, settings = posted[-1]
     assert settings.tick_time == 2e-3
     substeps = Simulation(ball(2), rate=500.0, local_region="auto").settings.substeps
     assert settings.substeps == substeps
     assert made.describe() == "markers at 10 Hz, a modal region under any load, 500 Hz"
     made.update(NONE)
-    assert posted[-1] is not settings
-    assert posted[-1].tick_time == 1e-3
-    assert posted[-1].region_force == 0.3
+    assert posted[-1][0] > sequence
+    assert posted[-1][1].tick_time == 1e-3
+    assert posted[-1][1].region_force == 0.3
     assert made.marker_rate == 60.0
     count = len(posted)
     made.update()
