@@ -58,7 +58,7 @@ setup(
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         "cluster": ["distributed"],
         # `colcon test` runs pytest because this extra names it.
-        "test": ["pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
+        "test": ["mcap", "pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
         "docs": ["sphinx", "myst-parser", "furo", "sphinx-autoapi"],
         "colcon": ["colcon-common-extensions"],
     },

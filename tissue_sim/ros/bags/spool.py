@@ -86,7 +86,10 @@ class Spool:
             self._write()
             writer.close()
         except Exception as error:  # anything that goes wrong on the way to the disk
-            self._fail((isinstance(error, OSError) and error.strerror) or str(error))
+            with self._lock:
+                self._fail((isinstance(error, OSError) and error.strerror) or str(error))
+                self.lost += self._queue.qsize()
+                self._queue = queue.SimpleQueue()  # what nobody will write needs no memory
             writer.abort()
 
     def _write(self) -> None:
