@@ -48,7 +48,7 @@ setup(
     # Least versions: package.xml has the same.
     install_requires=[
         *("numpy>=1.26.4", "scipy>=1.12.0", "numba>=0.59.1"),
-        *("trimesh", "python-fcl", "rosbags", "tqdm"),
+        *("trimesh", "python-fcl", "rosbags", "ruamel.yaml", "tqdm"),
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
