@@ -19,7 +19,7 @@ from tissue_sim.cli import main
 from tissue_sim.ros.bags import recovery
 
 EXACT = ("--force-tolerance", "0", "--position-tolerance", "0")
-MOMENTS = [(seed, random.Random(seed).uniform(0.0, 3.0), random.Random(-seed).uniform(0.0, 1.0)) for seed in range(20)]
+MOMENTS = [(seed, random.Random(seed).uniform(0.0, 3.0), random.Random(-seed).uniform(0.0, 1.0)) for seed in range(22)]
 
 
 def start_bridge(folder: Path) -> Process:

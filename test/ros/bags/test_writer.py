@@ -17,7 +17,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags import bag, recovery, spool
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.replay import Recording
-from tissue_sim.ros.bags.writer import BagWriter, Split, Topic, is_locked
+from tissue_sim.ros.bags.writer import BagWriter, Split, Topic, lock
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
@@ -97,7 +97,7 @@ def test_a_bag_that_cannot_be_written_is_read_all_the_same(broken, tmp_path, mon
 def test_a_bag_is_not_completed_while_it_is_written(broken, tmp_path):
     path = cut(broken, tmp_path, broken[1][-1])
     with (path / "broken_0.mcap").open("rb") as held:
-        assert not is_locked(held.fileno())
+        assert lock(held.fileno())
         with pytest.raises(UserError, match="still being recorded"):
             recovery.complete(path)
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.typesys import Stores, get_typestore
 
 from tissue_sim.errors import UserError
@@ -23,6 +22,7 @@ from tissue_sim.model.records import array_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.state import fields_of, make_state
 from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.offered import offered
 from tissue_sim.ros.bags.spool import Spool
 from tissue_sim.ros.bags.writer import WHOLE, BagWriter, Split, Topic
 from tissue_sim.ros.shared.physics import Physics
@@ -86,6 +86,7 @@ class Recorder:
         self._newest_set: tuple[int, ContactSet] | None = None
         self._state_tick = -1
         self._started = 0.0
+        self._hurry = False  # there is a state, which a bag is nothing without
         self.path: Path | None = None
         # Held while something is posted to the loop and noted here: a journal that tells that it was taken up holds the
         # note, too, or comes after it, so that a bag may break off anywhere.
@@ -189,8 +190,7 @@ class Recorder:
             self._packed("state", fields_of(state))
             self._state_tick = int(state.status.tick)
             self._journal_at = 0.0
-            if self._spool is not None:
-                self._spool.flush()
+            self._hurry = True
         if now - self._journal_at < JOURNAL_EVERY:
             return
         self._journal_at = now
@@ -199,6 +199,9 @@ class Recorder:
             noted, self._notes = self._notes, _Notes()
             if len(inputs) or noted:
                 self._packed("journal", {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self._n_bodies))
+        if self._hurry and self._spool is not None:
+            self._hurry = False
+            self._spool.flush()
 
     def report(self, report: Report) -> None:
         """Add the bag, and what it is missing."""
@@ -261,11 +264,11 @@ class Recorder:
     def _topics(self) -> dict[str, Topic]:
         kinds = TOOL_TOPICS | GRIPPER_TOPICS
         topics = {
-            self._names[name]: Topic(kind, [_offered(OFFERED.get(name, RELIABLE))])
+            self._names[name]: Topic(kind, [offered(OFFERED.get(name, RELIABLE))])
             for name, kind in bag.PRIVATE_TOPICS.items()
         }
         return topics | {
-            name: Topic(kinds[topic.split("/")[1]], [_offered(self._tool_qos[name])])
+            name: Topic(kinds[topic.split("/")[1]], [offered(self._tool_qos[name])])
             for topic, name in self._tool_topics.items()
         }
 
@@ -281,19 +284,3 @@ class Recorder:
         else:
             value = message(**{member: value})
         self._put(self._names[topic], bytes(self._store.serialize_cdr(value, kind)))
-
-
-def _offered(profile: QoSProfile) -> Qos:
-    """A profile in the words of a bag, as `ros2 bag record` writes it."""
-    unlimited = QosTime(9223372036, 854775807)
-    return Qos(
-        QosHistory[profile.history.name],
-        profile.depth,
-        QosReliability[profile.reliability.name],
-        QosDurability[profile.durability.name],
-        unlimited,
-        unlimited,
-        QosLiveliness.AUTOMATIC,
-        unlimited,
-        avoid_ros_namespace_conventions=False,
-    )

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bags import metadata
-from tissue_sim.ros.bags.writer import BagWriter, Topic, is_locked
+from tissue_sim.ros.bags.writer import BagWriter, Topic, lock
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
@@ -46,7 +46,7 @@ def complete(folder: Path) -> str:
     """
     with ExitStack() as stack:
         for path in folder.glob("*.mcap"):
-            if is_locked(stack.enter_context(path.open("rb")).fileno()):
+            if not lock(stack.enter_context(path.open("rb")).fileno()):
                 raise UserError(f"bag {folder} is still being recorded; stop that first")
         try:
             duration = _complete(folder)

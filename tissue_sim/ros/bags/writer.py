@@ -102,7 +102,7 @@ class BagWriter(Writer):
     def _open_file(self) -> None:
         self._flushed = 0
         file = self.storage = self._file = McapWriter(self.path, self.compression_mode)
-        is_locked(file.bio.fileno())
+        lock(file.bio.fileno())
         file.path = file.path.rename(self.path / f"{self.path.name}_{len(self._files)}.mcap")
         self._counts = Counter()
         for topic in self.connections:
@@ -134,12 +134,12 @@ class BagWriter(Writer):
         self._file = self.storage = None
 
 
-def is_locked(descriptor: int) -> bool:
-    """Lock an open file for as long as it is open; returns True when another process has locked it."""
+def lock(descriptor: int) -> bool:
+    """Lock an open file for as long as it is open; returns False when somebody else has."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        return True
-    except OSError:  # a file system that knows no locks
         return False
-    return False
+    except OSError:  # a file system that knows no locks
+        return True
+    return True
