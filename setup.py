@@ -48,7 +48,7 @@ setup(
     # Least versions: package.xml has the same.
     install_requires=[
         *("numpy>=1.26.4", "scipy>=1.11.4", "numba>=0.59.1"),
-        *("trimesh", "python-fcl", "rosbags", "tqdm"),
+        *("trimesh", "python-fcl", "rosbags", "ruamel.yaml", "tqdm"),
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
@@ -58,7 +58,7 @@ setup(
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         "cluster": ["distributed"],
         # `colcon test` runs pytest because this extra names it.
-        "test": ["pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
+        "test": ["mcap", "pytest", "pytest-timeout", "pytest-xdist", "ruff", "mypy"],
         "docs": ["sphinx", "myst-parser", "furo", "sphinx-autoapi"],
         "colcon": ["colcon-common-extensions"],
     },

@@ -47,7 +47,7 @@ def scene():
         finder,
         physics,
         [port],
-        SimpleNamespace(contacts=lambda *_: None),
+        SimpleNamespace(contacts=lambda *_: None, together=threading.RLock()),
         threading.Event(),
         warned.append,
     )

@@ -109,12 +109,12 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     simulation = Simulation(ball(2), rate=rate, local_region=local_region, integrator=integrator)
     values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
     values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
-    posted = []
+    posted, physics = [], Physics(simulation)
     made = LiveSettings(
         simulation,
-        Physics(simulation),
+        physics,
         Values(values),
-        lambda sequence, one: posted.append((sequence, one)),
+        lambda one: posted.append((physics.post_settings(one), one)),
         [SimpleNamespace(period=period) for period in (1e-3, 4e-3)],
     )
     return made, posted

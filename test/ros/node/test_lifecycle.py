@@ -13,7 +13,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import qos_profile_sensor_data
-from rosbags.rosbag2 import Reader, Writer
+from rosbags.rosbag2 import Reader
 
 from helpers.patience import LIMIT, wait_for
 from helpers.ros.clients import Client
@@ -32,8 +32,9 @@ from helpers.scenes import ball
 from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.shipped import shipped_organ
-from tissue_sim.ros.bags import recorder as recorder_module
+from tissue_sim.ros.bags import spool
 from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.bags.writer import BagWriter
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
@@ -302,14 +303,14 @@ def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch)
     recorder = Recorder("/tissue_sim", 0, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
-    write = Writer.write
+    write = BagWriter.write
 
     def slowly(self, *words):
         time.sleep(0.002)
         write(self, *words)
 
-    monkeypatch.setattr(Writer, "write", slowly)
-    monkeypatch.setattr(recorder_module, "CLOSING_TIME", LIMIT)
+    monkeypatch.setattr(BagWriter, "write", slowly)
+    monkeypatch.setattr(spool, "CLOSING_TIME", LIMIT)
     physics.start()
     path = recorder.start(tmp_path, physics, b"organ", b"\0" * 16, {})
     for _ in range(20_000):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import queue
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -14,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from rclpy.qos import QoSProfile
 from rosbags.typesys import Stores, get_typestore
 
 from tissue_sim.errors import UserError
@@ -24,14 +22,20 @@ from tissue_sim.model.records import array_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.state import fields_of, make_state
 from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.offered import offered
+from tissue_sim.ros.bags.spool import Spool
+from tissue_sim.ros.bags.writer import WHOLE, BagWriter, Split, Topic
 from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.qos import LATCHED, RELIABLE, STREAM
 from tissue_sim.ros.shared.report import Report
 from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
 
 SETTLE_TIME = 0.1  # s of messages in the bag before the state is taken, so that nothing it needs is missing
 JOURNAL_EVERY = 0.25  # s
-CLOSING_TIME = 0.4  # s that a bag which is closed before all is written may take for that
-LONGEST_QUEUE = 200_000  # messages; a disk that can't keep up loses the rest, and that is said
+# What a replay can do without, and the share of all that may wait for a slow disk up to which it is kept: markers are
+# left out first, as the largest.
+PATIENCE = {"markers": 0.25, "surface": 0.5, "skeleton": 0.5}
+OFFERED = {"mesh": LATCHED, "markers": LATCHED, "surface": STREAM, "skeleton": STREAM}  # RELIABLE: what only bags hold
 
 
 BodyContact = tuple[int, float, bool, bool]  # the fields of bag.BodyContactRow
@@ -73,32 +77,54 @@ class Recorder:
         self._tool_topics: dict[str, str] = {}  # tool/topic to the name in a bag
         self._config = config
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._queue: queue.SimpleQueue[tuple[Any, int, Any] | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
-        self._connections: dict[str, Any] = {}
+        self._tool_qos: dict[str, QoSProfile] = {}  # by the name in a bag
+        self._spool: Spool | None = None
+        self._recording = False
         self._notes = _Notes()
-        self._notes_lock = threading.Lock()
+        self._polling = threading.Lock()
         self._journal_at = 0.0  # monotonic s, when the journal was last written
         self._newest_set: tuple[int, ContactSet] | None = None
         self._state_tick = -1
         self._started = 0.0
-        self._epoch = 0
-        self._hurry = threading.Event()
+        self._hurry = False  # there is a state, which a bag is nothing without
         self.path: Path | None = None
-        self.active = False
-        self.lost = 0
-        self.error = ""
+        # Held while something is posted to the loop and noted here: a journal that tells that it was taken up holds the
+        # note, too, or comes after it, so that a bag may break off anywhere.
+        self.together = threading.RLock()
 
-    def add_topic(self, tool: str, topic: str, name: str = "") -> str:
+    @property
+    def active(self) -> bool:
+        """Whether messages are recorded."""
+        return self._recording and self._spool is not None and self._spool.is_open
+
+    @property
+    def lost(self) -> int:
+        """Messages that the newest bag lacks."""
+        return self._spool.lost if self._spool is not None else 0
+
+    @property
+    def error(self) -> str:
+        """What ended the newest bag before its time; empty: nothing did."""
+        return self._spool.error if self._spool is not None else ""
+
+    def add_topic(self, tool: str, topic: str, name: str = "", qos: QoSProfile = STREAM) -> str:
         """Give bags a tool's topic, of TOOL_TOPICS or GRIPPER_TOPICS; returns what it is called there.
 
-        name: that of the bridge's own topic, where a bag holds its very bytes.
+        name: that of the bridge's own topic, where a bag holds its very bytes; qos: how it is delivered.
         """
-        return self._tool_topics.setdefault(f"{tool}/{topic}", name or f"{self._node_name}/{tool}/{topic}")
+        name = self._tool_topics.setdefault(f"{tool}/{topic}", name or f"{self._node_name}/{tool}/{topic}")
+        self._tool_qos[name] = qos
+        return name
 
     # life --------------------------------------------------------------------------------------
     def start(
-        self, folder: Path, physics: Physics, organ_bytes: bytes, mesh: bytes, newest: dict[str, tuple[int, bytes]]
+        self,
+        folder: Path,
+        physics: Physics,
+        organ_bytes: bytes,
+        mesh: bytes,
+        newest: dict[str, tuple[int, bytes]],
+        split: Split = WHOLE,
     ) -> Path:
         """Start a bag in a folder; newest maps each input topic to its last sequence and bytes.
 
@@ -111,62 +137,51 @@ class Recorder:
         suffix = 1
         while path.exists():
             path, suffix = folder / f"tissue_sim-{stamp}-{suffix}", suffix + 1
-        writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer = BagWriter(path, split)
         try:
             writer.open()
         except OSError as error:
             raise UserError(f"cannot record to {path}: {error.strerror}") from None
-        types = {self._names[name]: kind for name, kind in bag.PRIVATE_TOPICS.items()}
-        tool_types = TOOL_TOPICS | GRIPPER_TOPICS
-        types |= {name: tool_types[topic.split("/")[1]] for topic, name in self._tool_topics.items()}
-        self._connections = {
-            name: writer.add_connection(name, kind, typestore=self._store) for name, kind in types.items()
-        }
-        self._queue = queue.SimpleQueue()
-        self._hurry.clear()
-        self._thread = threading.Thread(target=self._drain, args=(writer, self._queue), name="recorder", daemon=True)
-        self._thread.start()
-        self._epoch = time.time_ns() - time.monotonic_ns()
-        physics.journal()  # rows of ticks before this bag
-        self._notes, self._state_tick, self._started = _Notes(), -1, time.monotonic()
-        self.path, self.lost, self.error = path, 0, ""
-        first = {name: sequence for name, (sequence, _) in newest.items()}
-        self._typed("config", "data", json.dumps(self._config | {"topics": self._tool_topics, "first": first}))
-        self._typed("organ", "data", np.frombuffer(organ_bytes, dtype=np.uint8))
-        self._raw(self._names["mesh"], mesh)
-        for name, (_, raw) in newest.items():
-            self._raw(name, raw)
-        # The newest of every input: the loop may take it up only after the state, when the machine is busy.
-        if self._newest_set is not None:
-            self._whole_set(*self._newest_set)
-        self.active = True
-        self.settings(int(physics.box.settings.sequence[0]), physics.settings())
+        patience = {self._names[name]: share for name, share in PATIENCE.items()}
+        with self.together:
+            self.path, self._spool = path, Spool(writer, writer.add_topics(self._topics()), patience)
+            physics.journal()  # rows of ticks before this bag
+            self._notes, self._state_tick, self._started = _Notes(), -1, time.monotonic()
+            first = {name: sequence for name, (sequence, _) in newest.items()}
+            self._typed("config", "data", json.dumps(self._config | {"topics": self._tool_topics, "first": first}))
+            self._typed("organ", "data", np.frombuffer(organ_bytes, dtype=np.uint8))
+            self._put(self._names["mesh"], mesh)
+            for name, (_, raw) in newest.items():
+                self._put(name, raw)
+            # The newest of every input: the loop may take it up only after the state, when the machine is busy.
+            if self._newest_set is not None:
+                self._whole_set(*self._newest_set)
+            self._recording = True
+            self.settings(int(physics.box.settings.sequence[0]), physics.settings())
+            self._spool.flush()
         return path
 
     def stop(self, physics: Physics, patience: float = 30.0) -> Path | None:
         """Close the bag; returns its path, None when none was open.
 
         What is not written within `patience` s is left out and counted as lost; what is in the bag still replays.
+        `error` says what went wrong, then or before.
         """
-        if not self.active:
+        if self._spool is None or not self._recording:
             return None
         self._journal_at = 0.0
         self.poll(physics)
-        self.active = False
-        self._queue.put(None)
-        if self._thread is not None:
-            self._thread.join(timeout=patience)
-            self._hurry.set()
-            self._thread.join(timeout=CLOSING_TIME)
-            if self._thread.is_alive():
-                self.error = f"recording to {self.path} failed: the disk doesn't answer"
+        self._recording = False
+        self._spool.close(patience)
         return self.path
 
     def poll(self, physics: Physics) -> None:
         """Take the state when it is time, and write the journal so far; call it often."""
-        if not self.active:
-            return
+        with self._polling:  # journals stay in their order
+            if self.active:
+                self._poll(physics)
+
+    def _poll(self, physics: Physics) -> None:
         now = time.monotonic()
         if self._state_tick < 0 and now - self._started > SETTLE_TIME:
             before = physics.simulation.state
@@ -174,14 +189,19 @@ class Recorder:
             state.words[:] = physics.snapshot()
             self._packed("state", fields_of(state))
             self._state_tick = int(state.status.tick)
+            self._journal_at = 0.0
+            self._hurry = True
         if now - self._journal_at < JOURNAL_EVERY:
             return
         self._journal_at = now
-        inputs, body_inputs = physics.journal()
-        with self._notes_lock:
+        with self.together:
+            inputs, body_inputs = physics.journal()
             noted, self._notes = self._notes, _Notes()
-        if len(inputs) or noted:
-            self._packed("journal", {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self._n_bodies))
+            if len(inputs) or noted:
+                self._packed("journal", {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self._n_bodies))
+        if self._hurry and self._spool is not None:
+            self._hurry = False
+            self._spool.flush()
 
     def report(self, report: Report) -> None:
         """Add the bag, and what it is missing."""
@@ -192,40 +212,42 @@ class Recorder:
 
     # what happens ------------------------------------------------------------------------------
     def received(self, name: str, raw: bytes) -> None:
-        """A pose or force that was accepted, as it came."""
+        """A pose or force that was accepted, as it came; to be called before it is posted."""
         if self.active:
-            self._raw(name, raw)
+            self._put(name, raw)
 
     def wrench(self, name: str, tool: int, tick: int, raw: bytes) -> None:
         """A published servo_cf, and the tick that it shows."""
-        if self.active:
-            with self._notes_lock:
+        with self.together:
+            if self.active and self._put(name, raw):
                 self._notes.wrenches.append((tool, tick))
-            self._raw(name, raw)
 
     def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
         """A published surface, skeleton and, if wanted, markers, and the tick that they show."""
-        if self.active:
-            with self._notes_lock:
+        with self.together:
+            if not self.active:
+                return
+            if self._put(self._names["surface"], surface):
                 self._notes.surfaces.append((tick,))
-            self._raw(self._names["surface"], surface)
-            self._raw(self._names["skeleton"], skeleton)
+            self._put(self._names["skeleton"], skeleton)
             if markers is not None:
-                self._raw(self._names["markers"], markers)
+                self._put(self._names["markers"], markers)
 
     def settings(self, sequence: int, settings: Settings) -> None:
-        """New settings."""
+        """New settings; to be called with `together` held since they were posted."""
         if self.active:
             self._packed("settings", {"sequence": np.array(sequence), "settings": array_of(settings)})
 
     def contacts(self, sequence: int, surface_tick: int, found: ContactSet, bodies: Sequence[BodyContact]) -> None:
-        """A contact set: what it was found from, or all of it while its surface may not be in the bag."""
+        """A contact set: what it was found from, or all of it while its surface may not be in the bag.
+
+        To be called with `together` held since it was posted.
+        """
         self._newest_set = sequence, found
         if not self.active:
             return
-        with self._notes_lock:
-            self._notes.contacts.append((sequence, surface_tick))
-            self._notes.body_contacts.append(list(bodies))
+        self._notes.contacts.append((sequence, surface_tick))
+        self._notes.body_contacts.append(list(bodies))
         if self._state_tick < 0 or surface_tick <= self._state_tick:
             self._whole_set(sequence, found)
 
@@ -239,12 +261,19 @@ class Recorder:
     def _packed(self, topic: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         self._typed(topic, "data", bag.pack(**arrays))
 
-    def _raw(self, name: str, raw: bytes) -> None:
-        if self._queue.qsize() > LONGEST_QUEUE:
-            self.lost += 1
-            return
-        # Wall time, but never running backwards within a bag.
-        self._queue.put((name, self._epoch + time.monotonic_ns(), raw))
+    def _topics(self) -> dict[str, Topic]:
+        kinds = TOOL_TOPICS | GRIPPER_TOPICS
+        topics = {
+            self._names[name]: Topic(kind, [offered(OFFERED.get(name, RELIABLE))])
+            for name, kind in bag.PRIVATE_TOPICS.items()
+        }
+        return topics | {
+            name: Topic(kinds[topic.split("/")[1]], [offered(self._tool_qos[name])])
+            for topic, name in self._tool_topics.items()
+        }
+
+    def _put(self, name: str, raw: bytes) -> bool:
+        return self._spool is not None and self._spool.put(name, raw)
 
     def _typed(self, topic: str, member: str, value: Any) -> None:
         kind = bag.PRIVATE_TOPICS[topic]
@@ -254,20 +283,4 @@ class Recorder:
             value = message(layout=layout, data=value)
         else:
             value = message(**{member: value})
-        self._raw(self._names[topic], bytes(self._store.serialize_cdr(value, kind)))
-
-    def _drain(self, writer: Writer, messages: queue.SimpleQueue[Any]) -> None:
-        """Write until told to stop; a disk that fails ends the bag and is reported, the node goes on."""
-        get: Callable[[], Any] = messages.get
-        try:
-            while (item := get()) is not None:
-                name, stamp, raw = item
-                if self._hurry.is_set():
-                    self.lost += messages.qsize()  # all but the None at the end, and this one
-                    break
-                writer.write(self._connections[name], stamp, raw)
-            writer.close()
-        except Exception as error:  # anything that goes wrong on the way to the disk
-            self.error = f"recording to {writer.path} failed: {error}"
-            self.active = False
-            writer.abort()
+        self._put(self._names[topic], bytes(self._store.serialize_cdr(value, kind)))

@@ -26,7 +26,7 @@ from tissue_sim.model.records import array_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.shared.cdr import parse_stamped, unit_pose
 from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
 
@@ -41,7 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay a bag; returns 0 when it repeats within the tolerances, else 1."""
-    recording = Recording.read(Path(args.bag))
+    path = Path(args.bag)
+    if recovery.is_broken_off(path):
+        print(recovery.complete(path))
+    recording = Recording.read(path)
     result = replay(recording, Organ.load(args.organ) if args.organ else None)
     print(
         f"{args.bag}: {result.ticks} ticks, {result.inputs} inputs, {result.contact_sets} contact sets;"
@@ -101,6 +104,8 @@ class Recording:
             )
         if not data("state"):
             raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
+        if not data("journal"):
+            raise UserError(f"bag {path} holds nothing that happened: the recording was too short or broken off")
         n_bodies = sum(tool.n_bodies for tool in _tools(config))
         rows = [bag.unpack(values) for values in data("journal")]
         kinds = rows[0] if rows else {}
@@ -352,6 +357,10 @@ def _recorded_organ(recording: Recording) -> Organ:
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
     try:
+        if recovery.is_broken_off(path):
+            for connection, _, raw in recovery.messages(path):
+                messages[connection.topic].append(bytes(raw))
+            return messages
         with Reader(path) as reader:
             for connection, _, raw in reader.messages():
                 messages[connection.topic].append(bytes(raw))

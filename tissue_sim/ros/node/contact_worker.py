@@ -135,7 +135,6 @@ class ContactWorker:
         found = self._finder.find(self._positions, poses, margins, self._engaged, pushing)
         self._trouble.succeeded()
         empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
-        sequence = self._physics.post_contacts(found)
         self._last_empty = empty
         self.dropped += int(found.header.dropped)
         rows = list(
@@ -147,7 +146,9 @@ class ContactWorker:
                 strict=True,
             )
         )
-        self._recorder.contacts(sequence, tick, found, rows)
+        with self._recorder.together:
+            sequence = self._physics.post_contacts(found)
+            self._recorder.contacts(sequence, tick, found, rows)
         self.durations.append(time.monotonic() - now)
         if len(self.durations) > 1000:
             del self.durations[:500]

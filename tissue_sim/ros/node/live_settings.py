@@ -25,8 +25,7 @@ WORTH = 0.9  # share of the substeps a second that half the rate may leave at th
 class LiveSettings:
     """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
 
-    post is told the sequence number and the settings that were posted; poses tells how often those of
-    each tool come.
+    post takes settings to the loop; poses tells how often those of each tool come.
     """
 
     def __init__(
@@ -34,7 +33,7 @@ class LiveSettings:
         simulation: Simulation,
         physics: Physics,
         parameters: Parameters,
-        post: Callable[[int, Settings], None],
+        post: Callable[[Settings], None],
         poses: Sequence[Freshness],
     ) -> None:
         self._poses = poses
@@ -55,8 +54,7 @@ class LiveSettings:
                 settings.region_force = ANY_FORCE
             if (words_of(settings) != words_of(before)).any():
                 self._simulation.set_substeps()
-                posted = copy_of(settings)
-                self._post(self._physics.post_settings(posted), posted)
+                self._post(copy_of(settings))
 
     def _passive(self, tick_time: float) -> float:
         """Stiffest coupling, N/m, that the devices whose damping is known render passively.

@@ -20,11 +20,13 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact_kernels import compile_beside
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
@@ -99,7 +101,7 @@ class TissueNode(Node):
             self.simulation,
             self.physics,
             values,
-            self.recorder.settings,
+            self._post_settings,
             [port.pose_freshness for port in self.ports],
         )
         self.namesakes = Namesakes(self)
@@ -206,17 +208,25 @@ class TissueNode(Node):
             if request.data:
                 response.success, response.message = True, str(self._start_recording())
             else:
-                path = self.recorder.stop(self.physics)
-                response.success = path is not None
-                response.message = str(path) if path is not None else "nothing was being recorded"
+                path, error = self.recorder.stop(self.physics), self.recorder.error
+                response.success = path is not None and not error
+                response.message = error or (str(path) if path is not None else "nothing was being recorded")
         except UserError as error:
             response.success, response.message = False, str(error)
         return response
 
     def _start_recording(self) -> Path:
         newest = {name: message for port in self.ports for name, message in port.input.newest_messages().items()}
-        folder = Path(self.parameters["record_folder"]).absolute()
-        return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest)
+        values = self.parameters
+        folder, split = (
+            Path(values["record_folder"]).absolute(),
+            Split(1e6 * values["record_split_size"], values["record_split_duration"]),
+        )
+        return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest, split)
+
+    def _post_settings(self, settings: Settings) -> None:
+        with self.recorder.together:
+            self.recorder.settings(self.physics.post_settings(settings), settings)
 
     def _on_parameters(self, _: set[str]) -> None:
         self.contacts.rate = self.parameters["contact_rate"]

@@ -75,13 +75,14 @@ class ToolInput:
         ]
         pose_as_bagged = tool.is_unmoved and topics.pose_type == "PoseStamped"
         force_as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
-        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", poses.topic_name if pose_as_bagged else "")
-        self._bagged_force = recorder.add_topic(tool.name, "measured_cf", forces.topic_name if force_as_bagged else "")
+        pose_name, force_name = poses.topic_name if pose_as_bagged else "", forces.topic_name if force_as_bagged else ""
+        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", pose_name, qos)
+        self._bagged_force = recorder.add_topic(tool.name, "measured_cf", force_name, qos)
         if tool.is_gripper:
             self._subscriptions.append(
                 node.create_subscription(JointState, names["measured_js"], self._on_angle, qos),
             )
-            self._bagged_angle = recorder.add_topic(tool.name, "measured_js")
+            self._bagged_angle = recorder.add_topic(tool.name, "measured_js", qos=qos)
 
     def newest_messages(self) -> dict[str, tuple[int, bytes]]:
         """Sequence number and bytes of what came last, by its topic in a bag."""
@@ -110,14 +111,14 @@ class ToolInput:
                 raw = self._bag_pose.message(self._stamp(message), message.values)
             angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
             placed = tool.tools.poses(tool.index, pose, self._angle)
+            self._recorder.received(self._bagged_pose, raw)
+            if tool.is_gripper:
+                self._recorder.received(self._bagged_angle, angle)
             for body, at in zip(tool.bodies, placed, strict=True):
                 sequence = self._physics.post_pose(body, at)
             self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
             self._pose_freshness.came(message.stamp)
             self.poses += 1
-            self._recorder.received(self._bagged_pose, raw)
-            if tool.is_gripper:
-                self._recorder.received(self._bagged_angle, angle)
             self._pose_came()
 
     def _on_angle(self, message: JointState) -> None:
@@ -136,8 +137,8 @@ class ToolInput:
             if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
                 message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
                 raw = self._bag_force.message(self._stamp(message), message.values)
-            self._newest_force = (self._physics.post_force(self._tool.bodies[0], np.array(message.values[:3])), raw)
             self._recorder.received(self._bagged_force, raw)
+            self._newest_force = (self._physics.post_force(self._tool.bodies[0], np.array(message.values[:3])), raw)
             self._force_came()
 
     def _read(

@@ -45,7 +45,8 @@ class ToolOutput:
         self._servo = node.create_publisher(type(topics.outgoing()), topics.names["servo_cf"], qos)
         # Bytes that go out just as a bag holds them are not made a second time.
         self._as_bagged = tool.is_unmoved and topics.wrench_type == "WrenchStamped" and not topics.turns_wrench
-        self._bagged = recorder.add_topic(tool.name, "servo_cf", self._servo.topic_name if self._as_bagged else "")
+        name = self._servo.topic_name if self._as_bagged else ""
+        self._bagged = recorder.add_topic(tool.name, "servo_cf", name, qos)
 
     def answer(self, pose: NewestPose) -> None:
         """Publish the newest wrench, in answer to a pose."""

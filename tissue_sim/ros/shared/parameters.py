@@ -95,6 +95,10 @@ NODE_SPECS = (
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made", live=True),
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
+    Spec(
+        "record_split_size", 0.0, "MB after which the next bag goes on in another file; 0: never", 0.0, 1e6, live=True
+    ),
+    Spec("record_split_duration", 0.0, "s after which it does; 0: never", 0.0, 86400.0, live=True),
 )
 
 TOOL_SPECS = (

@@ -1,0 +1,160 @@
+"""Bags that were broken off: the process was killed, the disk was full, the power went.
+
+Such a bag has no metadata.yaml, and its last file no end, perhaps half a record; all before that can be read.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_sized, read_string
+from rosbags.typesys import Stores, get_typestore
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bags import metadata
+from tissue_sim.ros.bags.writer import BagWriter, Topic, lock
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
+ANEW = ".recovered"  # folder in a bag where a file is written anew
+
+
+def is_broken_off(folder: Path) -> bool:
+    """Whether a folder holds a bag without its end."""
+    return folder.is_dir() and not (folder / metadata.NAME).exists() and any(folder.glob("*.mcap"))
+
+
+def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
+    """Topic, stamp (ns) and bytes of every whole message of a bag that was broken off, in their order."""
+    with _opened(folder) as readers:
+        for reader in readers:
+            yield from reader.messages(reader.connections)
+
+
+def complete(folder: Path) -> str:
+    """Give a bag what it lacks at its end; returns a line about it.
+
+    Raises UserError when there is nothing in it, when it is still recorded, or when it can't be written.
+    """
+    with ExitStack() as stack:
+        for path in folder.glob("*.mcap"):
+            if not lock(stack.enter_context(path.open("rb")).fileno()):
+                raise UserError(f"bag {folder} is still being recorded; stop that first")
+        try:
+            duration = _complete(folder)
+        except OSError as error:
+            return f"bag {folder} was broken off; it is read as far as it goes, but not completed: {error.strerror}"
+    return f"bag {folder} was broken off: {1e-9 * duration:.1f} s of it are recovered"
+
+
+def _complete(folder: Path) -> int:
+    """Write files without an end anew, and the metadata; returns the bag's duration, ns."""
+    with _opened(folder) as readers:
+        for broken in readers:
+            if isinstance(broken, _BrokenOff):
+                _write_anew(folder, broken)
+    store, files = get_typestore(Stores.ROS2_JAZZY), []
+    with _opened(folder) as readers:
+        for reader in readers:
+            told = reader.statistics
+            assert told is not None
+            counts = {topic.topic: told.channel_message_counts.get(topic.id, 0) for topic in reader.connections}
+            files.append(metadata.File(Path(str(reader.path)).name, told.start_time, told.end_time, counts))
+        topics = [topic._replace(digest=store.hash_rihs01(topic.msgtype)) for topic in readers[0].connections]
+        metadata.write(folder, files, topics)
+    return files[-1].end - files[0].start
+
+
+def _write_anew(folder: Path, reader: McapReader) -> None:
+    anew = folder / ANEW
+    shutil.rmtree(anew, ignore_errors=True)  # of a recovery that was broken off, too
+    try:
+        writer = BagWriter(anew)
+        writer.open()
+        try:
+            topics = {topic.topic: Topic(topic.msgtype, metadata.qos_of(topic)) for topic in reader.connections}
+            added = writer.add_topics(topics)
+            for topic, stamp, raw in reader.messages(reader.connections):
+                writer.write(added[topic.topic], stamp, raw)
+            writer.close()
+        except BaseException:
+            writer.abort()
+            raise
+        (made,) = anew.glob("*.mcap")
+        made.replace(Path(str(reader.path)))
+    finally:
+        shutil.rmtree(anew, ignore_errors=True)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[list[McapReader]]:
+    """Readers of a bag's files that hold messages, the oldest first."""
+    readers = []
+    with ExitStack() as stack:
+        for path in folder.glob("*.mcap"):
+            for reader in (McapReader(path), _BrokenOff(path)):
+                try:
+                    reader.open()
+                except (ReaderError, TypeError, struct.error):  # no end, or not even a beginning
+                    continue
+                stack.callback(reader.close)
+                if reader.statistics is not None and reader.statistics.message_count:
+                    readers.append(reader)
+                break
+        if not readers:
+            raise UserError(f"bag {folder} was broken off before anything was in it")
+        if not any(topic.topic.endswith("/config") for topic in readers[0].connections):
+            raise UserError(
+                f"bag {folder} was broken off, and not recorded by a tissue_sim node: `ros2 bag reindex` it"
+            )
+        yield sorted(readers, key=lambda reader: reader.statistics.start_time if reader.statistics else 0)
+
+
+class _BrokenOff(McapReader):
+    """Reads a file up to where it breaks off."""
+
+    def _open(self) -> None:
+        assert self.bio is not None
+        self.data_start, self.data_end = _whole_records(self.bio)
+        self.meta_scan()
+
+
+def _whole_records(bio: BinaryIO) -> tuple[int, int]:
+    """Where the records after the header begin, and where the last whole one ends; raises ReaderError."""
+    size = bio.seek(0, 2)
+    bio.seek(0)
+    if bio.read(len(MAGIC)) != MAGIC:
+        raise ReaderError("no MCAP file")
+    start, end = 0, bio.tell()
+    while len(head := bio.read(9)) == 9:
+        opcode, length = struct.unpack("<BQ", head)
+        after = end + 9 + length
+        # After a power cut a file may go on with zeros.
+        if opcode in (0, DATA_END) or after > size or (opcode == CHUNK and not _is_whole(bio.read(length))):
+            break
+        if opcode == HEADER:
+            start = after
+        end = bio.seek(after)
+    if not start:
+        raise ReaderError("no header")
+    return start, end
+
+
+def _is_whole(chunk: bytes) -> bool:
+    _, _, length, crc = struct.unpack_from("<QQQI", chunk)
+    stream = BytesIO(chunk)
+    stream.seek(28)
+    try:
+        compression = read_string(stream)
+        decompress(read_sized(stream), compression, length, crc)
+    except Exception:  # whatever it is that the libraries make of rubbish
+        return False
+    return True
