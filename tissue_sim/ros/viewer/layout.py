@@ -13,7 +13,7 @@ from tissue_sim.organ.shipped import shipped_file
 from tissue_sim.ros.shared import client
 
 LAYOUTS = {"rviz": "config/tissue_sim.rviz", "foxglove": "config/foxglove.json"}
-WAIT = 3.0  # s for the node to tell its parameters
+WAIT = 15.0  # s for the node to tell its parameters
 # What the layouts that ship are made for.
 NODE, FRAME = "tissue_sim", "organ"
 TOOLS = {"left": "/left/servo_cf", "right": "/right/servo_cf"}
