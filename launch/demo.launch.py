@@ -42,7 +42,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "use_sim_time",
                 default_value="false",
-                choices=["true", "false"],
+                choices=["true", "false", "True", "False"],
                 description="Whether ticks follow /clock instead of the wall; goes with bridge:=false.",
             ),
             DeclareLaunchArgument(

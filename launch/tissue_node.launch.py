@@ -24,7 +24,7 @@ def _start_node(context: LaunchContext) -> list[Node]:
         parameters.append(str(folder / f"{profile}.yaml"))
     if organ_file := given("organ_file"):
         parameters.append({"organ_file": str(Path(organ_file).absolute())})
-    parameters.append({"use_sim_time": given("use_sim_time") == "true"})
+    parameters.append({"use_sim_time": given("use_sim_time").lower() == "true"})
     node = Node(
         package="tissue_sim",
         executable="tissue_node",
@@ -67,7 +67,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "use_sim_time",
                 default_value="false",
-                choices=["true", "false"],
+                choices=["true", "false", "True", "False"],
                 description="Whether ticks follow /clock instead of the wall.",
             ),
             DeclareLaunchArgument(

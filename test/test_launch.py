@@ -80,7 +80,7 @@ def test_node_takes_what_is_given_over_its_file(launch, share):
     assert plain["parameters"] == ["params.yaml", {"use_sim_time": False}]
     assert plain["namespace"] == ""
     assert plain["executable"] == "tissue_node"
-    full = start(launch, share, profile="dvrk", organ_file="liver.npz", use_sim_time="true", namespace="ward")
+    full = start(launch, share, profile="dvrk", organ_file="liver.npz", use_sim_time="True", namespace="ward")
     assert full["parameters"] == [
         "params.yaml",
         str(share / "config" / "bridges" / "dvrk.yaml"),

@@ -12,6 +12,8 @@ import tissue_sim
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError
 
+UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should
+
 
 def _with_signs(words: Sequence[str]) -> list[str]:
     """Words in which `--seed -5,2,3` reads `--seed=-5,2,3`: argparse takes a leading minus for an option."""
@@ -45,10 +47,23 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code: 0, 1 for a failed check, 2 for wrong use."""
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
+    chosen = next((word for word in words if not word.startswith("-")), None)
+    try:
+        return _run(words, chosen)
+    except UserError as error:
+        sys.stderr.write(f"tissue_sim: error: {error}\n")
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:  # before the command listens for it
+        return 0 if chosen in UNTIL_ASKED else 130
+
+
+def _run(words: Sequence[str], chosen: str | None) -> int:
     parser = _Parser(prog="tissue_sim", description=tissue_sim.__doc__)
     parser.add_argument("--version", action="version", version=f"tissue_sim {tissue_sim.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
-    chosen = next((word for word in words if not word.startswith("-")), None)
     for name, (module, summary) in COMMANDS.items():
         command = commands.add_parser(
             name,
@@ -59,13 +74,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if name == chosen:
             importlib.import_module(module).add_arguments(command)
     args = parser.parse_args(words)
-    try:
-        return int(importlib.import_module(COMMANDS[args.command][0]).run(args))
-    except UserError as error:
-        sys.stderr.write(f"tissue_sim: error: {error}\n")
-        return 2
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except KeyboardInterrupt:
-        return 130
+    return int(importlib.import_module(COMMANDS[args.command][0]).run(args))

@@ -29,9 +29,10 @@ def test_the_profile_that_ships_is_used_unless_the_user_names_one():
     environment = {}
     use_shipped_profile(environment)
     assert all(environment[name].endswith("config/fastdds.xml") for name in PROFILE_VARIABLES)
-    environment = {PROFILE_VARIABLES[1]: "/mine.xml"}
-    use_shipped_profile(environment)
-    assert environment == {PROFILE_VARIABLES[1]: "/mine.xml"}
+    for chosen in ({PROFILE_VARIABLES[1]: "/mine.xml"}, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}):
+        environment = dict(chosen)
+        use_shipped_profile(environment)
+        assert environment == chosen
 
 
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])

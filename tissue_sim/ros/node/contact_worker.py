@@ -123,8 +123,11 @@ class ContactWorker:
             if not self._engaged[body]:
                 if self._finder.is_inside(body, self._positions, poses[body]):
                     if not self._held_off[body]:
-                        name = self._port_of[body].name
-                        self._warn(f"tool '{name}' appeared inside the organ; move it out to engage it")
+                        name, stale_time = self._port_of[body].name, self._physics.settings().stale_time
+                        self._warn(
+                            f"tool '{name}' appeared inside the organ and feels nothing until it has been outside:"
+                            f" send a pose outside first, and the next within stale_time ({stale_time:g} s)"
+                        )
                     self._held_off[body] = True
                     continue
                 self._engaged[body] = 1

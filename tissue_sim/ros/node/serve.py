@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import rclpy
@@ -25,7 +26,10 @@ def serve(arguments: list[str], ending: Ending) -> int:
     arguments: the program's name, and behind it what ROS takes.
     """
     if any(word in ("-h", "--help") for word in arguments[1:]):
-        print(usage())
+        try:
+            print(usage(), flush=True)
+        except BrokenPipeError:  # piped into head: the rest has nowhere to go
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     sys.setswitchinterval(TURN)
     use_shipped_profile()

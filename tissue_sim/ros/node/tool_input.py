@@ -107,7 +107,7 @@ class ToolInput:
                 raise Refused("zero_quaternion", str(error)) from None
             if (farthest := np.abs(pose[:3]).max()) > FARTHEST:
                 raise Refused("far_pose", f"it lies {farthest:.3g} m away; positions are in metres")
-            if not to_organ.is_identity or self._pose_type is not POSE_TYPES["PoseStamped"]:
+            if not self._is_as_bagged(message, to_organ) or self._pose_type is not POSE_TYPES["PoseStamped"]:
                 raw = self._bag_pose.message(self._stamp(message), message.values)
             angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
             placed = tool.tools.poses(tool.index, pose, self._angle)
@@ -134,7 +134,7 @@ class ToolInput:
         with self._refusing("force"):
             message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
             self._force_freshness.came(message.stamp)
-            if not to_organ.is_identity or self._force_type is not FORCE_TYPES["WrenchStamped"]:
+            if not self._is_as_bagged(message, to_organ) or self._force_type is not FORCE_TYPES["WrenchStamped"]:
                 message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
                 raw = self._bag_force.message(self._stamp(message), message.values)
             self._recorder.received(self._bagged_force, raw)
@@ -155,18 +155,24 @@ class ToolInput:
         if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
             return message, tool.frames.to_organ(tool.topics.frame_id)
         try:
-            to_organ = tool.frames.to_organ(message.frame_id)
+            unnamed = not message.frame_id and tool.topics.allow_empty_frame
+            to_organ = tool.frames.to_organ(tool.topics.frame_id if unnamed else message.frame_id)
         except UnknownFrame as error:
+            remedy = "frame_id names another" if message.frame_id else "allow_empty_frame takes it for that"
             raise Refused(
                 "unknown_frame",
                 f"its frame is '{message.frame_id}', expected '{tool.topics.frame_id}'"
-                f" (parameter {tool.name}.frame_id names another); {error}",
+                f" (parameter {tool.name}.{remedy}); {error}",
             ) from None
         if message.stamp == 0:
             raise Refused("no_stamp", "its stamp is 0, which marks invalid data")
         if (before := freshness.last_stamp - message.stamp) > 0:
             raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
         return message, to_organ
+
+    def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
+        """Whether a bag may hold it as it came; there everything has the organ's frame."""
+        return to_organ.is_identity and bool(message.frame_id)
 
     def _stamp(self, message: Stamped) -> int:
         return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)

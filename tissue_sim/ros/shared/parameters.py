@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import array
+import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,6 +110,7 @@ TOOL_SPECS = (
     Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
     Spec("device_damping", 0.0, "N s/m of the haptic device, which bounds the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
+    Spec("allow_empty_frame", False, "take what comes without a frame_id as given in frame_id"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
     Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
@@ -127,6 +130,9 @@ TOOL_SPECS = (
     ),
     Spec("reliable", False, "reliable instead of best effort for this tool's topics"),
 )
+
+
+OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
 
 
 class Values(Protocol):
@@ -149,7 +155,7 @@ def usual_topics(tool: str) -> dict[str, str]:
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
     """How the bridge of a tool speaks."""
-    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
+    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable", "allow_empty_frame")
     return ToolTopics(
         names={topic: values[f"{tool}.{topic}"] or usual for topic, usual in usual_topics(tool).items()},
         frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
@@ -208,6 +214,7 @@ class Parameters:
                 raise UserError(f"parameter 'tools': '{tool}' is no name of its own; use letters, digits and _")
             for spec in TOOL_SPECS:
                 self._declare(f"{tool}.{spec.name}", spec)
+        self._warn_of_unknown()
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._tell)
 
@@ -245,6 +252,9 @@ class Parameters:
                 ]
         descriptor.dynamic_typing = False
         self._specs[name] = spec
+        given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
+        if given is not None and given.value is False and "off" in spec.choices:  # YAML's word for false
+            self._node._parameter_overrides[name] = Parameter(name, value="off")
         try:
             self._node.declare_parameter(name, spec.default, descriptor)
         except InvalidParameterTypeException:
@@ -253,7 +263,6 @@ class Parameters:
                 kind = f"list like {spec.default}"
             raise UserError(f"parameter '{name}' is of the wrong type; it takes a {kind}: {spec.text}") from None
         except InvalidParameterValueException:
-            given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
             value = given.value if given is not None else "its value"
             raise UserError(
                 f"parameter '{name}': {value} is outside {spec.low:g}..{spec.high:g} ({spec.text})"
@@ -261,12 +270,23 @@ class Parameters:
         if problem := _problem(name, spec, self[name]):
             raise UserError(problem)
 
+    def _warn_of_unknown(self) -> None:
+        """A misspelt parameter would change nothing without a word; a file for several nodes may hold others' too."""
+        for name in self._node._parameter_overrides:
+            if self._node.has_parameter(name) or name.startswith(OF_RCLPY):
+                continue
+            nearest = difflib.get_close_matches(name, self._specs, 1)
+            hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"
+            self._node.get_logger().warning(f"parameter '{name}' is unknown and changes nothing; {hint}")
+
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept live parameters in range; refuse others with the reason."""
         for parameter in parameters:
             spec = self._specs.get(parameter.name)
             if spec is None:
                 continue
+            if not spec.live and _plain(parameter.value) == _plain(self[parameter.name]):
+                continue  # as in a dump of the node's own that is loaded again
             if not spec.live:
                 reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
                 return SetParametersResult(successful=False, reason=reason)
@@ -298,7 +318,7 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
-    return list(value) if isinstance(value, (list, tuple)) else value
+    return list(value) if isinstance(value, (list, tuple, array.array)) else value
 
 
 SETTING_OF = {spec.name: spec.setting for spec in NODE_SPECS if spec.setting}

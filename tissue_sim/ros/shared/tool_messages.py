@@ -55,6 +55,7 @@ class ToolTopics:
     wrench_frame: str = "base"
     wrench_rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     reliable: bool = False
+    allow_empty_frame: bool = False  # what has no frame_id is in the one above
 
     @property
     def turns_wrench(self) -> bool:
