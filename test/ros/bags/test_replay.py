@@ -14,7 +14,8 @@ from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.model.records import array_of, copy_of
 from tissue_sim.ros.bags import bag
-from tissue_sim.ros.bags.replay import Recording, replay, settings_of
+from tissue_sim.ros.bags.player import replay
+from tissue_sim.ros.bags.recording import Recording, settings_of
 
 BAGS = sorted(path.parent for path in (ROOT / "bags").glob("*/metadata.yaml"))
 
