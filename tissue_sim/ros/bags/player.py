@@ -1,4 +1,4 @@
-"""Runs a recording again, tick by tick and without DDS, and compares it with what the bag shows."""
+"""Runs a recording again, tick by tick and without DDS."""
 
 from __future__ import annotations
 
@@ -16,49 +16,33 @@ from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.mailboxes import BodyInputs, JournalRow
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.recording import Recording, recorded_organ, tools_of
 
 
 @dataclass
-class Result:
-    """How far a replay was from its bag."""
+class Replayed:
+    """What a replay shows at the ticks that it was asked for, and what it took up."""
 
+    wanted: Shown  # those of the ticks that were asked for which the replay came by
+    shown: Shown
     ticks: int = 0
     inputs: int = 0
     contact_sets: int = 0
-    wrenches: int = 0
-    surfaces: int = 0
-    force: float = 0.0
-    force_tick: int = -1
-    torque: float = 0.0
-    torque_tick: int = -1
-    position: float = 0.0
-    position_tick: int = -1
-
-    def compare_wrench(self, tick: int, recorded: Floats, replayed: Floats) -> None:
-        """Note how far a wrench (6,) of a tick is from the recorded one."""
-        self.wrenches += 1
-        force, torque = (float(np.abs(recorded - replayed)[part].max()) for part in (slice(0, 3), slice(3, 6)))
-        if force > self.force:
-            self.force, self.force_tick = force, tick
-        if torque > self.torque:
-            self.torque, self.torque_tick = torque, tick
-
-    def compare_surface(self, tick: int, recorded: np.ndarray, replayed: Floats) -> None:
-        """Note how far the surface (n_surface, 3) of a tick is from the recorded one."""
-        self.surfaces += 1
-        position = float(np.abs(recorded - replayed.astype(np.float32)).max())
-        if position > self.position:
-            self.position, self.position_tick = position, tick
 
 
-def replay(recording: Recording, organ: Organ | None = None) -> Result:
-    """Feed the recorded inputs at the ticks that took them up; compare what the bag shows."""
-    player = _Player(recording, organ or recorded_organ(recording))
-    return player.run()
+def replay(recording: Recording, organ: Organ | None = None, wanted: Shown | None = None) -> Replayed:
+    """Feed the recorded inputs at the ticks that took them up; show what is wanted, by default what the bag shows.
+
+    organ: instead of the recorded one.
+    """
+    player = Player(recording, organ or recorded_organ(recording))
+    return player.run(recording.shown() if wanted is None else wanted)
 
 
-class _Player:
+class Player:
+    """A simulation that takes up what a recording's journal names; it runs once."""
+
     def __init__(self, recording: Recording, organ: Organ) -> None:
         parameters = recording.config["parameters"]
         self.recording = recording
@@ -90,13 +74,6 @@ class _Player:
         }
         self.needed = {tick for tick, _ in self.found_from.values()}  # ticks whose surface a contact set was found from
         self.kept: dict[int, Floats] = {}
-        self.wrench_at: dict[int, list[tuple[int, int]]] = defaultdict(list)  # tick -> tool, index
-        seen = [0] * len(self.tools.tools)
-        for tool, tick in journal["wrenches"].tolist():
-            self.wrench_at[tick].append((tool, seen[tool]))
-            seen[tool] += 1
-        self.surface_at = {tick: index for index, (tick,) in enumerate(journal["surfaces"].tolist())}
-        self.last = max([first, *self.inputs, *self.wrench_at, *self.surface_at])
         # What the state had already taken up: only what is new in a row is taken up again.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
         self.taken = self.inputs[before] if before is not None else self._taken_from_state()
@@ -135,33 +112,44 @@ class _Player:
         bodies["pose"], bodies["force"] = self.state.bodies.pose_sequence, self.state.bodies.force_sequence
         return row, bodies
 
-    def run(self) -> Result:
-        result = Result()
+    def run(self, wanted: Shown) -> Replayed:
+        """Go through the recording, and show what is wanted of its ticks."""
+        last = max(self.tick, self.recording.last_tick)
+        wanted = wanted.within(self.tick + 1, last)
+        shown = Shown(
+            wanted.tools,
+            wanted.wrench_ticks,
+            [np.zeros_like(wrenches) for wrenches in wanted.wrenches],
+            wanted.surface_ticks,
+            np.zeros_like(wanted.surfaces),
+        )
+        wrench_at: dict[int, list[tuple[int, int]]] = defaultdict(list)  # tick -> tool, index
+        for tool, ticks in enumerate(wanted.wrench_ticks):
+            for index, tick in enumerate(ticks.tolist()):
+                wrench_at[tick].append((tool, index))
+        surface_at = {tick: index for index, tick in enumerate(wanted.surface_ticks.tolist())}
+        n_surface = wanted.surfaces.shape[1]
+        result = Replayed(wanted, shown)
         settings = self.recording.settings
         start = max((number for number in settings if number <= self.taken[0]["settings"]), default=min(settings))
         self.simulation.take_settings(settings[start])
-        for tick in tqdm(
-            range(self.tick + 1, self.last + 1), disable=None, desc="replay", unit="tick", mininterval=0.5
-        ):
+        for tick in tqdm(range(self.tick + 1, last + 1), disable=None, desc="replay", unit="tick", mininterval=0.5):
             row = self.inputs.get(tick)
-            if row is not None and tick > self.tick:
+            if row is not None:
                 self._take(*row, result)
                 result.inputs += 1
             self.simulation.step()
             result.ticks += 1
             if tick in self.needed:
                 self.kept[tick] = self.simulation.positions.copy()
-            for tool, index in self.wrench_at.get(tick, ()):
-                if index < len(self.recording.wrenches[tool]):
-                    recorded = self.recording.wrenches[tool][index]
-                    result.compare_wrench(tick, recorded, self._wrench(tool, recorded))
-            index = self.surface_at.get(tick, -1)
-            if 0 <= index < len(self.recording.surfaces):
-                recorded = self.recording.surfaces[index]
-                result.compare_surface(tick, recorded, self.simulation.positions[: len(recorded)])
+            for tool, index in wrench_at.get(tick, ()):
+                shown.wrenches[tool][index] = self._wrench(tool, wanted.wrenches[tool][index])
+            index = surface_at.get(tick, -1)
+            if index >= 0:
+                shown.surfaces[index] = self.simulation.positions[:n_surface]
         return result
 
-    def _take(self, row: np.ndarray, bodies: np.ndarray, result: Result) -> None:
+    def _take(self, row: np.ndarray, bodies: np.ndarray, result: Replayed) -> None:
         """Take up what is new in a journal row, in the order of the node's loop."""
         last, last_bodies = self.taken
         simulation = self.simulation
@@ -193,6 +181,8 @@ class _Player:
         tick, bodies = self.found_from.get(sequence, (-1, None))
         if bodies is None or tick not in self.kept:
             raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
+        while next(iter(self.kept)) < tick:  # sets come in the order of their surfaces
+            del self.kept[next(iter(self.kept))]
         poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(self.poses), 1))
         for body, number in enumerate(bodies["pose"].tolist()):
             if number:

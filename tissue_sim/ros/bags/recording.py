@@ -22,6 +22,7 @@ from tissue_sim.model.records import array_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.shared.cdr import parse_stamped, unit_pose
 from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
 
@@ -94,6 +95,28 @@ class Recording:
             cloud: Any = store.deserialize_cdr(raw, "sensor_msgs/msg/PointCloud2")
             recording.surfaces.append(np.frombuffer(cloud.data, dtype="<f4").reshape(-1, 3))
         return recording
+
+    @property
+    def last_tick(self) -> int:
+        """The last one that the journal knows."""
+        rows = self.journal
+        ticks = [rows[kind]["tick"] for kind in ("inputs", "wrenches", "surfaces")]
+        return int(max([np.max(found) for found in ticks if len(found)], default=0))
+
+    def shown(self) -> Shown:
+        """What the bag shows; rows of the journal whose messages were lost are left out, and messages without a row."""
+        rows, tools = self.journal, self.config["tools"]
+        ticks = [rows["wrenches"]["tick"][rows["wrenches"]["tool"] == tool] for tool in range(len(tools))]
+        lengths = [min(len(found), len(wrenches)) for found, wrenches in zip(ticks, self.wrenches, strict=True)]
+        n_shapes = min(len(rows["surfaces"]), len(self.surfaces))
+        n_surface = len(self.surfaces[0]) if self.surfaces else 0
+        return Shown(
+            tools,
+            [found[:length] for found, length in zip(ticks, lengths, strict=True)],
+            [np.array(found[:length]).reshape(-1, 6) for found, length in zip(self.wrenches, lengths, strict=True)],
+            np.asarray(rows["surfaces"]["tick"][:n_shapes]),
+            np.array(self.surfaces[:n_shapes], dtype=np.float32).reshape(n_shapes, n_surface, 3),
+        )
 
 
 def settings_of(path: Path, recorded: np.ndarray) -> Settings:
