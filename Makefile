@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint format organ colcon clean FORCE
+.PHONY: help demo test test-slow regress bags lint format organ colcon clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -31,6 +31,13 @@ test: lint ## checks and tests; PYTEST="-k node" for some of them
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)
+
+regress: .venv/.installed-demo ## replays the scenes in bags/ and compares
+	@.venv/bin/tissue_sim replay bags/*/
+
+# Only after a change that is meant to change what they show: a diff of bags/summary.txt tells what that is.
+bags: .venv/.installed ## records the scenes in bags/ anew; SCENES="poke nip" for some of them
+	@$(PY) -m tissue_sim.ros.bags.suite $(SCENES)
 
 lint: .venv/.installed ## ruff and mypy
 	@$(PY) -m ruff check --output-format concise

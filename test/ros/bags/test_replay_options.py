@@ -78,7 +78,7 @@ def test_two_bags_of_the_same_inputs(tmp_path, capsys):
     def changed(found):
         return found | {"parameters": found["parameters"] | {"friction": 0.25, "record_folder": "elsewhere"}}
 
-    other = copied(tmp_path / "other", changed, lambda x, index: x + (0.5 if index == 3000 else 0.0))
+    other = copied(tmp_path / "other", changed, lambda x, index: x + (0.5 if index == 500 else 0.0))
     assert main(["replay", str(BAG), "--against", str(other)]) == 1
     out = capsys.readouterr().out
     assert f"parameter friction: in {BAG} 0.6, in {other} 0.25\n" in out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,8 +113,8 @@ class Player:
         bodies["pose"], bodies["force"] = self.state.bodies.pose_sequence, self.state.bodies.force_sequence
         return row, bodies
 
-    def run(self, wanted: Shown) -> Replayed:
-        """Go through the recording, and show what is wanted of its ticks."""
+    def run(self, wanted: Shown, watch: Callable[[int], None] | None = None) -> Replayed:
+        """Go through the recording, and show what is wanted of its ticks; watch is called after each tick."""
         last = max(self.tick, self.recording.last_tick)
         wanted = wanted.within(self.tick + 1, last)
         shown = Shown(
@@ -140,6 +141,8 @@ class Player:
                 result.inputs += 1
             self.simulation.step()
             result.ticks += 1
+            if watch is not None:
+                watch(tick)
             if tick in self.needed:
                 self.kept[tick] = self.simulation.positions.copy()
             for tool, index in wrench_at.get(tick, ()):

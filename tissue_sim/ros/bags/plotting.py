@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.bags.comparing import Comparison, Deviation, Shown
+from tissue_sim.ros.bags.comparing import Deviation
+from tissue_sim.ros.bags.outcome import Outcome
 
 RECORDED, REPLAYED = "#777777", "#b2182b"
 LEAST = 1e-18  # what a deviation of none is drawn as: the axis is logarithmic
@@ -32,11 +33,12 @@ def picture_path(given: str, bag: Path) -> Path:
     return path
 
 
-def write_picture(path: Path, title: str, rate: float, wanted: Shown, found: Shown, comparison: Comparison) -> None:
-    """Write a PNG; rate: ticks a second. Raises UserError when it can't be written."""
+def write_picture(path: Path, outcome: Outcome) -> None:
+    """Write a PNG. Raises UserError when it can't be written."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    wanted, found, rate = outcome.replayed.wanted, outcome.replayed.shown, outcome.rate
     tools = wanted.tools
     figure = Figure(figsize=(9.0, 2.0 * (len(tools) + 2)), layout="constrained")
     FigureCanvasAgg(figure)
@@ -48,10 +50,10 @@ def write_picture(path: Path, title: str, rate: float, wanted: Shown, found: Sho
             axis.plot(time, size, color=colour, linewidth=width, label=label)
         axis.set_ylabel(f"{name} (N)")
         axis.legend(loc="upper right", frameon=False)
-    _deviation(axes[-2], rate, comparison.force)
-    _deviation(axes[-1], rate, comparison.position)
+    _deviation(axes[-2], rate, outcome.comparison.force)
+    _deviation(axes[-1], rate, outcome.comparison.position)
     axes[-1].set_xlabel("simulated time (s)")
-    axes[0].set_title(title, loc="left")
+    axes[0].set_title(outcome.name, loc="left")
     try:
         figure.savefig(path, dpi=120)
     except OSError as error:

@@ -97,6 +97,11 @@ class Recording:
         return recording
 
     @property
+    def first_tick(self) -> int:
+        """That of the state."""
+        return int(self.state["status"]["tick"].item())
+
+    @property
     def last_tick(self) -> int:
         """The last one that the journal knows."""
         rows = self.journal

@@ -1,24 +1,25 @@
-"""`tissue_sim replay`: run a recorded bag again, tick by tick and without DDS, and compare."""
+"""`tissue_sim replay`: run recorded bags again, tick by tick and without DDS, and compare."""
 
 from __future__ import annotations
 
 import argparse
-import time
+from collections.abc import Sequence
 from pathlib import Path
 
+from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
-from tissue_sim.ros.bags.against import align
-from tissue_sim.ros.bags.comparing import Comparison, compare
-from tissue_sim.ros.bags.differing import Described, differences
-from tissue_sim.ros.bags.junit import NOTHING, write_junit
-from tissue_sim.ros.bags.player import Replayed, replay
+from tissue_sim.ros.bags.comparing import Comparison
+from tissue_sim.ros.bags.junit import write_junit
+from tissue_sim.ros.bags.outcome import NOTHING, Asked, Outcome, replay_bag, replay_live
 from tissue_sim.ros.bags.plotting import picture_path, write_picture
-from tissue_sim.ros.bags.recording import Recording
+from tissue_sim.ros.shared import client
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("bag", metavar="BAG", help="folder of a recorded bag")
+    parser.add_argument(
+        "bags", metavar="BAG", nargs="+", help="folder of a recorded bag; of several a table is printed"
+    )
     parser.add_argument("--organ", metavar="ORGAN", help="replay with this organ instead of the recorded one")
     parser.add_argument(
         "--against",
@@ -33,51 +34,86 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|FOLDER",
         help="write a picture (.png): each tool's force, and how far force and position are off, over time",
     )
+    live = parser.add_argument_group("a running node")
+    live.add_argument(
+        "--live",
+        action="store_true",
+        help="also send the inputs to a running node, over DDS with /clock, and compare what it shows with the replay;"
+        " start it with use_sim_time:=true",
+    )
+    live.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
+    live.add_argument("--live-force-tolerance", type=float, default=0.05, help="the same for the node, N and N m")
+    live.add_argument("--live-position-tolerance", type=float, default=2e-4, help="the same for the node, m")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay a bag; returns 0 when it repeats within the tolerances, else 1."""
-    started, path = time.monotonic(), Path(args.bag)
-    picture = picture_path(args.plot, path) if args.plot else None
-    recording = Recording.read(path)
+    """Replay bags; returns 0 when all repeat within the tolerances, else 1."""
+    paths = [Path(given) for given in args.bags]
+    if len(paths) > 1 and args.against:
+        raise UserError("--against goes with one BAG")
+    if len(paths) > 1 and args.live:
+        raise UserError("--live goes with one BAG")
+    if len(paths) > 1 and args.plot and args.plot.lower().endswith(".png"):
+        raise UserError("--plot takes a folder where there are several bags")
+    pictures = [picture_path(args.plot, path) for path in paths] if args.plot else []
     organ = Organ.load(args.organ) if args.organ else None
-    recorded = Described.recorded(recording.config)
-    notes = differences(recorded, recorded.replayed(organ))
-    wanted = recording.shown()
-    if args.against:
-        other = Recording.read(Path(args.against))
-        notes += differences(
-            Described.recorded(recording.config, f"in {args.bag}"),
-            Described.recorded(other.config, f"in {args.against}"),
-        )
-        alignment = align(recording, other)
-        notes.append(alignment.line())
-        wanted = other.shown().later(-alignment.later)
-    for note in notes:
-        print(note, flush=True)
-    replayed = replay(recording, organ, wanted)
-    found = compare(replayed.wanted, replayed.shown, args.force_tolerance, args.position_tolerance)
-    rate = float(recording.config["parameters"]["rate"])
-    print("\n".join(told(args.bag, replayed, found, rate)))
+    asked = Asked(args.force_tolerance, args.position_tolerance, organ, Path(args.against) if args.against else None)
+    outcomes = []
+    columns = Columns(paths)
+    if len(paths) > 1:
+        print(columns.head, flush=True)
+    for index, path in enumerate(paths):
+        outcome = replay_bag(path, asked, f"{path}: " if len(paths) > 1 else "")
+        outcomes.append(outcome)
+        print(columns.row(outcome) if len(paths) > 1 else "\n".join(told(outcome)), flush=True)
+        if pictures:
+            write_picture(pictures[index], outcome)
+            print(f"{pictures[index]}: picture")
+    if args.live:
+        tolerances = Asked(args.live_force_tolerance, args.live_position_tolerance, organ)
+        outcomes.append(replay_live(paths[0], tolerances, args.node))
+        print("\n".join(told(outcomes[-1])), flush=True)
     if args.junit:
-        write_junit(Path(args.junit), args.bag, found, time.monotonic() - started, notes)
-    if picture is not None:
-        write_picture(picture, args.bag, rate, replayed.wanted, replayed.shown, found)
-        print(f"{picture}: picture")
-    return 0 if found.passes else 1
+        write_junit(Path(args.junit), outcomes)
+    return 0 if all(outcome.comparison.passes for outcome in outcomes) else 1
 
 
-def told(name: str, replayed: Replayed, found: Comparison, rate: float) -> list[str]:
-    """The lines that tell what came of it; rate: ticks a second."""
+def told(outcome: Outcome) -> list[str]:
+    """The lines that tell what came of a bag."""
+    replayed, found = outcome.replayed, outcome.comparison
     lines = [
-        f"{name}: {replayed.ticks} ticks, {replayed.inputs} inputs, {replayed.contact_sets} contact sets;"
+        f"{outcome.name}: {replayed.ticks} ticks, {replayed.inputs} inputs, {replayed.contact_sets} contact sets;"
         f" compared {found.wrenches} wrenches and {found.surfaces} surfaces"
     ]
+    if not found.holds_nothing:
+        lines.append(f"largest deviation: {', '.join(map(str, found.quantities))}")
+    return [*lines, verdict(found, outcome.rate)]
+
+
+def verdict(found: Comparison, rate: float) -> str:
+    """Whether a bag repeats, and if not from when on; rate: ticks a second."""
     if found.holds_nothing:
-        return [*lines, f"FAILED: {NOTHING}; record for longer than a second, with tools moving"]
-    lines.append(f"largest deviation: {', '.join(map(str, found.quantities))}")
+        return f"FAILED: {NOTHING}; record for longer than a second, with tools moving"
     if found.passes:
-        return [*lines, "repeats"]
+        return "repeats"
     first = found.first_beyond
     what = ", ".join(f"{one.what} {one.tolerance:g} {one.unit}" for one in found.quantities if one.first_beyond >= 0)
-    return [*lines, f"FAILED: beyond {what}, from tick {first} on ({first / rate:.3f} s)"]
+    return f"FAILED: beyond {what}, from tick {first} on ({first / rate:.3f} s)"
+
+
+class Columns:
+    """A table with a row for each bag."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._width = max(len("bag"), *(len(str(path)) for path in paths))
+        names = ("ticks", "wrenches", "surfaces", "force (N)", "torque (N m)", "position (m)")
+        self.head = f"{'bag':<{self._width}}" + "".join(f"  {name:>12}" for name in names)
+
+    def row(self, outcome: Outcome) -> str:
+        """What came of a bag."""
+        found = outcome.comparison
+        counts = (outcome.replayed.ticks, found.wrenches, found.surfaces)
+        numbers = "".join(f"  {count:>12}" for count in counts)
+        numbers += "".join(f"  {one.largest:>12.3g}" for one in found.quantities)
+        state = "ok" if found.passes else verdict(found, outcome.rate)
+        return f"{outcome.name:<{self._width}}{numbers}  {state}"
