@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " start it with use_sim_time:=true",
     )
     live.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
-    live.add_argument("--live-force-tolerance", type=float, default=0.05, help="the same for the node, N and N m")
-    live.add_argument("--live-position-tolerance", type=float, default=2e-4, help="the same for the node, m")
+    live.add_argument("--live-force-tolerance", type=float, default=0.1, help="the same for the node, N and N m")
+    live.add_argument("--live-position-tolerance", type=float, default=1e-4, help="the same for the node, m")
 
 
 def run(args: argparse.Namespace) -> int:
