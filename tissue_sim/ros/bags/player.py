@@ -75,6 +75,7 @@ class Player:
         }
         self.needed = {tick for tick, _ in self.found_from.values()}  # ticks whose surface a contact set was found from
         self.kept: dict[int, Floats] = {}
+        self.nowhere = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(self.poses), 1))
         # What the state had already taken up: only what is new in a row is taken up again.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
         self.taken = self.inputs[before] if before is not None else self._taken_from_state()
@@ -186,7 +187,7 @@ class Player:
             raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
         while next(iter(self.kept)) < tick:  # sets come in the order of their surfaces
             del self.kept[next(iter(self.kept))]
-        poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(self.poses), 1))
+        poses = self.nowhere.copy()
         for body, number in enumerate(bodies["pose"].tolist()):
             if number:
                 poses[body] = self._input(self.poses[body], number, "pose")

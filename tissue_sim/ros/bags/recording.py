@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.typesys import Stores, get_typestore
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
@@ -23,8 +23,8 @@ from tissue_sim.model.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.comparing import Shown
-from tissue_sim.ros.shared.cdr import parse_stamped, unit_pose
-from tissue_sim.ros.shared.tool_topics import GRIPPER_TOPICS, TOOL_TOPICS
+from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
+from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 
 @dataclass
@@ -49,16 +49,14 @@ class Recording:
         if not path.exists():
             raise UserError(f"bag {path} does not exist")
         messages = _read_messages(path)
-        store: Any = get_typestore(Stores.ROS2_JAZZY)
         name = next((topic[: -len("/config")] for topic in messages if topic.endswith("/config")), None)
         if name is None:
             raise UserError(f"bag {path} was not recorded by a tissue_sim node: it has no configuration")
 
-        def data(topic: str) -> list[Any]:
-            kind = bag.PRIVATE_TOPICS[topic]
-            return [store.deserialize_cdr(raw, kind).data for raw in messages[f"{name}/{topic}"]]
+        def data(topic: str) -> list[NDArray[np.uint8]]:
+            return [parse_octets(raw) for raw in messages[f"{name}/{topic}"]]
 
-        config = json.loads(data("config")[0])
+        config = json.loads(parse_text(messages[f"{name}/config"][0]))
         if config["format"] != bag.FORMAT:
             raise UserError(
                 f"bag {path} has format {config['format']} (tissue_sim {config['package_version']}), this package reads"
@@ -73,7 +71,7 @@ class Recording:
         settings = [bag.unpack(values) for values in data("settings")]
         recording = cls(
             config=config,
-            organ=bytes(data("organ")[0]),
+            organ=data("organ")[0].tobytes(),
             state=bag.unpack(data("state")[0]),
             settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
             contact_sets={int(found.header.sequence): found for found in sets},
@@ -86,14 +84,12 @@ class Recording:
             forces = [np.array(parse_stamped(raw, 6).values[:3]) for raw in messages[topics["measured_cf"]]]
             recording.poses.append(dict(enumerate(poses, start=first["measured_cp"])))
             angles = messages[config["topics"].get(f"{tool}/measured_js", "")]
-            kind = GRIPPER_TOPICS["measured_js"]
-            values = [float(store.deserialize_cdr(raw, kind).data[0]) for raw in angles]
+            values = [parse_number(raw) for raw in angles]
             recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))
             recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
         for raw in messages[f"{name}/surface"]:
-            cloud: Any = store.deserialize_cdr(raw, "sensor_msgs/msg/PointCloud2")
-            recording.surfaces.append(np.frombuffer(cloud.data, dtype="<f4").reshape(-1, 3))
+            recording.surfaces.append(parse_cloud(raw))
         return recording
 
     @property
