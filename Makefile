@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-least lint format organ colcon clean FORCE
+.PHONY: help demo test test-slow test-least regress bags lint format organ colcon clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -34,6 +34,13 @@ test-slow: .venv/.installed ## the tests that take longer
 
 test-least: ## model, contacts and node over the least versions of numpy, scipy and numba; NUMBA=0.60.0 for another
 	@.ci/least $(NUMBA)
+
+regress: .venv/.installed-demo ## replays the scenes in bags/ and compares
+	@.venv/bin/tissue_sim replay bags/*/
+
+# Only after a change that is meant to change what they show: a diff of bags/summary.txt tells what that is.
+bags: .venv/.installed ## records the scenes in bags/ anew; SCENES="poke nip" for some of them
+	@$(PY) -m tissue_sim.ros.bags.suite $(SCENES)
 
 lint: .venv/.installed ## ruff and mypy
 	@$(PY) -m ruff check --output-format concise

@@ -9,7 +9,7 @@ COMMANDS = {
     "solve": ("tissue_sim.commands.solve", "settled displacements under given loads"),
     "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and judge it"),
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
-    "replay": ("tissue_sim.ros.bags.replay", "run a recorded bag again and compare"),
+    "replay": ("tissue_sim.ros.bags.replay", "run recorded bags again and compare"),
     "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
     "bridge": ("tissue_sim.ros.bridge.play", "play a scripted haptic bridge to a running node"),
 }

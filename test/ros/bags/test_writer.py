@@ -16,7 +16,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.bags import bag, recovery, spool
 from tissue_sim.ros.bags.recorder import Recorder
-from tissue_sim.ros.bags.replay import Recording
+from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.bags.writer import BagWriter, Split, Topic, lock
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS

@@ -6,10 +6,19 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Vector3, Wrench, WrenchS
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 
 from helpers.ros.processes import shipped
-from tissue_sim.ros.shared.cdr import UNSTAMPED, parse_plain, parse_stamped, unit_pose
+from tissue_sim.ros.shared.cdr import (
+    UNSTAMPED,
+    parse_cloud,
+    parse_number,
+    parse_octets,
+    parse_plain,
+    parse_stamped,
+    parse_text,
+    unit_pose,
+)
 from tissue_sim.ros.shared.messages import CloudTemplate, NumbersTemplate, rest_mesh
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES, ToolTopics
 
@@ -112,6 +121,34 @@ def test_cloud_template():
     assert np.frombuffer(read.data, dtype="<f4").tolist() == list(range(20))
     assert read.header.stamp.sec == 1
     assert read.header.stamp.nanosec == 2
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("columns", [("x", "y", "z"), ("x", "y", "z", "radius", "parent")])
+def test_cloud_is_read_from_its_bytes(frame, columns):
+    template = CloudTemplate(frame, 7, columns)
+    template.points[:] = np.arange(template.points.size).reshape(template.points.shape)
+    assert np.array_equal(parse_cloud(template.message(1_000_000_002)), template.points)
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, 3, 4, 5, 800])
+def test_what_a_bag_holds_is_read_from_its_bytes(length):
+    octets = np.arange(length, dtype=np.uint8)
+    assert np.array_equal(parse_octets(bytes(serialize_message(UInt8MultiArray(data=octets)))), octets)
+    text = "ä" * length
+    assert parse_text(bytes(serialize_message(String(data=text)))) == text
+    numbers = bytes(serialize_message(Float64MultiArray(data=[0.1] * (1 + length))))
+    assert parse_number(numbers) == 0.1
+
+
+def test_what_a_bag_holds_may_be_cut_short():
+    cloud = CloudTemplate("organ", 5, ("x", "y", "z")).message(1)
+    messages = (UInt8MultiArray(data=[1] * 9), String(data="a text"), Float64MultiArray(data=[0.1]))
+    octets, text, number = (bytes(serialize_message(message)) for message in messages)
+    for parse, raw in ((parse_octets, octets), (parse_text, text), (parse_number, number), (parse_cloud, cloud)):
+        for end in (0, 3, 6, 14, len(raw) - 8):
+            with pytest.raises(ValueError, match=r"cut short|no little-endian"):
+                parse(raw[:end])
 
 
 def test_rest_mesh_is_the_organ():

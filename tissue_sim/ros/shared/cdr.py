@@ -54,6 +54,55 @@ def parse_moving(raw: bytes, n_values: int) -> Stamped:
     return Stamped(stamp, frame_id, _doubles(raw, child + 4 + struct.unpack_from("<I", raw, child)[0], n_values))
 
 
+def parse_octets(raw: bytes) -> NDArray[np.uint8]:
+    """The data of a UInt8MultiArray without dimensions.
+
+    Raises ValueError when it is cut short or of another encoding.
+    """
+    return np.frombuffer(raw, dtype=np.uint8, count=_counted(raw, CDR_HEADER + 8), offset=CDR_HEADER + 12)
+
+
+def parse_number(raw: bytes) -> float:
+    """The first number of a Float64MultiArray without dimensions.
+
+    Raises ValueError when it is cut short or of another encoding.
+    """
+    _counted(raw, CDR_HEADER + 8, 8)
+    return _doubles(raw, CDR_HEADER + 12, 1)[0]
+
+
+def parse_text(raw: bytes) -> str:
+    """The text of a String; raises ValueError when it is cut short or of another encoding."""
+    length = _counted(raw, CDR_HEADER)
+    return raw[CDR_HEADER + 4 : CDR_HEADER + 3 + length].decode()
+
+
+def parse_cloud(raw: bytes) -> NDArray[np.float32]:
+    """Columns (n, k) of a PointCloud2 that holds nothing but little-endian float32.
+
+    Raises ValueError when it is cut short or of another encoding.
+    """
+    *_, at = _header(raw)
+    at = _aligned(at, 4) + 8  # height, width
+    n_fields = _counted(raw, at, 0)
+    at += 4
+    for _ in range(n_fields):
+        at = _aligned(at, 4)
+        at = _aligned(at + 4 + _counted(raw, at), 4) + 12  # name; offset, type, count
+    at = _aligned(at + 1, 4)  # is_bigendian
+    columns, length = _counted(raw, at, 0) // 4, _counted(raw, at + 8)
+    return np.frombuffer(raw, dtype="<f4", count=length // 4, offset=at + 12).reshape(-1, columns)
+
+
+def _counted(raw: bytes, at: int, size: int = 1) -> int:
+    """A number of things of so many bytes each that follow it."""
+    _check_encoding(raw, at + 4)
+    count = int(struct.unpack_from("<I", raw, at)[0])
+    if at + 4 + size * count > len(raw):
+        raise ValueError("the message is cut short")
+    return count
+
+
 def _check_encoding(raw: bytes, least: int) -> None:
     if len(raw) < least or raw[1] != 1:
         raise ValueError("no little-endian CDR message")

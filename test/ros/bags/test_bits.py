@@ -1,0 +1,29 @@
+"""Bits do not depend on the processor: kernels compiled for any x86-64 repeat what those for this machine recorded."""
+
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from helpers.paths import ROOT
+
+BAGS = [str(ROOT / "bags" / name) for name in ("nip", "gripper", "local_force")]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
+def test_another_instruction_set_repeats_to_the_last_bit(tmp_path):
+    """Compiles all kernels anew, in a folder of their own."""
+    compiled = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path / "generic")}
+    words = ["--force-tolerance", "0", "--position-tolerance", "0"]
+    done = subprocess.run(
+        [sys.executable, "-m", "tissue_sim", "replay", *BAGS, *words],
+        env=os.environ | compiled,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count(" ok\n") == len(BAGS)
+    assert any((tmp_path / "generic").rglob("*.nbi")), "nothing was compiled"

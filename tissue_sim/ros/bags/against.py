@@ -1,0 +1,63 @@
+"""Two recordings of the same inputs: by how many ticks one is later than the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bags.recording import Recording, tools_of
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How two recordings lie to each other: `later` ticks that the second one took up poses later than the first."""
+
+    later: int
+    poses: int  # that both took up
+    most_apart: int  # ticks between the same pose in both, beside those
+    first_poses: int  # that the first took up
+
+    def line(self) -> str:
+        """What a user is told."""
+        return (
+            f"inputs: {self.poses} of {self.first_poses} poses are in both bags, the other {self.later} ticks later,"
+            f" and {self.most_apart} ticks off that at the most"
+        )
+
+
+def align(first: Recording, second: Recording) -> Alignment:
+    """By the ticks that took up the same poses; these are told apart by their values, as some may be lost.
+
+    A hand-over through DDS shifts poses by ticks, so the median counts. Raises UserError where no pose is in both, or
+    tools or surfaces are others.
+    """
+    if first.config["tools"] != second.config["tools"]:
+        tools = (", ".join(one.config["tools"]) for one in (first, second))
+        raise UserError(f"the bags have other tools: {' against '.join(tools)}")
+    sizes = {len(one.surfaces[0]) for one in (first, second) if one.surfaces}
+    if len(sizes) > 1:
+        raise UserError(f"the bags' surfaces have {' and '.join(map(str, sorted(sizes)))} points: other organs")
+    before, after = taken_up(first), taken_up(second)
+    both = [key for key in before if key in after]
+    if not both:
+        raise UserError("the bags have no pose in common: --against takes another recording of the same inputs")
+    apart = np.array([after[key] - before[key] for key in both])
+    later = int(np.median(apart))
+    return Alignment(later, len(both), int(np.abs(apart - later).max()), len(before))
+
+
+def taken_up(recording: Recording) -> dict[tuple[str, bytes], int]:
+    """The tick that took up a pose first, by the tool's name and the pose's bytes."""
+    found: dict[tuple[str, bytes], int] = {}
+    rows, bodies = recording.journal["inputs"]["tick"], recording.journal["body_inputs"]["pose"]
+    body = 0
+    for index, tool in enumerate(tools_of(recording.config)):
+        sequences, poses = bodies[:, body], recording.poses[index]
+        is_new = np.diff(sequences, prepend=0) != 0
+        for tick, number in zip(rows[is_new].tolist(), sequences[is_new].tolist(), strict=True):
+            if number in poses:
+                found.setdefault((tool.name, poses[number].tobytes()), tick)
+        body += tool.n_bodies
+    return found

@@ -1,0 +1,52 @@
+"""What two runs do not have in common before anything is compared: organ, package, parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import tissue_sim
+from tissue_sim.organ.organ import Organ
+
+# Where and whether a bag is written changes nothing; an organ is told by its digest, not by its path.
+BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file"})
+
+
+@dataclass(frozen=True)
+class Described:
+    """A run by what matters for what it shows; `how` it stands in a line, as in `recorded 0.6`."""
+
+    how: str
+    organ: str
+    digest: str
+    version: str
+    parameters: Mapping[str, Any]
+
+    @classmethod
+    def recorded(cls, config: Mapping[str, Any], how: str = "recorded") -> Described:
+        """By a bag's configuration."""
+        organ = config["organ"]
+        return cls(how, organ["name"], organ["digest"], config["package_version"], config["parameters"])
+
+    def replayed(self, organ: Organ | None) -> Described:
+        """The same run by this package, with another organ if there is one."""
+        name, digest = (self.organ, self.digest) if organ is None else (organ.name, organ.digest())
+        return Described("replayed with", name, digest, tissue_sim.__version__, self.parameters)
+
+
+def differences(first: Described, second: Described) -> list[str]:
+    """One line for each thing that differs."""
+    lines = []
+
+    def tell(what: str, one: Any, other: Any) -> None:
+        if one != other:
+            lines.append(f"{what}: {first.how} {one}, {second.how} {other}")
+
+    if first.digest != second.digest:
+        tell("organ", f"{first.organ} ({first.digest[:12]})", f"{second.organ} ({second.digest[:12]})")
+    tell("package", f"tissue_sim {first.version}", f"tissue_sim {second.version}")
+    names = (first.parameters.keys() | second.parameters.keys()) - BESIDE_THE_POINT
+    for name in sorted(names):
+        tell(f"parameter {name}", *(run.parameters.get(name, "nothing") for run in (first, second)))
+    return lines

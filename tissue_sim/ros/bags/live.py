@@ -1,0 +1,213 @@
+"""Replays a recording's inputs to a running node: over DDS, with /clock, tick by tick."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from std_srvs.srv import Trigger
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.bags.differing import Described, differences
+from tissue_sim.ros.bags.recording import Recording, recorded_organ, tools_of
+from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.cdr import parse_stamped
+from tissue_sim.ros.shared.node_parameters import NodeParameters
+from tissue_sim.ros.shared.tool_link import ToolLink
+
+PATIENCE = 60.0  # s for the node to be there
+ANSWERED = 0.02  # s that the node gets to answer a pose before the next tick is due; a late pose is a tick late
+RAN = 0.002  # s that it gets for the ticks before a pose
+KEEP = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
+    """Send all inputs to the node `target`; returns notes, and what the node showed by the recording's ticks.
+
+    Raises UserError where the node is not there, does not follow /clock, or has other tools.
+    """
+    with client.client_node("replay", target) as node:
+        return _Live(node, recording, target).play()
+
+
+class _Live:
+    def __init__(self, node: Node, recording: Recording, target: str) -> None:
+        self._recording, self._target = recording, target
+        self._first = int(recording.first_tick)
+        self._period = round(1e9 / recording.config["parameters"]["rate"])  # ns
+        self._origin = time.time_ns()  # on /clock, of the first tick
+        self._clock = node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
+        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
+        self._meshes = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
+        self._surfaces = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
+        self._node = node
+        self._shapes: dict[int, np.ndarray] = {}
+        self._tools: list[ScriptedTool] = []
+        self._wrenches: list[client.Inbox] = []
+        self._felt: list[dict[int, np.ndarray]] = []
+        self._forces: list[Any] = []
+
+    def play(self) -> tuple[list[str], Shown]:
+        """Meet the node, and go through the inputs at the pace of the recording, or slower."""
+        notes = self._meet()
+        inputs = self._inputs()
+        begun = time.monotonic()
+        for tick in sorted(inputs):
+            ahead = begun + 1e-9 * self._period * (tick - self._first) - time.monotonic()
+            self._tell(tick - 1)
+            time.sleep(max(RAN, ahead))
+            self._hear()
+            for send in inputs[tick]:
+                send(self._stamp(tick))
+            self._answered()
+            self._tell(tick)
+        time.sleep(ANSWERED)
+        self._hear()
+        return notes, self._shown()
+
+    # before ------------------------------------------------------------------------------------
+    def _meet(self) -> list[str]:
+        recording, target = self._recording, self._target
+        parameters = NodeParameters(self._node, target)
+        mesh = self._wait(self._meshes.take, f"no mesh on /{target}/mesh: start tissue_node, or name yours with --node")
+        values = self._wait(parameters.poll, f"no answer from /{target}/get_parameters")
+        notes = self._differing(values, client.mesh_arrays(mesh)[0])
+        for tool in tools_of(recording.config):
+            link = ToolLink.told(values, tool.name, target)
+            if link is None:
+                raise UserError(f"/{target} has no tool '{tool.name}', which the bag has")
+            if link.topics.wrench_type != "WrenchStamped" or not link.to_organ.is_identity:
+                raise UserError(f"--live needs tool '{tool.name}' with WrenchStamped, and poses in the organ's frame")
+            self._tools.append(ScriptedTool(self._node, link, tool.shape == "gripper"))
+            name = link.topics.names
+            self._wrenches.append(client.Inbox(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
+            self._felt.append({})
+            self._forces.append(self._node.create_publisher(WrenchStamped, name["measured_cf"], client.stream_qos()))
+        self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not hear the poses")
+        self._wait(self._is_followed, f"/{target} tells nothing on /diagnostics")
+        reset = self._node.create_client(Trigger, f"/{target}/reset")
+        self._wait(lambda: reset.service_is_ready() or None, f"no service /{target}/reset")
+        reset.call_async(Trigger.Request())
+        time.sleep(5 * ANSWERED)
+        if not self._recording.state["status"]["asleep"].item():
+            notes.append("the recording begins with the organ in motion, the node's is at rest")
+        rows = recording.journal["inputs"]
+        if len(np.unique(rows["settings"])) > 1 or len(np.unique(rows["resets"])) > 1:
+            notes.append("the recording has changes of parameters or resets, which the node is not sent")
+        return notes
+
+    def _differing(self, values: dict[str, Any], vertices: np.ndarray) -> list[str]:
+        recorded = Described.recorded(self._recording.config)
+        plain = {name: value if np.isscalar(value) else list(value) for name, value in values.items()}
+        known = {name: value for name, value in recorded.parameters.items() if name in plain}
+        named = Described(recorded.how, recorded.organ, "", recorded.version, known)
+        node = Described(f"/{self._target} has", recorded.organ, "", recorded.version, {n: plain[n] for n in known})
+        notes = differences(named, node)
+        organ = recorded_organ(self._recording)
+        if not np.array_equal(vertices, organ.surface_positions):
+            notes.insert(0, f"organ: recorded {organ.name}, /{self._target} has one of {len(vertices)} surface points")
+        return notes
+
+    def _is_followed(self) -> bool | None:
+        self._tell(self._first)
+        status = client.physics_status(self._reports.take_all(), self._target)
+        if status is not None and status.get("clock") == "wall":
+            raise UserError(f"/{self._target} does not follow /clock: start it with use_sim_time:=true")
+        return True if status is not None and status.get("clock", "").startswith("/clock") else None
+
+    def _wait(self, ask: Callable[[], Any], problem: str) -> Any:
+        end = time.monotonic() + PATIENCE
+        while (found := ask()) is None:
+            if time.monotonic() > end:
+                raise UserError(problem)
+            time.sleep(0.02)
+        return found
+
+    # meanwhile ---------------------------------------------------------------------------------
+    def _stamp(self, tick: int) -> int:
+        return self._origin + (tick - self._first) * self._period
+
+    def _tell(self, tick: int) -> None:
+        self._clock.publish(Clock(clock=Time(nanoseconds=self._stamp(tick)).to_msg()))
+
+    def _inputs(self) -> dict[int, list[Callable[[int], None]]]:
+        """What is sent before a tick, each for a stamp in ns; what the state had already taken up goes first."""
+        rows = self._recording.journal["inputs"]["tick"]
+        bodies = self._recording.journal["body_inputs"]
+        found: dict[int, list[Callable[[int], None]]] = defaultdict(list)
+        body = 0
+        for tool, made in enumerate(tools_of(self._recording.config)):
+            for kind in ("pose", "force"):
+                last = 0
+                for tick, number in zip(rows.tolist(), bodies[kind][:, body].tolist(), strict=True):
+                    if number != last:
+                        found[max(tick, self._first + 1)].append(self._sender(kind, tool, number))
+                    last = number
+            body += made.n_bodies
+        return found
+
+    def _sender(self, kind: str, tool: int, number: int) -> Callable[[int], None]:
+        recording, out = self._recording, self._tools[tool]
+        if kind == "force":
+            force = recording.forces[tool][number]
+            return lambda stamp: self._push(tool, force, stamp)
+        pose, angle = recording.poses[tool][number], recording.angles[tool].get(number)
+
+        def send(stamp: int) -> None:
+            if angle is not None:
+                out.open(stamp, angle)
+                time.sleep(RAN)  # the jaws open with the next pose
+            out.publish(stamp, pose)
+
+        return send
+
+    def _push(self, tool: int, force: np.ndarray, stamp: int) -> None:
+        message = WrenchStamped()
+        message.header.frame_id, message.header.stamp = "organ", Time(nanoseconds=stamp).to_msg()
+        message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = map(float, force)
+        self._forces[tool].publish(message)
+
+    def _answered(self) -> None:
+        """Wait until a wrench answers; not for long, as one may be lost, and forces have no answer."""
+        end = time.monotonic() + ANSWERED
+        while not self._hear() and time.monotonic() < end:
+            time.sleep(2e-4)
+
+    def _hear(self) -> int:
+        heard = 0
+        for felt, inbox in zip(self._felt, self._wrenches, strict=True):
+            for raw in inbox.take_all():
+                message = parse_stamped(raw, 6)
+                felt[self._tick(message.stamp)] = np.array(message.values)
+                heard += 1
+        for cloud in self._surfaces.take_all():
+            stamp = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
+            self._shapes[self._tick(stamp)] = client.cloud_array(cloud)
+        return heard
+
+    def _tick(self, stamp: int) -> int:
+        return self._first + round((stamp - self._origin) / self._period)
+
+    def _shown(self) -> Shown:
+        ticks = [np.array(sorted(felt), dtype=np.int64) for felt in self._felt]
+        wrenches = [
+            np.array([felt[tick] for tick in own.tolist()]).reshape(-1, 6)
+            for felt, own in zip(self._felt, ticks, strict=True)
+        ]
+        shapes = np.array(sorted(self._shapes), dtype=np.int64)
+        surfaces = [self._shapes[tick][:, :3] for tick in shapes.tolist()] or np.zeros((0, 0, 3))
+        names = self._recording.config["tools"]
+        return Shown(names, ticks, wrenches, shapes, np.array(surfaces, dtype=np.float32))

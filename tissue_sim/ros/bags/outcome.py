@@ -1,0 +1,84 @@
+"""What came of a bag: replayed, and compared with what it shows itself, or another one shows."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags.against import align
+from tissue_sim.ros.bags.comparing import Comparison, compare
+from tissue_sim.ros.bags.differing import Described, differences
+from tissue_sim.ros.bags.player import Replayed, replay
+from tissue_sim.ros.bags.recording import Recording
+
+NOTHING = "the bag holds nothing to compare"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How bags are to be compared: tolerances in N and N m, and in m, with another organ, against another bag."""
+
+    force_tolerance: float
+    position_tolerance: float
+    organ: Organ | None = None
+    against: Path | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one bag; rate: ticks a second; seconds that it took; notes: what differed before anything was compared."""
+
+    name: str
+    rate: float
+    seconds: float
+    notes: tuple[str, ...]
+    replayed: Replayed
+    comparison: Comparison
+
+
+def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
+    """Replay a bag and compare; what differs is printed before that begins, each line after a prefix.
+
+    Raises UserError for a bag that can't be read or replayed.
+    """
+    started, recording = time.monotonic(), Recording.read(path)
+    recorded = Described.recorded(recording.config)
+    notes = differences(recorded, recorded.replayed(asked.organ))
+    wanted = recording.shown()
+    if asked.against is not None:
+        other = Recording.read(asked.against)
+        notes += differences(
+            Described.recorded(recording.config, f"in {path}"), Described.recorded(other.config, f"in {asked.against}")
+        )
+        alignment = align(recording, other)
+        notes.append(alignment.line())
+        wanted = other.shown().later(-alignment.later)
+    for note in notes:
+        print(f"{prefix}{note}", flush=True)
+    replayed = replay(recording, asked.organ, wanted)
+    found = compare(replayed.wanted, replayed.shown, asked.force_tolerance, asked.position_tolerance)
+    rate = float(recording.config["parameters"]["rate"])
+    return Outcome(str(path), rate, time.monotonic() - started, tuple(notes), replayed, found)
+
+
+def replay_live(path: Path, asked: Asked, node: str) -> Outcome:
+    """Send a bag's inputs to a running node, and compare what it shows with a replay at the same ticks.
+
+    Raises UserError for a bag or a node that this can't be done with.
+    """
+    try:
+        from tissue_sim.ros.bags.live import play_live
+    except ModuleNotFoundError as error:
+        raise UserError(f"--live needs ROS, and {error.name} is missing: pip install 'tissue_sim[ros]'") from None
+
+    started, recording = time.monotonic(), Recording.read(path)
+    notes, shown = play_live(recording, node)
+    for note in notes:
+        print(note, flush=True)
+    replayed = replay(recording, asked.organ, shown)
+    found = compare(replayed.wanted, replayed.shown, asked.force_tolerance, asked.position_tolerance)
+    rate = float(recording.config["parameters"]["rate"])
+    return Outcome(f"{path} on /{node}", rate, time.monotonic() - started, tuple(notes), replayed, found)

@@ -1,0 +1,173 @@
+"""What a bag says, read from its messages."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.errors import ReaderError
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.tools import Tool
+from tissue_sim.errors import UserError
+from tissue_sim.model.contact_set import ContactSet, contact_set
+from tissue_sim.model.records import array_of
+from tissue_sim.model.settings import Settings
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags import bag, recovery
+from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
+from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
+
+
+@dataclass
+class Recording:
+    """The content of a bag, by topic, in the order of recording."""
+
+    config: dict[str, Any]
+    organ: bytes
+    state: dict[str, np.ndarray]
+    settings: dict[int, Settings]
+    contact_sets: dict[int, ContactSet]
+    journal: dict[str, np.ndarray]  # records by kind, see recorder
+    poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
+    angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
+    forces: list[dict[int, Floats]] = field(default_factory=list)
+    wrenches: list[list[Floats]] = field(default_factory=list)  # per tool
+    surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32
+
+    @classmethod
+    def read(cls, path: Path) -> Recording:
+        """Read a bag folder; raises UserError naming the bag and what it lacks."""
+        if not path.exists():
+            raise UserError(f"bag {path} does not exist")
+        messages = _read_messages(path)
+        name = next((topic[: -len("/config")] for topic in messages if topic.endswith("/config")), None)
+        if name is None:
+            raise UserError(f"bag {path} was not recorded by a tissue_sim node: it has no configuration")
+
+        def data(topic: str) -> list[NDArray[np.uint8]]:
+            return [parse_octets(raw) for raw in messages[f"{name}/{topic}"]]
+
+        config = json.loads(parse_text(messages[f"{name}/config"][0]))
+        if config["format"] != bag.FORMAT:
+            raise UserError(
+                f"bag {path} has format {config['format']} (tissue_sim {config['package_version']}), this package reads"
+                f" {bag.FORMAT}: replay it with that version, or record it again"
+            )
+        if not data("state"):
+            raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
+        if not data("journal"):
+            raise UserError(f"bag {path} holds nothing that happened: the recording was too short or broken off")
+        n_bodies = sum(tool.n_bodies for tool in tools_of(config))
+        rows = [bag.unpack(values) for values in data("journal")]
+        kinds = rows[0] if rows else {}
+        sets = [_contact_set(bag.unpack(values), n_bodies) for values in data("contact_set")]
+        settings = [bag.unpack(values) for values in data("settings")]
+        recording = cls(
+            config=config,
+            organ=data("organ")[0].tobytes(),
+            state=bag.unpack(data("state")[0]),
+            settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
+            contact_sets={int(found.header.sequence): found for found in sets},
+            journal={kind: np.concatenate([row[kind] for row in rows]) for kind in kinds},
+        )
+        for tool in config["tools"]:
+            topics = {topic: config["topics"][f"{tool}/{topic}"] for topic in TOOL_TOPICS}
+            first = {topic: int(config["first"].get(name, 1)) for topic, name in topics.items()}
+            poses = [unit_pose(np.array(parse_stamped(raw, 7).values)) for raw in messages[topics["measured_cp"]]]
+            forces = [np.array(parse_stamped(raw, 6).values[:3]) for raw in messages[topics["measured_cf"]]]
+            recording.poses.append(dict(enumerate(poses, start=first["measured_cp"])))
+            angles = messages[config["topics"].get(f"{tool}/measured_js", "")]
+            values = [parse_number(raw) for raw in angles]
+            recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))
+            recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
+            recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
+        for raw in messages[f"{name}/surface"]:
+            recording.surfaces.append(parse_cloud(raw))
+        return recording
+
+    @property
+    def first_tick(self) -> int:
+        """That of the state."""
+        return int(self.state["status"]["tick"].item())
+
+    @property
+    def last_tick(self) -> int:
+        """The last one that the journal knows."""
+        rows = self.journal
+        ticks = [rows[kind]["tick"] for kind in ("inputs", "wrenches", "surfaces")]
+        return int(max([np.max(found) for found in ticks if len(found)], default=0))
+
+    def shown(self) -> Shown:
+        """What the bag shows; rows of the journal whose messages were lost are left out, and messages without a row."""
+        rows, tools = self.journal, self.config["tools"]
+        ticks = [rows["wrenches"]["tick"][rows["wrenches"]["tool"] == tool] for tool in range(len(tools))]
+        lengths = [min(len(found), len(wrenches)) for found, wrenches in zip(ticks, self.wrenches, strict=True)]
+        n_shapes = min(len(rows["surfaces"]), len(self.surfaces))
+        n_surface = len(self.surfaces[0]) if self.surfaces else 0
+        return Shown(
+            tools,
+            [found[:length] for found, length in zip(ticks, lengths, strict=True)],
+            [np.array(found[:length]).reshape(-1, 6) for found, length in zip(self.wrenches, lengths, strict=True)],
+            np.asarray(rows["surfaces"]["tick"][:n_shapes]),
+            np.array(self.surfaces[:n_shapes], dtype=np.float32).reshape(n_shapes, n_surface, 3),
+        )
+
+
+def settings_of(path: Path, recorded: np.ndarray) -> Settings:
+    """Settings from a record of them; raises UserError naming a field that one of both lacks."""
+    names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
+    if differing := sorted(set(names) ^ set(wanted)):
+        raise UserError(
+            f"bag {path}: setting '{differing[0]}' is not in both, the bag and this version; record it again"
+        )
+    settings = Settings.new()
+    for name in names:
+        setattr(settings, name, recorded[name][()])
+    return settings
+
+
+def _contact_set(fields: dict[str, np.ndarray], n_bodies: int) -> ContactSet:
+    """A contact set from its fields by name."""
+    made = contact_set(n_bodies, len(fields["body"]))
+    for name, value in made._asdict().items():
+        if name != "words":
+            array_of(value)[...] = fields[name]
+    return made
+
+
+def tools_of(config: dict[str, Any]) -> list[Tool]:
+    """The tools of a bag's configuration."""
+    parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")
+    return [Tool(name, **{key: parameters[f"{name}.{key}"] for key in keys}) for name in config["tools"]]
+
+
+def recorded_organ(recording: Recording) -> Organ:
+    """The organ that a bag holds."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "organ.npz"
+        path.write_bytes(recording.organ)
+        return Organ.load(path)
+
+
+def _read_messages(path: Path) -> dict[str, list[bytes]]:
+    messages: dict[str, list[bytes]] = defaultdict(list)
+    try:
+        if recovery.is_broken_off(path):
+            for connection, _, raw in recovery.messages(path):
+                messages[connection.topic].append(bytes(raw))
+            return messages
+        with Reader(path) as reader:
+            for connection, _, raw in reader.messages():
+                messages[connection.topic].append(bytes(raw))
+    except (ReaderError, OSError, ValueError, KeyError, AssertionError) as error:
+        raise UserError(f"bag {path} can't be read: {error}") from None
+    return messages

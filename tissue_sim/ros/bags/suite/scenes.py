@@ -1,0 +1,225 @@
+"""What the scenes of the suite do: poses, angles and forces of their tools, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bridge.motion import minimum_jerk
+from tissue_sim.ros.bridge.places import FRONT, Surface, looking
+from tissue_sim.ros.bridge.trajectory import plan
+
+STEP = 0.004  # s of simulated time from one pose to the next
+UNIT = 0.002  # N that one unit of the paper's forces stands for, as in `tissue_sim bench table1`
+LOCAL, GLOBAL, GLOBAL_POINTS = 100 * UNIT, 500 * UNIT, 10  # N: LF(100), and GF(500) shared by ten points
+RADIUS = 0.005  # m, of a usual tool
+FAR = 0.03  # m from the surface, where a tool waits
+CLEAR = 0.003  # m between the surface and a tool whose force alone acts
+LEFT_ALONE = 0.2  # s after what is done, so that a bag ends at rest
+TO_SLEEP = 1.5  # s in which the organ comes to rest and falls asleep
+
+
+class Step(NamedTuple):
+    """What is sent before the next STEP of simulated time; by the number of a tool."""
+
+    poses: Mapping[int, Floats] = {}  # (7,) m, quaternion xyzw
+    angles: Mapping[int, float] = {}  # rad between a gripper's jaws
+    forces: Mapping[int, Floats] = {}  # (3,) N
+    refused: Sequence[str] = ()  # kinds of bad input that the first tool sends, as the node counts them
+
+
+Steps = Iterator[Step]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What happens to an organ: its tools, what else the node is told, and the steps."""
+
+    name: str
+    what: str
+    steps: Callable[[Organ, Sequence[Tool]], Steps]
+    tools: tuple[str, ...] = ("left",)
+    radius: float = RADIUS
+    shape: str = "sphere"
+    parameters: Mapping[str, str] = field(default_factory=dict)
+
+    def made_tools(self) -> list[Tool]:
+        """The tools as the node has them."""
+        if self.shape == "gripper":
+            return [Tool(name, shape="gripper", length=0.06, mesh="config/jaws/flat.obj") for name in self.tools]
+        return [Tool(name, radius=self.radius) for name in self.tools]
+
+    def told(self) -> dict[str, str]:
+        """The node's parameters."""
+        values = {"tools": f"[{', '.join(self.tools)}]"}
+        for tool in self.made_tools():
+            values |= {f"{tool.name}.shape": tool.shape, f"{tool.name}.radius": f"{tool.radius}"}
+            if tool.mesh:
+                values |= {f"{tool.name}.mesh": tool.mesh, f"{tool.name}.length": f"{tool.length}"}
+        return values | dict(self.parameters)
+
+
+# parts of scenes -------------------------------------------------------------------------------
+def _surface(organ: Organ, radius: float) -> Surface:
+    return Surface(organ.surface_positions, organ.surface_triangles.astype(np.int64), radius)
+
+
+def _pose(place: Floats, way: Floats) -> Floats:
+    return np.concatenate([place, looking(way)])
+
+
+def _along(ways: Mapping[int, tuple[Floats, Floats, Floats]], seconds: float) -> Steps:
+    """Tools from a place to another, looking a way, in so many s, with no speed at both ends."""
+    count = max(1, round(seconds / STEP))
+    for share in minimum_jerk(np.arange(1, count + 1) / count):
+        yield Step({tool: _pose(a + share * (b - a), way) for tool, (a, b, way) in ways.items()})
+
+
+def _nothing(seconds: float) -> Steps:
+    """Time goes by, and nothing is sent."""
+    for _ in range(round(seconds / STEP)):
+        yield Step()
+
+
+def _scripted(action: str, every: int = 1, faster: int = 1) -> Callable[[Organ, Sequence[Tool]], Steps]:
+    """What the scripted bridge does, from where its fast approach ends on.
+
+    every: steps from one pose to the next; faster: how much faster than the bridge: what takes long makes large bags.
+    """
+
+    def steps(organ: Organ, tools: Sequence[Tool]) -> Steps:
+        jaws = {tool.name: tool.jaws for tool in tools if tool.shape == "gripper"}
+        names, triangles, rate = [tool.name for tool in tools], organ.surface_triangles.astype(np.int64), 1.0 / STEP
+        path = plan(organ.surface_positions, triangles, tools[0].radius, names, (action,), jaws, rate / every)
+        acting = np.char.startswith(path.phases, action)
+        acting &= ~np.isin(path.phases, (f"{action}/approach", f"{action}/retreat"))
+        for index in np.flatnonzero(acting)[::faster]:
+            angles = {tool: float(path.angles[index, tool]) for tool, name in enumerate(names) if name in jaws}
+            yield Step(dict(enumerate(path.poses[index])), angles)
+            yield from _nothing((every - 1) * STEP)
+        yield from _nothing(LEFT_ALONE)
+
+    return steps
+
+
+def _squeeze(organ: Organ, tools: Sequence[Tool]) -> Steps:
+    """Two balls as large as the organ is wide press it from both sides, all of it."""
+    surface, way = _surface(organ, tools[0].radius), np.array([1.0, 0.0, 0.0])
+    ways = (way, -way)
+    touches = [surface.touch(surface.ball.centre, one) for one in ways]
+    places = [(touch.place, one) for touch, one in zip(touches, ways, strict=True) if touch]
+    away = {tool: (place - FAR * one, place, one) for tool, (place, one) in enumerate(places)}
+    pressed = {tool: (place, place + 0.006 * one, one) for tool, (place, one) in enumerate(places)}
+    yield from _along(away, 0.3)
+    yield from _along(pressed, 0.4)
+    yield from _along({tool: (b, b, one) for tool, (_, b, one) in pressed.items()}, 0.3)
+    yield from _along({tool: (b, a, one) for tool, (a, b, one) in pressed.items()}, 0.4)
+    yield from _along({tool: (b, a, one) for tool, (a, b, one) in away.items()}, 0.3)
+    yield from _nothing(LEFT_ALONE)
+
+
+def spread_over_front(organ: Organ, count: int) -> tuple[Longs, Floats]:
+    """Surface nodes (k,), each as far from the others as can be, and the normal (3,) where the first one is."""
+    points, triangles = organ.surface_positions, organ.surface_triangles
+    corner = points[triangles]
+    normals = np.zeros_like(points)
+    for node in range(3):
+        np.add.at(normals, triangles[:, node], np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    front = np.flatnonzero(normals @ FRONT < -0.8)
+    middle = points[front].mean(axis=0)
+    chosen = [int(front[np.argmin(np.linalg.norm(points[front] - middle, axis=1))])]
+    while len(chosen) < count:
+        gaps = np.linalg.norm(points[front][:, None] - points[chosen][None], axis=2).min(axis=1)
+        chosen.append(int(front[np.argmax(gaps)]))
+    return np.array(chosen), normals[chosen[0]]
+
+
+def _pushed(total: float, points: int) -> Callable[[Organ, Sequence[Tool]], Steps]:
+    """Forces alone, shared by points; each tool tells once where its point is, and stays clear of it."""
+
+    def steps(organ: Organ, tools: Sequence[Tool]) -> Steps:
+        nodes, normal = spread_over_front(organ, points)
+        places = organ.surface_positions[nodes] + (tools[0].radius + CLEAR) * normal
+        yield Step({tool: _pose(place, -normal) for tool, place in enumerate(places)})
+        yield from _nothing(2 * STEP)
+        up = minimum_jerk(np.linspace(0.0, 1.0, round(0.3 / STEP)))
+        every = max(1, points // 4)  # steps between two forces of a tool: a bag of ten is no larger for it
+        for index, share in enumerate([*up, *np.ones(round(0.8 / STEP)), *up[::-1]]):
+            force = -share * total / points * normal
+            yield Step(forces=dict.fromkeys(range(points), force) if index % every == 0 else {})
+        yield Step(forces=dict.fromkeys(range(points), np.zeros(3)))
+        yield from _nothing(LEFT_ALONE)
+
+    return steps
+
+
+def _fly(organ: Organ, tools: Sequence[Tool]) -> Steps:
+    """A tool through all of the organ at 1.5 m/s, and back."""
+    surface = _surface(organ, tools[0].radius)
+    touch = surface.poke_place()
+    start, end = touch.at(-0.05), touch.at(0.12)
+    for a, b in ((start, end), (end, start)):
+        yield from _along({0: (a, a, touch.way)}, 0.1)
+        count = round(np.linalg.norm(end - start) / 1.5 / STEP)
+        for share in np.arange(1, count + 1) / count:
+            yield Step({0: _pose(a + share * (b - a), touch.way)})
+        yield from _along({0: (b, b, touch.way)}, 0.5)
+    yield from _nothing(LEFT_ALONE)
+
+
+def _bad_input(organ: Organ, tools: Sequence[Tool]) -> Steps:
+    """Poses that are refused while a tool presses; then none come, until its force has faded."""
+    touch = _surface(organ, tools[0].radius).poke_place()
+    yield from _along({0: (touch.at(-FAR), touch.place, touch.way)}, 0.4)
+    yield from _along({0: (touch.place, touch.at(0.005), touch.way)}, 0.3)
+    for kind in ("malformed", "nan_pose", "zero_quaternion", "unknown_frame", "no_stamp", "backward_stamp", "far_pose"):
+        yield Step(refused=[kind])
+        yield from _along({0: (touch.at(0.005), touch.at(0.005), touch.way)}, 0.04)
+    yield from _nothing(0.3)
+    yield from _along({0: (touch.at(0.005), touch.at(-FAR), touch.way)}, 0.4)
+    yield from _along({0: (touch.at(-FAR), touch.at(0.003), touch.way)}, 0.5)
+    yield from _along({0: (touch.at(0.003), touch.at(-FAR), touch.way)}, 0.4)
+    yield from _nothing(LEFT_ALONE)
+
+
+def _sleep(organ: Organ, tools: Sequence[Tool]) -> Steps:
+    """Touched, left until it sleeps, woken by a touch, and left again."""
+    touch = _surface(organ, tools[0].radius).poke_place()
+    for depth in (0.004, 0.002):
+        yield from _along({0: (touch.at(-FAR), touch.at(depth), touch.way)}, 0.5)
+        yield from _along({0: (touch.at(depth), touch.at(-FAR), touch.way)}, 0.5)
+        yield from _nothing(TO_SLEEP)
+
+
+_SHARED = tuple(f"point_{index}" for index in range(GLOBAL_POINTS))
+SCENES = (
+    Scene("stroke", "a tool drawn along the front", _scripted("stroke")),
+    Scene("poke", "a tool pressed in and held", _scripted("poke")),
+    Scene(
+        "nip",
+        "two tools nip, lift and release",
+        _scripted("nip", every=3, faster=2),
+        ("left", "right"),
+        parameters={"marker_rate": "1.0"},
+    ),
+    Scene("squeeze", "two large balls press all of the organ", _squeeze, ("left", "right"), radius=0.03),
+    Scene("local_force", "the paper's LF(100), by force alone", _pushed(LOCAL, 1)),
+    Scene("global_force", "the paper's GF(500) on ten points, by force alone", _pushed(GLOBAL, GLOBAL_POINTS), _SHARED),
+    Scene(
+        "gripper",
+        "jaws close on a pole and lift it",
+        _scripted("grip", every=2, faster=2),
+        shape="gripper",
+        parameters={"friction": "1.0"},
+    ),
+    Scene("fly_through", "a tool through all of the organ at 1.5 m/s", _fly),
+    Scene("bad_input", "poses that are refused, and poses that stop coming", _bad_input),
+    Scene("sleep", "touched, asleep, woken, asleep", _sleep),
+)
