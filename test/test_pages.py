@@ -17,7 +17,9 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")
 FOREIGN_OPTIONS = {
     *("--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"),
     *("--nworkers", "--nthreads"),  # of dask worker
+    *("--once", "--qos-reliability", "--frame-id", "--child-frame-id"),  # of ros2 topic and of tf2_ros
 }
+FOREIGN_TOPICS = {"/tf", "/tf_static"}  # published by tf2_ros for the node
 FOREIGN_WORDS = {"foxglove_bridge", "use_sim_time", "rclpy", "SCHED_FIFO", "ROS_DOMAIN_ID", "namespace"}
 
 COMMAND_LINE = re.compile(r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)")
@@ -193,9 +195,9 @@ def test_topics_exist(page, topics):
             name = re.sub(r"^(~/<tool>|left|right)/", "<tool>/", snippet)
             assert name in topics, snippet
         for name in re.findall(r"(?<![\w.:/<>~])/[a-zA-Z]\w+(?:/\w+)*(?![\w.])", snippet):
-            own = re.sub("^/tissue_sim/", "~/", name)
+            own = re.sub("^/tissue_sim/", "~/", re.sub("^/left/", "<tool>/", name))
             if not name.startswith("/etc/") and "__ns:=" not in snippet:
-                assert own in {*topics, "/tissue_sim"} or name in bridges, snippet
+                assert own in {*topics, *FOREIGN_TOPICS, "/tissue_sim", "/ward/tissue_sim"} or name in bridges, snippet
 
 
 @by_page
@@ -253,7 +255,7 @@ def test_every_parameter_is_listed(parameters):
 def test_every_topic_is_listed_with_its_type(topics):
     (rows,) = (rows for head, *rows in tables(DOCS / "topics.md") if head[0] == "name")
     listed = {row[0].strip("`"): row[1] for row in rows}
-    assert listed.keys() == topics.keys()
+    assert listed.keys() == topics.keys() | {"/tf_static`, `/tf"}
     for name, kind in topics.items():
         assert re.match(rf"\w+/{kind}\b", listed[name]), name
 
