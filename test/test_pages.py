@@ -17,6 +17,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")
 FOREIGN_OPTIONS = {
     *("--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"),
     *("--nworkers", "--nthreads"),  # of dask worker
+    "--system-site-packages",  # of venv
     *("--once", "--qos-reliability", "--frame-id", "--child-frame-id"),  # of ros2 topic and of tf2_ros
 }
 FOREIGN_TOPICS = {"/tf", "/tf_static"}  # published by tf2_ros for the node
