@@ -2,9 +2,9 @@
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
 from helpers.scenes import kidney
+from helpers.turns import random_turns
 from tissue_sim.contact.broad_phase import (
     add_normals,
     body_box,
@@ -73,7 +73,7 @@ def test_tool_holds_a_node_when_one_lies_inside_it():
     tools = ToolSet([Tool("probe", "capsule", radius=0.004, length=0.03)])
     answers = []
     for turn, point in zip(
-        Rotation.random(60, rng=0), np.random.default_rng(2).uniform(-0.06, 0.06, (60, 3)), strict=True
+        random_turns(60, np.random.default_rng(0)), np.random.default_rng(2).uniform(-0.06, 0.06, (60, 3)), strict=True
     ):
         origin = POSITION[:N].mean(axis=0) + point
         low, high = np.zeros(3), np.zeros(3)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from helpers.pressing import PROBE, deepest, is_sound, lead, line, press, top_of
 from helpers.scenes import RADIUS, ball, free_ball, kidney
 from helpers.states import is_finite
+from helpers.turns import random_turns
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.contact_constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_nodes, set_plane
@@ -433,7 +434,7 @@ def test_tool_that_jumps_about_inside_and_out_leaves_nothing_that_is_not_finite(
     for tick in range(600):
         for tool in range(2):
             if tick % 7 == 0:
-                turn = Rotation.random(rng=random).as_quat()
+                turn = random_turns(1, random)[0].as_quat()
                 scene.move(tool, random.uniform(-0.05, 0.05, 3), turn)
         if tick % 50 == 0:
             scene.push(0, random.normal(0.0, 2.0, 3))

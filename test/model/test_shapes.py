@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
+from helpers.turns import random_turns
 from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes, rotation_matrix, signed_distance
 
 BOX = np.array([0.02, 0.03, 0.01])  # m, half the extents
@@ -92,7 +92,7 @@ def test_centre_of_a_round_tool_has_a_normal_all_the_same():
 
 
 def test_rotation_matrix_equals_scipys():
-    for turn in Rotation.random(20, rng=0):
+    for turn in random_turns(20, np.random.default_rng(0)):
         matrix = np.zeros(9)
         rotation_matrix(turn.as_quat(), matrix)
         np.testing.assert_allclose(matrix.reshape(3, 3), turn.as_matrix(), atol=1e-14)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from helpers.turns import random_turns
 from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame, rotate, rotate_back, unit_quaternion
 
 RANDOM = np.random.default_rng(1)
 
 
 def random_pose() -> list[float]:
-    return [*RANDOM.normal(size=3), *Rotation.random(rng=RANDOM).as_quat()]
+    return [*RANDOM.normal(size=3), *random_turns(1, RANDOM)[0].as_quat()]
 
 
 def matrix(pose) -> np.ndarray:
