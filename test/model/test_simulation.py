@@ -1,5 +1,6 @@
 """The object that users touch: conservation, repeatability, refusals, the guard."""
 
+import inspect
 import os
 import subprocess
 import sys
@@ -511,7 +512,9 @@ def linear_answer(simulation, forces):
     size = 3 * len(nodes)
     load = np.zeros_like(model.rest)
     load[: len(forces)] = forces
-    answer, failed = cg(LinearOperator((size, size), matvec=product, dtype=float), load[nodes].ravel(), rtol=1e-8)
+    tolerance = "rtol" if "rtol" in inspect.signature(cg).parameters else "tol"  # before SciPy 1.12
+    operator = LinearOperator((size, size), matvec=product, dtype=float)
+    answer, failed = cg(operator, load[nodes].ravel(), **{tolerance: 1e-8})
     assert not failed
     displacement = np.zeros_like(model.rest)
     displacement[nodes] = answer.reshape(-1, 3)
