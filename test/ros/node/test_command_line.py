@@ -37,6 +37,14 @@ def test_off_is_a_word_and_not_yaml_s_false(node, client):
     assert found.values[0].string_value == "off"
 
 
+def test_false_is_off_where_a_dump_is_loaded_and_nothing_else_is(node, client):
+    """`ros2 param load` reads each value of a dump once more, as YAML."""
+    assert client.set_parameter("local_region", False).successful
+    test_off_is_a_word_and_not_yaml_s_false(node, client)
+    for value in (True, 0, "modal"):
+        assert not client.set_parameter("local_region", value).successful
+
+
 def test_a_misspelt_parameter_is_named_with_the_nearest(node):
     for line in (
         "parameter 'organ_fil' is unknown and changes nothing; did you mean 'organ_file'?",

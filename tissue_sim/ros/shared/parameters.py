@@ -132,6 +132,7 @@ TOOL_SPECS = (
 )
 
 
+OFF = "off"  # which YAML, and so rcl and the ros2 command line, take for false
 OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
 
 
@@ -215,6 +216,7 @@ class Parameters:
             for spec in TOOL_SPECS:
                 self._declare(f"{tool}.{spec.name}", spec)
         self._warn_of_unknown()
+        node.add_pre_set_parameters_callback(lambda given: [self._in_words(parameter) for parameter in given])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._tell)
 
@@ -250,11 +252,11 @@ class Parameters:
                 descriptor.floating_point_range = [
                     FloatingPointRange(from_value=spec.low, to_value=spec.high, step=0.0)
                 ]
-        descriptor.dynamic_typing = False
+        descriptor.dynamic_typing = OFF in spec.choices  # for rclpy would refuse it before it can be put in words
         self._specs[name] = spec
         given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
-        if given is not None and given.value is False and "off" in spec.choices:  # YAML's word for false
-            self._node._parameter_overrides[name] = Parameter(name, value="off")
+        if given is not None:
+            self._node._parameter_overrides[name] = self._in_words(given)
         try:
             self._node.declare_parameter(name, spec.default, descriptor)
         except InvalidParameterTypeException:
@@ -278,6 +280,13 @@ class Parameters:
             nearest = difflib.get_close_matches(name, self._specs, 1)
             hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"
             self._node.get_logger().warning(f"parameter '{name}' is unknown and changes nothing; {hint}")
+
+    def _in_words(self, parameter: Parameter) -> Parameter:
+        """A parameter whose choice YAML reads as its false, as the choice that was meant."""
+        spec = self._specs.get(parameter.name)
+        if spec is None or OFF not in spec.choices or parameter.value is not False:
+            return parameter
+        return Parameter(parameter.name, value=OFF)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept live parameters in range; refuse others with the reason."""
