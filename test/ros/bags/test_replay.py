@@ -32,6 +32,17 @@ def compared(recording, **changed):
     return compare(replayed.wanted, replayed.shown, TOLERANCE, TOLERANCE)
 
 
+def test_a_tick_whose_surface_was_published_twice_repeats_twice(recording):
+    """As where markers come faster than ticks, on a slow loop."""
+    once = recording.shown()
+    twice = dataclasses.replace(
+        once, surface_ticks=np.repeat(once.surface_ticks, 2), surfaces=np.repeat(once.surfaces, 2, axis=0)
+    )
+    replayed = replay(recording, wanted=twice)
+    np.testing.assert_array_equal(replayed.shown.surfaces, replayed.wanted.surfaces)
+    assert len(replayed.shown.surfaces) >= 2 * (len(once.surfaces) - 1)
+
+
 def test_replay_repeats_bit_for_bit(recording):
     first, second = replay(recording), replay(recording)
     for tool in range(len(first.shown.tools)):

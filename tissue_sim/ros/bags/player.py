@@ -129,7 +129,9 @@ class Player:
         for tool, ticks in enumerate(wanted.wrench_ticks):
             for index, tick in enumerate(ticks.tolist()):
                 wrench_at[tick].append((tool, index))
-        surface_at = {tick: index for index, tick in enumerate(wanted.surface_ticks.tolist())}
+        surface_at: dict[int, list[int]] = defaultdict(list)  # a slow loop may be shown twice in a tick
+        for index, tick in enumerate(wanted.surface_ticks.tolist()):
+            surface_at[tick].append(index)
         n_surface = wanted.surfaces.shape[1]
         result = Replayed(wanted, shown)
         settings = self.recording.settings
@@ -148,8 +150,7 @@ class Player:
                 self.kept[tick] = self.simulation.positions.copy()
             for tool, index in wrench_at.get(tick, ()):
                 shown.wrenches[tool][index] = self._wrench(tool, wanted.wrenches[tool][index])
-            index = surface_at.get(tick, -1)
-            if index >= 0:
+            for index in surface_at.get(tick, ()):
                 shown.surfaces[index] = self.simulation.positions[:n_surface]
         return result
 
