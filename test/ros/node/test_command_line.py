@@ -110,6 +110,7 @@ WHILE_LOADING = """
 import builtins, os, signal, sys
 from tissue_sim.cli import main
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is started without
 load = builtins.__import__
 
 def signalled(name, *rest, **named):

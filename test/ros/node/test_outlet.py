@@ -47,6 +47,9 @@ class Presenter:
         if self.fails:
             raise ValueError("nor of tools")
 
+    def broadcast_tips(self):
+        pass
+
 
 @pytest.fixture(params=[60.0, 240.0])
 def scene(request, monkeypatch):
