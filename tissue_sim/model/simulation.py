@@ -17,17 +17,14 @@ from tissue_sim.model.assembly import Model, assemble, model_of
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
 from tissue_sim.model.energy import Energy, energy_of
-from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
 from tissue_sim.model.records import words_of
 from tissue_sim.model.reduction import reduce_model
-from tissue_sim.model.rest import pace
 from tissue_sim.model.scratch import make_scratch
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, LocalRegion, Settings
+from tissue_sim.model.settling import residuals, settle
 from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
-from tissue_sim.model.squeezed import add_held
 from tissue_sim.model.state import Region, State, make_state, take_fields
 from tissue_sim.model.world import (
     free_world,
@@ -56,8 +53,6 @@ REGION_STEP = 1e-3 / 6
 
 # Cells that move as a whole with local_region auto: 0.3 ms a tick (`bench region`). A region is never so accurate.
 MOST_WHOLE = 20_000
-
-LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
 
 MOST_GRAVITY = 100.0  # m/s^2
 
@@ -227,7 +222,7 @@ class Simulation:
 
         Without inertia: of an organ at rest, or nearly so. 0 where nothing holds.
         """
-        force = self._residuals()
+        force = residuals(self)
         held = np.ones(len(force), dtype=bool)
         held[self.model.moving] = False
         held[self.state.prescribed_node[: self.state.status.prescribed]] = True
@@ -355,76 +350,11 @@ class Simulation:
     def settle(
         self, forces: Floats, tolerance: float = 1e-3, longest: float = 20.0, ramp: float = 0.0
     ) -> tuple[Floats, bool]:
-        """Displacements at rest under constant surface forces, gravity, and what is prescribed.
+        """Displacements (n_surface, 3) m at rest under surface forces (n_surface, 3) N, and whether it settled.
 
-        forces (n_surface, 3) N. Steps from the rest shape until the residual force is under tolerance times the load,
-        or what holds prescribed nodes (and the organ, by its own pace, is all but still), or for `longest` simulated
-        seconds. Forces act, and prescribed nodes move, at once, or within `ramp` seconds, as a hand does, so that the
-        organ doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
+        See settling.settle.
         """
-        n_surface = self.model.n_surface
-        state = self.state
-        led = state.prescribed_node[: state.status.prescribed].copy()
-        goal = state.prescribed_to[led]
-        self.reset()
-        loaded = np.flatnonzero(np.any(forces != 0.0, axis=1))
-        heavy = is_out_of_balance(self.model, self.settings)
-        if not len(loaded) and not len(led) and not heavy:
-            return np.zeros((n_surface, 3)), True
-        load = forces.astype(np.float64)
-        if heavy:
-            pull = np.zeros_like(state.position)
-            add_weight(self.model, self.settings, pull)
-            load = load + pull[:n_surface]
-        size = float(np.linalg.norm(load))
-        pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
-        settled = False
-        coming = max(LEAST_COMING, 2.0 / pace(self.model, self.settings))
-        faults = state.count.faults
-        raised = max(1, math.ceil(ramp * self.rate))
-        prescribe_world(self.world, led, goal, raised)
-        for first in range(1, math.ceil(longest * self.rate) + 1, 20):
-            for tick in range(first, first + 20):
-                load_world(self.world, loaded, min(1.0, tick / raised) * pushes)
-                self.step()
-            if first + 19 < raised:
-                continue
-            if state.count.faults > faults and not np.any(state.velocity):
-                continue
-            left = self._residuals(forces)
-            residual = float(np.linalg.norm(left[self._free_nodes()]))
-            size = max(size, float(np.linalg.norm(left[led])))
-            speed = float(np.abs(state.velocity).max())
-            reach = float(np.abs(state.position - self.model.rest).max())
-            if residual <= tolerance * size and speed * coming <= tolerance * max(reach, 1e-9):
-                settled = not self._modes_move(tolerance)
-                if settled:
-                    break
-        return self.positions[:n_surface] - self.model.rest[:n_surface], settled
-
-    def _modes_move(self, tolerance: float) -> bool:
-        """True while the modes of a modal region are on their way."""
-        if self.state.status.region != Region.MODAL:
-            return False
-        speed, reach = (np.linalg.norm(a) for a in (self.state.mode_velocity, self.state.mode_position))
-        return bool(speed * 0.1 > tolerance * reach)
-
-    def _residuals(self, forces: Floats | float = 0.0) -> Floats:
-        """Force (n, 3) N left on every node under surface forces; what holds squeezed cells is one of the forces."""
-        force = np.zeros_like(self.model.rest)
-        elastic_forces(self.model, self.state.position, force)
-        force *= self.settings.stiffness_scale
-        add_weight(self.model, self.settings, force)
-        force[: self.model.n_surface] += forces
-        add_held(self.scratch, float(self.settings.tick_time) / max(1, self.state.status.substeps), force)
-        return force
-
-    def _free_nodes(self) -> NDArray[np.int64]:
-        """Nodes (k,) that nothing leads."""
-        nodes: Any = self.model.moving
-        if self.state.status.region != Region.WHOLE:
-            nodes = self.scratch.moved_node[: self.scratch.moved[0]]
-        return np.asarray(nodes[self.state.is_prescribed[nodes] == 0], dtype=np.int64)
+        return settle(self, forces, tolerance, longest, ramp)
 
 
 def acceleration_of(given: ArrayLike, name: str) -> Floats:

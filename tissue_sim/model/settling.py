@@ -1,0 +1,100 @@
+"""An organ's way to rest: steps until nothing moves any more."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.array_types import Floats
+from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.gravity import add_weight, is_out_of_balance
+from tissue_sim.model.rest import pace
+from tissue_sim.model.squeezed import add_held
+from tissue_sim.model.state import Region
+from tissue_sim.model.world import load_world, prescribe_world
+
+if TYPE_CHECKING:
+    from tissue_sim.model.simulation import Simulation
+
+LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
+
+
+def settle(
+    simulation: Simulation, forces: Floats, tolerance: float, longest: float, ramp: float
+) -> tuple[Floats, bool]:
+    """Displacements at rest under constant surface forces, gravity, and what is prescribed.
+
+    forces (n_surface, 3) N. Steps from the rest shape until the residual force is under tolerance times the load,
+    or what holds prescribed nodes (and the organ, by its own pace, is all but still), or for `longest` simulated
+    seconds. Forces act, and prescribed nodes move, at once, or within `ramp` seconds, as a hand does, so that the
+    organ doesn't swing past where it comes to rest. Returns displacements (n_surface, 3) m and whether it settled.
+    """
+    n_surface = simulation.model.n_surface
+    state = simulation.state
+    led = state.prescribed_node[: state.status.prescribed].copy()
+    goal = state.prescribed_to[led]
+    simulation.reset()
+    loaded = np.flatnonzero(np.any(forces != 0.0, axis=1))
+    heavy = is_out_of_balance(simulation.model, simulation.settings)
+    if not len(loaded) and not len(led) and not heavy:
+        return np.zeros((n_surface, 3)), True
+    load = forces.astype(np.float64)
+    if heavy:
+        pull = np.zeros_like(state.position)
+        add_weight(simulation.model, simulation.settings, pull)
+        load = load + pull[:n_surface]
+    size = float(np.linalg.norm(load))
+    pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
+    settled = False
+    coming = max(LEAST_COMING, 2.0 / pace(simulation.model, simulation.settings))
+    faults = state.count.faults
+    raised = max(1, math.ceil(ramp * simulation.rate))
+    prescribe_world(simulation.world, led, goal, raised)
+    for first in range(1, math.ceil(longest * simulation.rate) + 1, 20):
+        for tick in range(first, first + 20):
+            load_world(simulation.world, loaded, min(1.0, tick / raised) * pushes)
+            simulation.step()
+        if first + 19 < raised:
+            continue
+        if state.count.faults > faults and not np.any(state.velocity):
+            continue
+        left = residuals(simulation, forces)
+        residual = float(np.linalg.norm(left[_free_nodes(simulation)]))
+        size = max(size, float(np.linalg.norm(left[led])))
+        speed = float(np.abs(state.velocity).max())
+        reach = float(np.abs(state.position - simulation.model.rest).max())
+        if residual <= tolerance * size and speed * coming <= tolerance * max(reach, 1e-9):
+            settled = not _modes_move(simulation, tolerance)
+            if settled:
+                break
+    return simulation.positions[:n_surface] - simulation.model.rest[:n_surface], settled
+
+
+def residuals(simulation: Simulation, forces: Floats | float = 0.0) -> Floats:
+    """Force (n, 3) N left on every node under surface forces; what holds squeezed cells is one of the forces."""
+    force = np.zeros_like(simulation.model.rest)
+    elastic_forces(simulation.model, simulation.state.position, force)
+    force *= simulation.settings.stiffness_scale
+    add_weight(simulation.model, simulation.settings, force)
+    force[: simulation.model.n_surface] += forces
+    add_held(simulation.scratch, float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps), force)
+    return force
+
+
+def _modes_move(simulation: Simulation, tolerance: float) -> bool:
+    """True while the modes of a modal region are on their way."""
+    if simulation.state.status.region != Region.MODAL:
+        return False
+    speed, reach = (np.linalg.norm(a) for a in (simulation.state.mode_velocity, simulation.state.mode_position))
+    return bool(speed * 0.1 > tolerance * reach)
+
+
+def _free_nodes(simulation: Simulation) -> NDArray[np.int64]:
+    """Nodes (k,) that nothing leads."""
+    nodes: Any = simulation.model.moving
+    if simulation.state.status.region != Region.WHOLE:
+        nodes = simulation.scratch.moved_node[: simulation.scratch.moved[0]]
+    return np.asarray(nodes[simulation.state.is_prescribed[nodes] == 0], dtype=np.int64)
