@@ -102,7 +102,9 @@ class Path:
         going = max(0.5 * self.reach * np.abs(opening).max(), *(length[-1] for length in along))
         least = PEAK_OVER_MEAN * max(going / speed, turning / TURNING)
         n = int(np.ceil(self.rate * max(least, SHORTEST if least > 1e-6 else 0.0, seconds) - 1e-9))
-        share = minimum_jerk(np.arange(1, n + 1) / max(n, 1))
+        if n == 0:
+            return self
+        share = minimum_jerk(np.arange(1, n + 1) / n)
         places = [
             np.stack([np.interp(share * length[-1], length, axis) for axis in way.T], axis=1)
             for way, length in zip(ways, along, strict=True)
