@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 
 import tissue_sim
 from tissue_sim.commands import COMMANDS
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, give_up_output
 
 UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should
 
@@ -54,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"tissue_sim: error: {error}\n")
         return 2
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        give_up_output()
         return 0
     except KeyboardInterrupt:  # before the command listens for it
         return 0 if chosen in UNTIL_ASKED else 130

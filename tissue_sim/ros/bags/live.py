@@ -129,11 +129,9 @@ class _Live:
         return True if status is not None and status.get("clock", "").startswith("/clock") else None
 
     def _wait(self, ask: Callable[[], Any], problem: str) -> Any:
-        end = time.monotonic() + PATIENCE
-        while (found := ask()) is None:
-            if time.monotonic() > end:
-                raise UserError(problem)
-            time.sleep(0.02)
+        found = client.wait_until(ask, PATIENCE)
+        if found in (None, False):
+            raise UserError(problem)
         return found
 
     # meanwhile ---------------------------------------------------------------------------------

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Callable
 from typing import Any
 
 from tissue_sim.ros.bridge.script import ACTIONS, check
@@ -56,15 +54,15 @@ def run(args: argparse.Namespace) -> int:
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
         parameters = NodeParameters(node, args.node)
         meshes = client.Inbox(node, Mesh, f"/{args.node}/mesh", client.latched_qos())
-        mesh = _wait_until(meshes.take, args.wait, stop)
-        values = None if mesh is None else _wait_until(parameters.poll, args.wait, stop)
+        mesh = client.wait_until(meshes.take, args.wait, stop)
+        values = None if mesh is None else client.wait_until(parameters.poll, args.wait, stop)
         if values is None:
             what = f"mesh on /{args.node}/mesh" if mesh is None else f"answer from /{args.node}/get_parameters"
             return 0 if stop else _not_there(args, what)
         links, script, jaws, radius = cast(values, args)
         tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
         organ: Any = client.mesh_arrays(mesh)
-        _wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
+        client.wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
         player = Player(tools, args.seconds)
         while organ is not None:
             vertices, triangles = organ
@@ -87,11 +85,3 @@ def run(args: argparse.Namespace) -> int:
 def _not_there(args: argparse.Namespace, what: str) -> int:
     sys.stderr.write(f"tissue_sim bridge: no {what} in {args.wait:g} s; start tissue_node, or name yours with --node\n")
     return 1
-
-
-def _wait_until(ask: Callable[[], Any], longest: float, stop: client.Stop) -> Any:
-    """Ask until the answer is neither None nor False; what it is then, or after `longest` s."""
-    end = time.monotonic() + longest
-    while (answer := ask()) in (None, False) and not stop and time.monotonic() < end:
-        time.sleep(0.02)
-    return answer

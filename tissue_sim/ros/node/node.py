@@ -36,7 +36,7 @@ from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.node.presenter import Presenter
 from tissue_sim.ros.node.served_tool import ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
-from tissue_sim.ros.node.tf_broadcast import tf_broadcast
+from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
@@ -91,8 +91,8 @@ class TissueNode(Node):
         )
         self.finder = finder
         broadcast = None
-        if values["broadcast_tf"]:
-            broadcast = tf_broadcast(self, self.frame_id, values.tools, placed_frames(values, values.tools))
+        if values["broadcast_tf"] and tf_installed():
+            broadcast = TfBroadcast(self, self.frame_id, values.tools, placed_frames(values, values.tools))
         self.presenter = Presenter(
             self, self.organ, self.frame_id, self.physics, self.ports, self.recorder, tools, broadcast
         )

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import sys
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, give_up_output
 from tissue_sim.ros.node.node import TissueNode
 from tissue_sim.ros.shared.dds import use_shipped_profile
 from tissue_sim.ros.shared.ending import Ending, Interrupted
-from tissue_sim.ros.shared.executors import OLD_RCLPY, is_usual, make_executor
+from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
@@ -29,7 +29,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
         try:
             print(usage(), flush=True)
         except BrokenPipeError:  # piped into head: the rest has nowhere to go
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            give_up_output()
         return 0
     sys.setswitchinterval(TURN)
     use_shipped_profile()
@@ -38,7 +38,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
         _start_rclpy(arguments)
         node = TissueNode()
         executor = make_executor()
-        if is_usual():
+        if isinstance(executor, SingleThreadedExecutor):
             node.get_logger().warning(OLD_RCLPY)
         executor.add_node(node)
         node.start()

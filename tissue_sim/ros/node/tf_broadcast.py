@@ -12,11 +12,6 @@ from rclpy.time import Time
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.frames import Transform
 
-try:
-    import tf2_ros
-except ImportError:  # the PyPI wheels have none
-    tf2_ros = None
-
 
 def tip_frame(tool: str) -> str:
     """The frame at a tool's tip, its origin, along the tool's own axes."""
@@ -26,12 +21,14 @@ def tip_frame(tool: str) -> str:
 class TfBroadcast:
     """Broadcasts the frames that parameters place, once and latched; the tools' tips as they move.
 
-    placed: for each frame its parent and the transform to that.
+    placed: for each frame its parent and the transform to that. To be made where tf_installed() alone.
     """
 
     def __init__(
         self, node: Node, organ_frame: str, tools: Sequence[str], placed: dict[str, tuple[str, Transform]]
     ) -> None:
+        import tf2_ros
+
         self._organ_frame, self._tips = organ_frame, [tip_frame(tool) for tool in tools]
         self._static = tf2_ros.StaticTransformBroadcaster(node)
         self._moving = tf2_ros.TransformBroadcaster(node)
@@ -52,13 +49,6 @@ class TfBroadcast:
         ]
         if messages:
             self._moving.sendTransform(messages)
-
-
-def tf_broadcast(
-    node: Node, organ_frame: str, tools: Sequence[str], placed: dict[str, tuple[str, Transform]]
-) -> TfBroadcast | None:
-    """A broadcaster, or None without tf2_ros."""
-    return None if tf2_ros is None else TfBroadcast(node, organ_frame, tools, placed)
 
 
 def transform_message(stamp: int, parent: str, child: str, pose: Sequence[float]) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -120,6 +121,14 @@ def node_beside(node: Node, what: str) -> Node:
         enable_rosout=False,
         start_parameter_services=False,
     )
+
+
+def wait_until(ask: Callable[[], Any], longest: float, stop: object = False) -> Any:
+    """Ask until the answer is neither None nor False, or `stop` is true; what it is then, or after `longest` s."""
+    end = time.monotonic() + longest
+    while (answer := ask()) in (None, False) and not stop and time.monotonic() < end:
+        time.sleep(0.02)
+    return answer
 
 
 def stream_qos() -> QoSProfile:

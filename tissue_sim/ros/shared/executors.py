@@ -15,8 +15,3 @@ OLD_RCLPY = "rclpy is older than 7.1.4 and has no EventsExecutor: poses take lon
 def make_executor() -> Executor:
     """The one that costs least for a pose, or in an old rclpy the usual one."""
     return SingleThreadedExecutor() if EventsExecutor is None else EventsExecutor()
-
-
-def is_usual() -> bool:
-    """True where rclpy has only the usual executor."""
-    return EventsExecutor is None

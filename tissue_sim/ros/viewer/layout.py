@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -40,8 +39,8 @@ def write(kind: str, node: str) -> int:
         sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are taken for its own\n")
         print(fitted(kind, node, tools={tool: namespace + topic for tool, topic in TOOLS.items()}), end="")
         return 0
-    topics = {tool: values[f"{tool}.servo_cf"] or f"{tool}/servo_cf" for tool in values["tools"]}
-    absolute = {tool: topic if topic.startswith("/") else f"{namespace}/{topic}" for tool, topic in topics.items()}
+    given = {tool: _told(values, tool, node) for tool in values["tools"]}
+    absolute = {tool: topic if topic.startswith("/") else f"{namespace}/{topic}" for tool, topic in given.items()}
     print(fitted(kind, node, values["frame_id"], absolute), end="")
     return 0
 
@@ -52,10 +51,16 @@ def _asked(node: str) -> dict[str, Any] | None:
 
     with client.client_node("layout", node) as own:
         parameters = NodeParameters(own, node)
-        end = time.monotonic() + WAIT
-        while (values := parameters.poll()) is None and time.monotonic() < end:
-            time.sleep(0.02)
-        return values or None
+        return client.wait_until(parameters.poll, WAIT) or None
+
+
+def _told(values: dict[str, Any], tool: str, node: str) -> str:
+    """The topic of a tool's wrenches."""
+    from tissue_sim.ros.shared.tool_link import ToolLink
+
+    link = ToolLink.told(values, tool, node)
+    assert link is not None  # it is among the node's tools
+    return link.topics.names["servo_cf"]
 
 
 def _rviz(text: str, frame_id: str, tools: Mapping[str, str]) -> str:
