@@ -16,6 +16,28 @@ from tissue_sim.model.forces import elastic_forces
 from tissue_sim.organ.winding import inside
 
 
+# poses that come late ---------------------------------------------------------------------------
+def poke(gap, period):
+    """Forces, (ticks, 3) N, of a tool that goes 6 mm into the kidney and out, without poses for a gap in each 100 ms."""
+    scene = Scene(kidney(), [Tool("left", "sphere", radius=0.005)], ticks_a_set=4)
+    outermost = kidney().surface_positions[np.argmax(kidney().surface_positions[:, 0])]
+    forces = []
+    for tick in range(round(1.2 * period)):
+        if tick % 100 >= gap:
+            depth = -0.004 + 0.005 * (1.0 - np.cos(2.0 * np.pi * tick / period))
+            scene.move(0, outermost + [0.005 - depth, 0.0, 0.0], stamp=1_000_000 * (1000 + tick))
+        scene.step()
+        forces.append(scene.wrenches[0, :3].copy())
+    return np.linalg.norm(forces, axis=1)
+
+
+@pytest.mark.parametrize("period", [400, 1000])
+def test_poses_that_come_late_change_the_highest_force_by_a_tenth_at_most(period):
+    undisturbed = poke(0, period).max()
+    for gap in (10, 30, 45):
+        assert poke(gap, period).max() == pytest.approx(undisturbed, rel=0.1), gap
+
+
 # equal and opposite ----------------------------------------------------------------------------
 @pytest.mark.parametrize("friction", [0.0, 0.6])
 @pytest.mark.parametrize("subdivisions", [1, 2])

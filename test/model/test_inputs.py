@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.scenes import ball, free_ball
 from tissue_sim.model.contact_set import contact_set
-from tissue_sim.model.inputs import LONGEST_PERIOD
 from tissue_sim.model.simulation import Simulation, sphere_tools
 
 FAR = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0])
@@ -58,12 +57,75 @@ def test_tool_is_led_evenly_to_a_pose_that_took_several_ticks(period):
     np.testing.assert_array_equal(simulation.state.body_pose[0], goal)
 
 
-def test_slow_input_leads_the_tool_no_longer_than_the_limit():
+def test_slow_input_leads_the_tool_no_longer_than_it_may_be_stale():
     simulation = engaged_at(FAR)
-    for _ in range(LONGEST_PERIOD + 15):
+    for _ in range(60):
         simulation.step()
     simulation.take_pose(0, FAR + 0.001, 2)
-    assert simulation.state.bodies[0].remaining == LONGEST_PERIOD
+    assert simulation.state.bodies[0].remaining == simulation.settings.stale_time
+
+
+def led(poses, ticks):
+    """The way of a tool, (ticks + 1, 7), that is given poses by the tick that takes them: stamp in ms, pose (7,)."""
+    simulation = engaged_at(FAR)
+    path = [FAR]
+    for tick in range(ticks):
+        if tick in poses:
+            stamp, pose = poses[tick]
+            simulation.take_pose(0, pose, 2 + tick, round(1_000_000 * (1000 + stamp)))
+        simulation.step()
+        path.append(simulation.state.held_pose[0].copy())
+    return np.array(path)
+
+
+def down_and_turning(milliseconds):
+    """A pose that goes down by 0.1 m/s and turns by 0.2 rad/s."""
+    turn = Rotation.from_rotvec([0.0, 2e-4 * milliseconds, 0.0]).as_quat()
+    return np.array([0.0, 0.0, 0.2 - 1e-4 * milliseconds, *turn])
+
+
+def moved(path):
+    """How far a tool went in each tick, m, and how far it turned, rad."""
+    turns = Rotation.from_quat(path[:, 3:])
+    return np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1), (turns[:-1].inv() * turns[1:]).magnitude()
+
+
+SKIPPED = {tick: (tick, down_and_turning(tick)) for tick in range(60) if not 20 <= tick < 40}
+BURST = {tick: (60 if tick > 43 else tick, down_and_turning(60 if tick > 43 else tick)) for tick in SKIPPED}
+# Each pose is under way for 0 to 3 ms, and the newest that has come is taken.
+NEWEST = [max((sent for sent in range(60) if sent + (0, 3, 1, 2)[sent % 4] <= tick), default=0) for tick in range(63)]
+JITTER = {
+    tick: (sent, down_and_turning(sent)) for tick, sent in enumerate(NEWEST) if sent > max(NEWEST[:tick], default=-1)
+}
+
+
+@pytest.mark.parametrize("poses", [SKIPPED, BURST, JITTER], ids=["skipped", "in a burst", "late"])
+def test_tool_goes_no_faster_than_stamps_tell_it_wherever_poses_were_late(poses):
+    path = led(poses, 140)
+    went, turned = moved(path)
+    assert went.max() < 1e-4 * (1.0 + 1e-9)
+    assert turned.max() < 2e-4 * (1.0 + 1e-6)
+    # And ends where the last pose is.
+    np.testing.assert_array_equal(path[-1], poses[max(poses)][1])
+
+
+def test_tool_is_where_its_poses_are_when_they_come_in_time():
+    path = led({tick: (tick, down_and_turning(tick)) for tick in range(50)}, 50)
+    np.testing.assert_allclose(path[1:], [down_and_turning(tick) for tick in range(50)], rtol=0.0, atol=1e-12)
+
+
+def test_stamps_that_stand_still_or_go_wild_leave_the_tool_behind_no_longer_than_stale_time():
+    for stamps in (
+        lambda tick: 5,
+        lambda tick: 1e6 * tick,
+        lambda tick: 1e-6 * tick,
+        lambda tick: tick if tick % 2 else 3,
+    ):
+        path = led({tick: (stamps(tick), down_and_turning(tick)) for tick in range(100)}, 151)
+        np.testing.assert_array_equal(path[-1], down_and_turning(99))
+        assert np.all(np.isfinite(path))
+        behind = np.linalg.norm(path[1:101, :3] - [down_and_turning(tick)[:3] for tick in range(100)], axis=1)
+        assert behind.max() < 50 * 1e-4
 
 
 def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():

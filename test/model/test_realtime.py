@@ -69,7 +69,8 @@ class Loop:
 
     def post_pose(self, pose):
         pose = np.array(pose, dtype=np.float64)
-        self.poses[mb.put(self.handles["pose"], 0, pose.view(np.int64))] = pose
+        words = np.append(pose.view(np.int64), time.monotonic_ns())
+        self.poses[mb.put(self.handles["pose"], 0, words)] = pose, int(words[7])
 
     def post_force(self, force):
         force = np.array(force, dtype=np.float64)
@@ -192,7 +193,8 @@ def by_hand(loop, ticks):
         if row.settings != last.settings:
             simulation.take_settings(loop.settings[row.settings])
         if taken.pose != last_taken.pose:
-            simulation.take_pose(0, loop.poses[taken.pose], taken.pose)
+            pose, stamp = loop.poses[taken.pose]
+            simulation.take_pose(0, pose, taken.pose, stamp)
         if taken.force != last_taken.force:
             simulation.take_force(0, loop.forces[taken.force], taken.force)
         if row.contact_set != last.contact_set:
@@ -273,7 +275,7 @@ def test_only_the_newest_of_several_poses_is_taken():
     taken = loop.journal()[1].pose.tolist()
     assert taken == sorted(set(taken))
     assert taken[-1] == 500
-    np.testing.assert_array_equal(loop.simulation.state.body_goal[0], loop.poses[500])
+    np.testing.assert_array_equal(loop.simulation.state.body_goal[0], loop.poses[500][0])
 
 
 def test_pose_ends_a_nap():

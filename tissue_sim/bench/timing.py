@@ -161,7 +161,8 @@ def _time_ticks(
             phase[0] = phase[0] % _LOAD_PERIOD + 1
             load_nodes(state, nodes, share * forces)
         for tool in range(len(state.body_pose)):
-            take_pose(state, tool, state.body_goal[tool].copy(), state.bodies[tool].pose_sequence + 1)
+            goal = state.body_goal[tool].copy()
+            take_pose(state, settings, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
         start = _now(clock)
         tick_world(world)
         if guarded:  # once more, after a tick as in it

@@ -217,13 +217,13 @@ class ContactFinder:
         return around[chosen].astype(np.int64), weight[chosen]
 
 
-def reach_margins(position: Floats, last: Floats, share: float) -> Floats:
+def reach_margins(position: Floats, last: Floats, share: float, behind: Floats) -> Floats:
     """Margins (T,) m beyond MARGIN for bodies that went from last (T, 3) to position (T, 3) m since the last set.
 
-    What they may cover until the next one, `share` times as much, beyond half of MARGIN; in whole mm, so that a journal
-    can hold them.
+    What they may cover until the next one, `share` times as much, and how far behind their newest pose they are, (T,)
+    m, beyond half of MARGIN; in whole mm, so that a journal can hold them.
     """
-    covered = share * np.linalg.norm(position - last, axis=1)
+    covered = share * np.linalg.norm(position - last, axis=1) + behind
     return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
 
 

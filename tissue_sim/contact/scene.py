@@ -50,14 +50,22 @@ class Scene:
         return np.array([about(self._origin[tool], wrench[own], poses[own]) for tool, own in enumerate(bodies)])
 
     def move(
-        self, tool: int, position: ArrayLike, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0), angle: float = 0.0
+        self,
+        tool: int,
+        position: ArrayLike,
+        quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        angle: float = 0.0,
+        stamp: int = 0,
     ) -> None:
-        """A new pose of a tool: position (3,) m and unit quaternion xyzw; angle rad between a gripper's jaws."""
+        """A new pose of a tool: position (3,) m and unit quaternion xyzw; angle rad between a gripper's jaws.
+
+        stamp: ns, when the tool was there; 0: it came as fast as it moved.
+        """
         pose = np.concatenate([np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)])
         self._origin[tool] = pose[:3]
         self._sequence += 1
         for body, at in zip(self.tools.bodies[tool], self.tools.poses(tool, pose, angle), strict=True):
-            self.simulation.take_pose(body, at, self._sequence)
+            self.simulation.take_pose(body, at, self._sequence, stamp)
 
     def push(self, tool: int, force: ArrayLike) -> None:
         """A new external force (3,) N on the tissue at a tool's tip."""
@@ -79,7 +87,8 @@ class Scene:
         goal = state.body_goal.copy()
         margins = np.zeros(len(fresh))
         if self._ticks_a_set > 1 and self._set_goal is not None:
-            margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0)
+            behind = state.bodies.speed * state.bodies.remaining
+            margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0, behind)
         self._set_goal = goal
         found = self.finder.find(self.simulation.positions, goal, margins, fresh, pushing)
         self._sequence += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from tissue_sim.jit import kernel
@@ -10,26 +11,68 @@ from tissue_sim.model.contact_set import used_words
 from tissue_sim.model.prescribed import forget_prescribed
 from tissue_sim.model.regions import drop_region
 
-LONGEST_PERIOD = 20  # ticks over which a tool is led to its newest pose at the most
+CATCH_UP = 0.03  # s in which a tool makes good most of what it is behind its poses, where they told such a speed
+CREEP = 1e-3, 1e-2  # m/s and 1/s at the least, so that it gets there
 
 
 @kernel
-def take_pose(state: Any, body: int, pose: Any, sequence: int) -> None:
-    """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw.
-
-    The tool is led there over as many ticks as the pose took to come, so that input slower than
-    the tick rate moves it evenly.
-    """
+def take_pose(state: Any, settings: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
+    """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw; stamp in ns, 0 where it has none."""
     status = state.bodies[body]
     if not status.engaged:
         copy(pose, state.body_pose[body])
         copy(pose, state.held_pose[body])
-        status.remaining = 0
+        status.remaining = status.speed = status.turning = 0.0
     else:
-        status.remaining = min(max(status.age, 1), LONGEST_PERIOD)
+        lead_to(state, settings, body, pose, stamp)
     copy(pose, state.body_goal[body])
     status.age = 0
+    status.stamp = stamp
     status.pose_sequence = sequence
+
+
+@kernel
+def lead_to(state: Any, settings: Any, body: int, pose: Any, stamp: int) -> None:
+    """Set how long a tool is led to a pose (7,): no faster than its poses tell, from their stamps, or else as they came.
+
+    Where poses were skipped or came late, the tool still has a part of their way before it. It makes that good softly,
+    and no faster than they told: a hand must not feel that a machine is busy. It is never longer behind than stale_time.
+    """
+    status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
+    told = 1e-9 * (stamp - status.stamp) if 0 < status.stamp < stamp else max(status.age, 1) * settings.tick_time
+    before = status.remaining > 0.0
+    moved, turned = distance(goal, pose), quaternion_distance(goal, pose)
+    status.speed = max(moved / told, status.speed if before else 0.0)
+    status.turning = max(turned / told, status.turning if before else 0.0)
+    seconds = max(
+        way_time(distance(held, pose), moved, told, status.speed, CREEP[0]),
+        way_time(quaternion_distance(held, pose), turned, told, status.turning, CREEP[1]),
+    )
+    status.remaining = min(seconds, settings.stale_time)
+
+
+@kernel
+def way_time(way: float, new: float, told: float, most: float, creep: float) -> float:
+    """Time, s, for a way of which the last pose added `new`, in `told` s; most: speed that is not exceeded."""
+    if way == 0.0:
+        return 0.0
+    return way / min(most, new / told + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else told
+
+
+@kernel
+def distance(pose: Any, other: Any) -> float:
+    """Between the origins of two poses (7,), m."""
+    return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
+
+
+@kernel
+def quaternion_distance(pose: Any, other: Any) -> float:
+    """Between the quaternions of two poses (7,), of either sign: half the angle while that is small."""
+    less = more = 0.0
+    for c in range(3, 7):
+        less += (pose[c] - other[c]) ** 2
+        more += (pose[c] + other[c]) ** 2
+    return math.sqrt(min(less, more))
 
 
 @kernel
@@ -134,7 +177,8 @@ def reset_state(model: Any, state: Any) -> None:
     for body in range(len(state.bodies)):
         status = state.bodies[body]
         status.age = status.force_age = -1
-        status.remaining = status.pose_sequence = status.force_sequence = 0
+        status.stamp = status.pose_sequence = status.force_sequence = 0
+        status.remaining = status.speed = status.turning = 0.0
         status.engaged = status.lapsed = False
         for c in range(3):
             state.contacts.tip_node[body, c] = -1

@@ -25,6 +25,7 @@ from tissue_sim.model.state import State
 SLOTS = 4
 JOURNAL_ROWS = 8192
 TIMING_ROWS = 8192
+POSE_WORDS = 8
 
 
 class Mailbox(NamedTuple):
@@ -98,7 +99,7 @@ class Timing(Record):
 class Mailboxes(NamedTuple):
     """All that goes in and out. T rigid bodies, n nodes."""
 
-    pose: Mailbox  # to each body, (7,) floats
+    pose: Mailbox  # to each body, (7,) floats and the stamp, ns
     force: Mailbox  # to each body, (3,) floats
     contacts: Mailbox  # ContactSet.words
     settings: Mailbox  # words of Settings
@@ -117,7 +118,7 @@ class Mailboxes(NamedTuple):
     wake: Longs  # (2,) another
     bell: Longs  # (4,) a sem_t, posted to wake the loop
     # The loop's copies.
-    taken_pose: Floats  # (7,)
+    taken_pose: Longs  # (8,) the words of 7 floats, and the stamp
     taken_force: Floats  # (3,)
     taken_contacts: ContactSet
 
@@ -130,7 +131,7 @@ def make_mailboxes(state: State) -> Mailboxes:
         return np.zeros(shape, dtype=np.int64)
 
     return Mailboxes(
-        pose=mailbox(7, n_bodies),
+        pose=mailbox(POSE_WORDS, n_bodies),
         force=mailbox(3, n_bodies),
         contacts=mailbox(len(state.contacts.words)),
         settings=mailbox(Settings.words()),
@@ -150,7 +151,7 @@ def make_mailboxes(state: State) -> Mailboxes:
         now=longs(2),
         wake=longs(2),
         bell=longs(4),
-        taken_pose=np.zeros(7),
+        taken_pose=longs(POSE_WORDS),
         taken_force=np.zeros(3),
         taken_contacts=contact_set(n_bodies),
     )
@@ -214,10 +215,11 @@ def take_inputs(world: Any, box: Any) -> bool:
         row.settings, changed = sequence, True
     for body in range(len(box.inputs)):
         taken = box.inputs[body]
-        sequence = take(box.pose, body, taken.pose, box.taken_pose.view(np.int64))
+        sequence = take(box.pose, body, taken.pose, box.taken_pose)
         if sequence != taken.pose:
             taken.pose, changed = sequence, True
-            take_pose(state, body, box.taken_pose, sequence)
+            pose, stamp = box.taken_pose[:7].view(np.float64), box.taken_pose[7]
+            take_pose(state, world.settings, body, pose, stamp, sequence)
         sequence = take(box.force, body, taken.force, box.taken_force.view(np.int64))
         if sequence != taken.force:
             taken.force, changed = sequence, True

@@ -242,9 +242,12 @@ class Simulation:
             raise UserError(f"nodes must lie in 0..{len(self.state.position) - 1}")
         return index, values
 
-    def take_pose(self, body: int, pose: Floats, sequence: int) -> None:
-        """Take up the newest pose (7,) of a tool's body, m and a unit quaternion xyzw; sequence: its number."""
-        pose_world(self.world, body, pose, sequence)
+    def take_pose(self, body: int, pose: Floats, sequence: int, stamp: int = 0) -> None:
+        """Take up the newest pose (7,) of a tool's body, m and a unit quaternion xyzw; sequence: its number.
+
+        stamp: ns, when the tool was there, which tells how fast it moves; 0: it came as fast as it moved.
+        """
+        pose_world(self.world, body, pose, stamp, sequence)
 
     def take_force(self, body: int, force: Floats, sequence: int) -> None:
         """Take up the newest external force (3,) N on the tissue at the tip of a body; sequence: its number."""

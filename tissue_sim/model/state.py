@@ -80,7 +80,10 @@ class BodyStatus(Record):
     """How a rigid body of a tool is held."""
 
     age: int  # ticks since the newest pose; -1 before the first one
-    remaining: int  # ticks until the tool stands at the newest pose
+    stamp: int  # ns of the newest pose; 0 where it has none
+    remaining: float  # s until the tool stands at the newest pose
+    speed: float  # m/s, the highest that poses told of the way that it still has before it
+    turning: float  # 1/s, likewise of its quaternion
     force_age: int  # ticks since the newest external force; -1 before the first one
     engaged: bool  # it may touch: fresh, and outside the organ when it appeared
     lapsed: bool  # let go since poses stopped; a contact set has to let go of it, too, before one engages it again

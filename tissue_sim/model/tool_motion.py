@@ -9,6 +9,8 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.shapes import rotation_matrix
 
+ROUNDING = 1e-6  # share of a tick that is none
+
 
 @kernel
 def freshness(age: int, settings: Any) -> float:
@@ -34,10 +36,11 @@ def advance_held(state: Any, settings: Any, scratch: Any) -> None:
                 status.engaged = False
         if status.force_age >= 0:
             status.force_age += 1
-        if status.remaining > 0:
-            share = 1.0 / status.remaining
+        if status.remaining > 0.0:
+            arrives = status.remaining < (1.0 + ROUNDING) * settings.tick_time
+            share = 1.0 if arrives else settings.tick_time / status.remaining
             step_pose(state.held_pose[body], state.body_goal[body], share)
-            status.remaining -= 1
+            status.remaining = 0.0 if arrives else status.remaining - settings.tick_time
         set_frame(state.held_pose[body], scratch.origin[body], scratch.rotation[body])
 
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from tissue_sim.model.records import Record
 
-FORMAT = 2  # raised when an older replay could not read a newer bag; 1 held settings and state by position
+# Raised when an older replay could not read a newer bag; 1 held settings and state by position, 2 led tools without
+# regard to stamps.
+FORMAT = 3
 
 # Topics under the node's name, with their types.
 PRIVATE_TOPICS = {

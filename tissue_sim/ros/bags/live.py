@@ -59,6 +59,7 @@ class _Live:
         self._wrenches: list[client.Inbox] = []
         self._felt: list[dict[int, np.ndarray]] = []
         self._forces: list[Any] = []
+        self._shift: dict[int, int] = {}  # ns from the recording's stamps to those sent, by tool
 
     def play(self) -> tuple[list[str], Shown]:
         """Meet the node, and go through the inputs at the pace of the recording, or slower."""
@@ -152,23 +153,27 @@ class _Live:
                 last = 0
                 for tick, number in zip(rows.tolist(), bodies[kind][:, body].tolist(), strict=True):
                     if number != last:
-                        found[max(tick, self._first + 1)].append(self._sender(kind, tool, number))
+                        at = max(tick, self._first + 1)
+                        found[at].append(self._sender(kind, tool, number, at))
                     last = number
             body += made.n_bodies
         return found
 
-    def _sender(self, kind: str, tool: int, number: int) -> Callable[[int], None]:
+    def _sender(self, kind: str, tool: int, number: int, tick: int) -> Callable[[int], None]:
         recording, out = self._recording, self._tools[tool]
         if kind == "force":
             force = recording.forces[tool][number]
             return lambda stamp: self._push(tool, force, stamp)
         pose, angle = recording.poses[tool][number], recording.angles[tool].get(number)
+        # As far from one another as they were recorded: stamps tell how fast the tool moves.
+        recorded = recording.stamps[tool][number]
+        stamped = recorded + self._shift.setdefault(tool, self._stamp(tick) - recorded)
 
         def send(stamp: int) -> None:
             if angle is not None:
                 out.open(stamp, angle)
                 time.sleep(RAN)  # the jaws open with the next pose
-            out.publish(stamp, pose)
+            out.publish(stamped, pose)
 
         return send
 

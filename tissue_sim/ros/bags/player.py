@@ -59,6 +59,9 @@ class Player:
             shape_gravity=recording.config["shape_gravity"],
         )
         self.poses = self._body_poses()
+        self.stamps = [
+            stamps for bodies, stamps in zip(self.tools.bodies, recording.stamps, strict=True) for _ in bodies
+        ]
         self.forces = self._body_forces()
         self.simulation.restore(recording.state)
         self.state = self.simulation.state
@@ -165,7 +168,8 @@ class Player:
         for body in range(len(self.poses)):
             pose, force = int(bodies["pose"][body]), int(bodies["force"][body])
             if pose != last_bodies["pose"][body]:
-                simulation.take_pose(body, self._input(self.poses[body], pose, "pose"), pose)
+                at = self._input(self.poses[body], pose, "pose")
+                simulation.take_pose(body, at, pose, self.stamps[body][pose])
             if force != last_bodies["force"][body]:
                 simulation.take_force(body, self._input(self.forces[body], force, "force"), force)
         contacts = int(row["contact_set"])

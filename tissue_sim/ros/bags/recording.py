@@ -38,6 +38,7 @@ class Recording:
     contact_sets: dict[int, ContactSet]
     journal: dict[str, np.ndarray]  # records by kind, see recorder
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
+    stamps: list[dict[int, int]] = field(default_factory=list)  # ns, of the poses
     angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
     forces: list[dict[int, Floats]] = field(default_factory=list)
     wrenches: list[list[Floats]] = field(default_factory=list)  # per tool
@@ -82,9 +83,12 @@ class Recording:
         for tool in config["tools"]:
             topics = {topic: config["topics"][f"{tool}/{topic}"] for topic in TOOL_TOPICS}
             first = {topic: int(config["first"].get(name, 1)) for topic, name in topics.items()}
-            poses = [unit_pose(np.array(parse_stamped(raw, 7).values)) for raw in messages[topics["measured_cp"]]]
+            came = [parse_stamped(raw, 7) for raw in messages[topics["measured_cp"]]]
+            poses = [unit_pose(np.array(message.values)) for message in came]
             forces = [np.array(parse_stamped(raw, 6).values[:3]) for raw in messages[topics["measured_cf"]]]
             recording.poses.append(dict(enumerate(poses, start=first["measured_cp"])))
+            stamps = [message.stamp for message in came]
+            recording.stamps.append(dict(enumerate(stamps, start=first["measured_cp"])))
             angles = messages[config["topics"].get(f"{tool}/measured_js", "")]
             values = [parse_number(raw) for raw in angles]
             recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))

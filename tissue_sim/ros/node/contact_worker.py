@@ -112,9 +112,10 @@ class ContactWorker:
         self._last_key = key
         tick = self._physics.positions(self._positions)
         elapsed = max(now - self._last_time, 1e-4)
-        reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (self.rate * elapsed))
-        margins = np.zeros(len(poses))
         bodies = self._physics.results().bodies
+        behind = bodies.speed * bodies.remaining  # m that the loop has yet to lead them
+        reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (self.rate * elapsed), behind)
+        margins = np.zeros(len(poses))
         for body, is_fresh in enumerate(fresh):
             # A thread that had no time may never see poses stop: the loop does.
             if not is_fresh or bodies[body].lapsed:

@@ -107,15 +107,16 @@ class ToolInput:
                 raise Refused("zero_quaternion", str(error)) from None
             if (farthest := np.abs(pose[:3]).max()) > FARTHEST:
                 raise Refused("far_pose", f"it lies {farthest:.3g} m away; positions are in metres")
+            stamp = self._stamp(message)
             if not self._is_as_bagged(message, to_organ) or self._pose_type is not POSE_TYPES["PoseStamped"]:
-                raw = self._bag_pose.message(self._stamp(message), message.values)
+                raw = self._bag_pose.message(stamp, message.values)
             angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
             placed = tool.tools.poses(tool.index, pose, self._angle)
             self._recorder.received(self._bagged_pose, raw)
             if tool.is_gripper:
                 self._recorder.received(self._bagged_angle, angle)
             for body, at in zip(tool.bodies, placed, strict=True):
-                sequence = self._physics.post_pose(body, at)
+                sequence = self._physics.post_pose(body, at, stamp)
             self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
             self._pose_freshness.came(message.stamp)
             self.poses += 1

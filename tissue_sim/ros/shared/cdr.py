@@ -112,6 +112,8 @@ def _header(raw: bytes) -> tuple[int, str, int]:
     """Stamp, ns, and frame of a message's header, and where it ends."""
     _check_encoding(raw, CDR_HEADER + 12)
     seconds, nanoseconds, length = struct.unpack_from("<iII", raw, CDR_HEADER)
+    if seconds < 0:
+        raise ValueError("its stamp is before 1970")
     start = CDR_HEADER + 12
     end = start + length
     return seconds * 1_000_000_000 + nanoseconds, raw[start : end - 1].decode(errors="replace"), end

@@ -84,9 +84,11 @@ class Physics:
         return self._thread.is_alive()
 
     # in ----------------------------------------------------------------------------------------
-    def post_pose(self, body: int, pose: Floats) -> int:
-        """The newest pose (7,) of a tool's body; returns its sequence number."""
-        return self._put(self._pose, body, pose.view(np.int64))
+    def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
+        """The newest pose (7,) of a tool's body, and its stamp, ns; returns its sequence number."""
+        words = np.empty(mb.POSE_WORDS, dtype=np.int64)
+        words[:7], words[7] = pose.view(np.int64), stamp
+        return self._put(self._pose, body, words)
 
     def post_force(self, body: int, force: Floats) -> int:
         """The newest external force (3,) N at the tip of a body; returns its sequence number."""
