@@ -11,7 +11,7 @@ import trimesh
 
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, _digest, check_surface, signed_volume
+from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, content_digest, check_surface, signed_volume
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.topology import assemble_organ
 
@@ -50,7 +50,7 @@ def test_a_file_of_version_3_is_read_unless_its_springs_harden(path, hardening, 
         content = {key: stored[key] for key in stored.files if key != "sha256" and not key.startswith("cell_")}
     header = json.loads(str(content.pop("header"))) | {"schema_version": 3, "hardening": hardening}
     text = json.dumps(header, sort_keys=True)
-    np.savez_compressed(path, header=np.array(text), sha256=np.array(_digest(text, content)), **content)
+    np.savez_compressed(path, header=np.array(text), sha256=np.array(content_digest(text, content)), **content)
     if read:
         assert Organ.load(path).digest() == ball().digest()
         return
@@ -63,7 +63,7 @@ def test_a_file_of_version_2_has_springs_of_equation_1(path):
         content = {key: stored[key] for key in stored.files if key != "sha256" and not key.startswith("cell_")}
     header = json.loads(str(content.pop("header"))) | {"schema_version": 2}
     text = json.dumps(header, sort_keys=True)
-    np.savez_compressed(path, header=np.array(text), sha256=np.array(_digest(text, content)), **content)
+    np.savez_compressed(path, header=np.array(text), sha256=np.array(content_digest(text, content)), **content)
     assert Organ.load(path).digest() == ball().digest()
 
 
@@ -163,7 +163,7 @@ def test_a_file_of_version_1_is_read_and_its_checksum_held(path):
     content = {key: array for key, array in content.items() if not key.startswith("cell_")}
     header = json.loads(str(content.pop("header"))) | {"schema_version": 1}
     text = json.dumps(header, sort_keys=True)
-    np.savez_compressed(path, header=np.array(text), sha256=np.array(_digest(text, content)), **content)
+    np.savez_compressed(path, header=np.array(text), sha256=np.array(content_digest(text, content)), **content)
     organ = Organ.load(path)
     assert organ.n_interior == 0
     assert organ.digest() == ball().digest()

@@ -34,6 +34,7 @@ BENCHMARKS = {
         "bodies that others have measured: what was measured, finite elements, the real-time model",
     ),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
+    "fuzz": ("tissue_sim.bench.fuzz.command", "files mutated at random: each is used, or refused with one line"),
 }
 
 

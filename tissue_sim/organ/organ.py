@@ -188,7 +188,7 @@ class Organ:
                 np.savez_compressed(
                     stream,
                     header=np.array(text),
-                    sha256=np.array(_digest(text, arrays)),
+                    sha256=np.array(content_digest(text, arrays)),
                     **arrays,
                 )
         except OSError as error:
@@ -232,7 +232,7 @@ class Organ:
         if set(content) != expected:
             odd = ", ".join(sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
-        if digest != _digest(text, content):
+        if digest != content_digest(text, content):
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
         if header.get("hardening", 0.0):
             raise UserError(
@@ -248,7 +248,7 @@ class Organ:
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
         if not len(self.cell_nodes):  # as it was before there were cells
             arrays = {name: array for name, array in arrays.items() if not name.startswith("cell_")}
-        return _digest("", arrays)
+        return content_digest("", arrays)
 
 
 def signed_volume(positions: Floats, triangles: Ints) -> float:
@@ -303,7 +303,7 @@ def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], s
             raise UserError(f"organ: {name} has shape {array.shape}, expected {shape} with {wanted} = {expected}")
 
 
-def _digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
+def content_digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
     digest = hashlib.sha256(text.encode())
     for key in sorted(arrays):
         array = np.ascontiguousarray(arrays[key])

@@ -1,0 +1,109 @@
+"""`tissue_sim bench fuzz`: hostile input by the thousand; each is used, or refused with one line."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from tqdm import tqdm
+
+from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case, Outcome
+from tissue_sim.bench.fuzz.pool import run_cases
+from tissue_sim.bench.printing import aligned, emit
+from tissue_sim.errors import UserError
+
+MOST = 10_000_000  # cases of a kind
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--files", type=int, default=200, metavar="N", help="of each kind")
+    parser.add_argument("--seed", type=int, default=1, help="other cases; the same seed gives the same ones")
+    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)}")
+    parser.add_argument("--case", type=int, metavar="K", help="only this case of each kind, from 0")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument(
+        "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
+    )
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a case failed")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the cases, print what failed with the command that repeats it; 1 with --check when any did."""
+    cases = cases_of(args)
+    if args.jobs < 1:
+        raise UserError(f"--jobs {args.jobs} is less than 1")
+    started = time.perf_counter()
+    outcomes = []
+    counted: Counter[str] = Counter()
+    with tqdm(total=len(cases), disable=None, desc="fuzz", unit="case", dynamic_ncols=True) as bar:
+        for outcome in run_cases(cases, args.jobs):
+            outcomes.append(outcome)
+            counted[outcome.verdict] += 1
+            if outcome.verdict == "failed":
+                tqdm.write("\n".join(failure(outcome, args.files)), file=None if args.json != "-" else bar.fp)
+            bar.set_postfix_str(", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
+            bar.update(1)
+    outcomes.sort(key=lambda outcome: (list(KINDS).index(outcome.case.kind), outcome.case.number))
+    found = report(outcomes, args.seed, time.perf_counter() - started)
+    emit(found, summary(outcomes, args, found["seconds"]), args.json)
+    return int(bool(args.check and counted["failed"]))
+
+
+def cases_of(args: argparse.Namespace) -> list[Case]:
+    """The cases that are asked for, those of all kinds mixed. Raises UserError for numbers out of range."""
+    if not 1 <= args.files <= MOST:
+        raise UserError(f"--files {args.files} is outside 1..{MOST}")
+    if args.seed < 0:
+        raise UserError(f"--seed {args.seed} is negative")
+    if args.case is not None and not 0 <= args.case < MOST:
+        raise UserError(f"--case {args.case} is outside 0..{MOST - 1}")
+    numbers = range(args.files) if args.case is None else [args.case]
+    return [Case(kind, args.seed, number) for number in numbers for kind in args.kinds or FILES]
+
+
+def repeating(case: Case, files: int) -> str:
+    """The command that repeats a case."""
+    return f"tissue_sim bench fuzz --files {files} --seed {case.seed} --kinds {case.kind} --case {case.number}"
+
+
+def failure(outcome: Outcome, files: int) -> list[str]:
+    """The lines that tell a failure."""
+    what = f" [{outcome.what}]" if outcome.what else ""
+    return [
+        f"FAILED {outcome.case.kind} {outcome.case.number}{what}: {outcome.line}",
+        f"  {repeating(outcome.case, files)}",
+    ]
+
+
+def summary(outcomes: Sequence[Outcome], args: argparse.Namespace, seconds: float) -> str:
+    """Counts by kind; of one case what came of it."""
+    if args.case is not None:
+        rows = [o for o in outcomes if o.verdict != "failed"]
+        return "\n".join(f"{o.case.kind} {o.case.number} [{o.what}]: {o.verdict}: {o.line}" for o in rows)
+    table = [["kind", "cases", "used", "refused", "failed", "slowest s", "most MB"]]
+    for kind in dict.fromkeys(outcome.case.kind for outcome in outcomes):
+        rows = [outcome for outcome in outcomes if outcome.case.kind == kind]
+        counted = Counter(outcome.verdict for outcome in rows)
+        counts = [str(counted[verdict]) for verdict in ("used", "refused", "failed")]
+        slowest, most = max(o.seconds for o in rows), max(o.megabytes for o in rows)
+        table.append([kind, str(len(rows)), *counts, f"{slowest:.1f}", f"{most:.0f}"])
+    failed = sum(outcome.verdict == "failed" for outcome in outcomes)
+    return "\n".join([*aligned(table), f"{len(outcomes)} cases in {seconds:.0f} s, {failed} failed"])
+
+
+def report(outcomes: Sequence[Outcome], seed: int, seconds: float) -> dict[str, Any]:
+    """For machines."""
+    kinds = dict.fromkeys(outcome.case.kind for outcome in outcomes)
+    counts = {kind: Counter(o.verdict for o in outcomes if o.case.kind == kind) for kind in kinds}
+    return {
+        "seed": seed,
+        "seconds": seconds,
+        "kinds": {kind: {v: counts[kind][v] for v in ("used", "refused", "failed")} for kind in kinds},
+        "failed": [outcome.as_json() for outcome in outcomes if outcome.verdict == "failed"],
+        "cases": [outcome.as_json() for outcome in outcomes],
+    }

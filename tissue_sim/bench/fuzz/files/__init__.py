@@ -1,0 +1,1 @@
+"""Files mutated at random: organs, images, meshes, bags."""

@@ -1,0 +1,116 @@
+"""A process for each core that takes cases, and what dies or hangs of one is noticed and begun anew."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+
+from tissue_sim.bench.fuzz.cases import KINDS, Case, Outcome
+from tissue_sim.bench.fuzz.trial import Trial, crashed_at
+from tissue_sim.child import end_with_parent
+
+WARM_UP = 300.0  # s that a worker's first case of a kind may take beside its own: imports, kernels
+_LOOK_EVERY = 0.5  # s
+
+_CONTEXT = multiprocessing.get_context("spawn")  # a fork would begin with this process's threads and memory
+
+
+def _serve(pipe: Connection, folder: str) -> None:
+    """A worker: a case comes in, its outcome goes out."""
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the command, which ends the workers
+    trial = Trial(Path(folder))
+    while True:
+        try:
+            case = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(trial.run(case))
+
+
+class _Worker:
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.case: Case | None = None
+        self._start()
+
+    def _start(self) -> None:
+        self._warm: set[str] = set()
+        self._own = tempfile.TemporaryDirectory(dir=self._folder)
+        self.pipe, other = _CONTEXT.Pipe()
+        self._process = _CONTEXT.Process(target=_serve, args=(other, self._own.name), daemon=True)
+        self._process.start()
+        other.close()
+
+    def give(self, case: Case) -> None:
+        """Let it run a case."""
+        kind = KINDS[case.kind]
+        self.case, self._started = case, time.monotonic()
+        self._patience = kind.seconds + (0.0 if case.kind in self._warm else WARM_UP)
+        self._warm.add(case.kind)
+        self.pipe.send(case)
+
+    def outcome(self) -> Outcome | None:
+        """That of its case, if there is one by now; a worker that has died or hangs is begun anew."""
+        case = self.case
+        assert case is not None
+        if self.pipe.poll():
+            try:
+                found: Outcome = self.pipe.recv()
+                self.case = None
+                return found
+            except (EOFError, ConnectionError):
+                return self._anew(case, "")
+        if time.monotonic() - self._started > self._patience:
+            return self._anew(case, f"hung: not done after {KINDS[case.kind].seconds:.0f} s")
+        return None
+
+    def _anew(self, case: Case, reason: str) -> Outcome:
+        seconds = time.monotonic() - self._started
+        if reason:
+            os.kill(self._process.pid or 0, signal.SIGABRT)  # the fault handler tells where it is
+            self._process.join(2.0)
+        reason = reason or self._cause()
+        at = crashed_at(Path(self._own.name))
+        self.stop()
+        self._start()
+        self.case = None
+        return Outcome(case, "failed", f"{reason}{f' ({at})' if at else ''}", seconds=seconds)
+
+    def _cause(self) -> str:
+        self._process.join(2.0)
+        code = self._process.exitcode or 0
+        return f"the process died of {signal.Signals(-code).name}" if code < 0 else f"the process ended with {code}"
+
+    def stop(self) -> None:
+        """End the process."""
+        self.pipe.close()
+        self._process.kill()
+        self._process.join()
+        self._own.cleanup()
+
+
+def run_cases(cases: Sequence[Case], jobs: int) -> Iterator[Outcome]:
+    """Outcomes of cases as they are ready, on so many processes."""
+    waiting = list(reversed(cases))
+    with tempfile.TemporaryDirectory(prefix="tissue_sim_fuzz_") as folder:
+        workers = [_Worker(Path(folder)) for _ in range(min(jobs, len(cases)))]
+        try:
+            while True:
+                for worker in workers:
+                    if worker.case is None and waiting:
+                        worker.give(waiting.pop())
+                busy = [worker for worker in workers if worker.case is not None]
+                if not busy:
+                    return
+                wait([worker.pipe for worker in busy], timeout=_LOOK_EVERY)
+                yield from (found for worker in busy if (found := worker.outcome()) is not None)
+        finally:
+            for worker in workers:
+                worker.stop()

@@ -1,0 +1,170 @@
+"""One case after the other in a process that may die of one: used, refused, or failed."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import os
+import re
+import resource
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+from tissue_sim.bench.fuzz.cases import KINDS, Broken, Case, Input, Kind, Outcome, Verdict
+from tissue_sim.bench.fuzz.watching import Watch
+from tissue_sim.errors import UserError
+
+INPUT, SCRATCH, PRINTED, CRASH = "input", "scratch", "printed", "crash"  # in a worker's folder
+OUTSIDE = "outside"  # files there that an input may name, and that nothing may open
+LONGEST_LINE = 1000  # characters
+SPARE = 1024  # MB that a case may reserve beyond what it may use, before an allocation fails
+_NO_MEMORY = re.compile(r"MemoryError|bad_alloc|[Aa]llocat|out of memory")
+_MB = 1024.0 * 1024.0
+_HIDDEN = (ResourceWarning, DeprecationWarning, PendingDeprecationWarning, ImportWarning)  # by Python from users
+
+
+class Trial:
+    """Runs cases in a folder of its own; the process must be one that does nothing else."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / SCRATCH).mkdir()
+        os.chdir(folder)
+        tempfile.tempdir = str(folder / SCRATCH)
+        self._crash = (folder / CRASH).open("w")
+        faulthandler.enable(self._crash)
+        self._printed = os.open(folder / PRINTED, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+        sys.stdout.flush()
+        for stream in (1, 2):  # of libraries, too
+            os.dup2(self._printed, stream)
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        self._warm: set[str] = set()
+        self._watch = Watch(folder)
+
+    def run(self, case: Case) -> Outcome:
+        """Make the input of a case, use it, judge."""
+        kind = KINDS[case.kind]
+        self._clear()
+        if case.kind not in self._warm:
+            kind.warm_up(self.folder / INPUT)
+            self._warm.add(case.kind)
+            self._clear()
+        (self.folder / OUTSIDE).write_bytes(b"secret " * 1000)
+        ready = kind.prepare(case, self.folder / INPUT)
+        gc.collect()
+        verdict, line, seconds, megabytes = self._used(ready, kind)
+        (self.folder / OUTSIDE).unlink()
+        return Outcome(case, verdict, line, ready.what, seconds, megabytes)
+
+    def _clear(self) -> None:
+        for name in (INPUT, SCRATCH):
+            shutil.rmtree(self.folder / name, ignore_errors=True)
+            (self.folder / name).mkdir()
+
+    def _used(self, ready: Input, kind: Kind) -> tuple[Verdict, str, float, float]:
+        os.ftruncate(self._printed, 0)
+        self._watch.seen(frozenset())
+        before, started = _start_of_memory(), time.perf_counter()
+        with _limited(kind.megabytes + SPARE):
+            self._watch.armed = True
+            verdict, line = _verdict(ready.use)
+            self._watch.armed = False
+        seconds, taken = time.perf_counter() - started, _peak_memory() - before
+        sys.stdout.flush()
+        sys.stderr.flush()
+        if verdict != "failed":
+            wrong = self._wrong(verdict, line, taken, kind)
+            if wrong:
+                verdict, line = "failed", wrong
+        return verdict, line, seconds, taken
+
+    def _wrong(self, verdict: Verdict, line: str, taken: float, kind: Kind) -> str:
+        """What is not as it should be with an input that was used or refused; empty where all is."""
+        own = frozenset({INPUT, SCRATCH, PRINTED, CRASH})
+        if seen := self._watch.seen(own):
+            return "; ".join(seen)
+        if taken > kind.megabytes:
+            return f"took {taken:.0f} MB: {line}"
+        if verdict == "refused":
+            if not line.strip() or "\n" in line or len(line) > LONGEST_LINE:
+                return f"refused with {line.count(chr(10)) + 1} lines of {len(line)} characters: {line[:100]!r}"
+            if _NO_MEMORY.search(line):
+                return f"asked for more than there is: {line}"
+        printed = (self.folder / PRINTED).read_text(encoding="utf-8", errors="replace").split("\n", 1)[0]
+        return f"something else was printed: {printed}" if printed else ""
+
+
+def _verdict(use: Callable[[], str]) -> tuple[Verdict, str]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")  # a warning shows each time, whatever came before
+        for category in _HIDDEN:
+            warnings.simplefilter("ignore", category)
+        try:
+            return "used", use()
+        except UserError as error:
+            return "refused", str(error)
+        except Broken as error:
+            return "failed", str(error)
+        except BaseException as error:
+            return "failed", f"{type(error).__name__}: {_first_line(error)} ({_where(error)})"
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [""])[0][:200]
+
+
+def _where(error: BaseException) -> str:
+    """The innermost line of this package, else of any."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "tissue_sim" in frame.filename and "fuzz" not in frame.filename]
+    frame = (own or frames)[-1]
+    return f"{Path(frame.filename).name}:{frame.lineno} {frame.name}"
+
+
+def crashed_at(folder: Path) -> str:
+    """The innermost Python line of a worker that died, as `fault handler` has left it; empty where it has not."""
+    with contextlib.suppress(OSError):
+        lines = (folder / CRASH).read_text(errors="replace").splitlines()
+        frames = [line.strip() for line in lines if line.strip().startswith("File ")]
+        if frames:
+            return frames[0]
+    return ""
+
+
+# memory -------------------------------------------------------------------------------------------
+
+
+class _limited:
+    """Lets the process reserve so many MB more than it has."""
+
+    def __init__(self, megabytes: float) -> None:
+        self._more = int(megabytes * _MB)
+
+    def __enter__(self) -> None:
+        has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        self._before = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (has + self._more, self._before[1]))
+
+    def __exit__(self, *_: object) -> None:
+        resource.setrlimit(resource.RLIMIT_AS, self._before)
+
+
+def _start_of_memory() -> float:
+    """MB in use; the peak begins anew."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    return _peak_memory()
+
+
+def _peak_memory() -> float:
+    """MB, the most in use at once since then."""
+    status = Path("/proc/self/status").read_text()
+    found = re.search(r"VmHWM:\s*(\d+) kB", status)
+    return int(found[1]) / 1024.0 if found else 0.0
