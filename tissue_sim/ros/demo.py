@@ -15,7 +15,7 @@ from datetime import datetime
 from pathlib import Path
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared import client, dds
 from tissue_sim.ros.shared.children import Child, stop_all, wait_a_little
 from tissue_sim.ros.shared.domains import claim_domain
 from tissue_sim.ros.shared.priority import is_allowed
@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
         children = [Child("node", node_command(args.organ, folder, priority), os.environ)]
         print(
             f"node: {args.organ or 'the kidney that ships'}, records to {folder};"
-            f" ROS domain {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'}"
+            f" ROS domain {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'};"
+            f" {dds.told_reach()}"
         )
         if not args.no_viewer:
             words = _command("view", "--host", args.host, "--port", str(args.port))
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
     """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise."""
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    dds.keep_to_this_machine(environment)
     if "ROS_DOMAIN_ID" in environment:
         yield
         return

@@ -39,6 +39,7 @@ from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.dds import told_reach
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, prefer
@@ -149,7 +150,8 @@ class TissueNode(Node):
         self.get_logger().info(
             f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
             f" model {self.simulation.variant}, {self.simulation.rate:g} Hz,"
-            f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)}"
+            f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)};"
+            f" {told_reach()}"
         )
 
     def close(self) -> None:
