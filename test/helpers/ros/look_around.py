@@ -1,4 +1,4 @@
-"""A ROS program that is none of ours: waits until it sees the nodes that are named, and prints all that it sees then."""
+"""A ROS program that is none of ours: waits until it sees the nodes that are named, and prints all that it sees."""
 
 import os
 import sys
