@@ -25,6 +25,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact_kernels import compile_beside
@@ -108,6 +109,8 @@ class TissueNode(Node):
         self.namesakes = Namesakes(self)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
+        self._bags = Bound(values["record_folder"])
+        values.checks["record_folder"] = self._bags.inside
         values.changed.append(self._on_parameters)
         self._outlet: Outlet | None = None
         self._parts: list[Reports] = []
@@ -220,10 +223,8 @@ class TissueNode(Node):
     def _start_recording(self) -> Path:
         newest = {name: message for port in self.ports for name, message in port.input.newest_messages().items()}
         values = self.parameters
-        folder, split = (
-            Path(values["record_folder"]).absolute(),
-            Split(1e6 * values["record_split_size"], values["record_split_duration"]),
-        )
+        folder = self._bags.inside(values["record_folder"])  # a link may lead elsewhere by now
+        split = Split(1e6 * values["record_split_size"], values["record_split_duration"])
         return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest, split)
 
     def _post_settings(self, settings: Settings) -> None:
