@@ -15,11 +15,12 @@ from datetime import datetime
 from pathlib import Path
 
 from tissue_sim.errors import UserError
-from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared import client, dds
 from tissue_sim.ros.shared.children import Child, stop_all, wait_a_little
 from tissue_sim.ros.shared.domains import claim_domain
 from tissue_sim.ros.shared.priority import is_allowed
-from tissue_sim.ros.viewer.view import check_port, shown_host
+from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE
+from tissue_sim.ros.viewer.view import add_page_arguments, address, check_port, page_token
 
 NODE = "tissue_sim"
 PRIORITY = 20  # of the node, where the system allows it
@@ -31,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=client.number(0.1, 1e9, "s"), help="end after this time; without it, go on until Ctrl-C"
     )
-    parser.add_argument("--host", default="127.0.0.1", help="address that the viewer serves at")
-    parser.add_argument("--port", type=client.port_number, default=8080, help="port that the viewer serves at")
+    add_page_arguments(parser)
     parser.add_argument("--no-viewer", action="store_true", help="node and bridge only")
     parser.add_argument("--organ", metavar="FILE", help="organ file (.npz); the kidney that ships unless given")
     parser.add_argument("--bag-folder", metavar="DIR", help="folder for the bag; recordings/<date-time> unless given")
@@ -45,8 +45,10 @@ def run(args: argparse.Namespace) -> int:
     """Run the demonstration; returns 0, or 1 when something ended before its time."""
     if args.organ is not None and not Path(args.organ).is_file():
         raise UserError(f"organ file {args.organ} does not exist; make one with 'tissue_sim build'")
+    token = None
     if not args.no_viewer:
         check_port(args.host, args.port)
+        token = page_token(args)
     folder = Path(args.bag_folder or Path("recordings") / datetime.now().strftime("%Y%m%d-%H%M%S"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -63,12 +65,14 @@ def run(args: argparse.Namespace) -> int:
         children = [Child("node", node_command(args.organ, folder, priority), os.environ)]
         print(
             f"node: {args.organ or 'the kidney that ships'}, records to {folder};"
-            f" ROS domain {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'}"
+            f" ROS domain {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'};"
+            f" {dds.told_reach()}"
         )
         if not args.no_viewer:
             words = _command("view", "--host", args.host, "--port", str(args.port))
-            children.append(Child("viewer", words, os.environ))
-            print(f"viewer: open http://{shown_host(args.host)}:{args.port}")
+            # Not among the words, which every user of the machine can read.
+            children.append(Child("viewer", words, {**os.environ, TOKEN_VARIABLE: token or ""}))
+            print(f"viewer: open {address(args.host, args.port, token)}")
         words = _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}")
         children.append(Child("bridge", words, os.environ))
         print("bridge: strokes, pokes, nips, lifts and releases; Ctrl-C ends", flush=True)
@@ -87,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def chosen_graph(environment: MutableMapping[str, str]) -> Iterator[None]:
     """Keep to this machine, and to a ROS domain that nobody on it uses, unless the user chose otherwise."""
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    dds.keep_to_this_machine(environment)
     if "ROS_DOMAIN_ID" in environment:
         yield
         return

@@ -20,19 +20,9 @@ from helpers.ros.processes import UNHURRIED, start_node
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 from tissue_sim.ros.shared.client import cloud_array
-from tissue_sim.ros.shared.dds import PROFILE_VARIABLES, use_shipped_profile
+from tissue_sim.ros.shared.dds import PROFILE_VARIABLES
 
 FREQUENCY = 45  # pieces that an edge of the icosahedron is cut into: 10 f^2 + 2 points
-
-
-def test_the_profile_that_ships_is_used_unless_the_user_names_one():
-    environment = {}
-    use_shipped_profile(environment)
-    assert all(environment[name].endswith("config/fastdds.xml") for name in PROFILE_VARIABLES)
-    for chosen in ({PROFILE_VARIABLES[1]: "/mine.xml"}, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}):
-        environment = dict(chosen)
-        use_shipped_profile(environment)
-        assert environment == chosen
 
 
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])

@@ -1,30 +1,16 @@
 """A viewer behind a link that loses 5 % of the packets and takes 50 ms."""
 
 import signal
-import sys
 
-import pytest
-
-from helpers.ros.processes import PUBLISHER, READY, WATCHER, Process, shipped
-from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
+from helpers.ros.processes import PUBLISHER, READY, WATCHER, shipped
+from helpers.ros.two_machines import two_machines
 
 LOSS, DELAY, WANTED = 0.05, 0.05, 100  # share, s, surfaces that differ
 
 
 def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    try:
-        link = lossy_link(LOSS, DELAY)
-        here, there = link.__enter__()
-    except Unavailable as reason:
-        pytest.skip(f"no network namespaces here: {reason}")
-    started = []
-
-    def start(side, name, *words):
-        started.append(Process(["netns", "exec", side, sys.executable, *words], tmp_path / f"{name}.log", program="ip"))
-        return started[-1]
-
-    try:
+    with two_machines(tmp_path, LOSS, DELAY) as (here, there, start):
         # Few ticks: a link is tried here, not the machine.
         node = start(here, "node", "-m", "tissue_sim.ros.node.program", "--ros-args", "-p", "rate:=100.0")
         node.wait_for(READY)
@@ -36,8 +22,3 @@ def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch)
         assert f"{WANTED} surfaces" in watcher.text()
         assert publisher.stop(signal.SIGTERM) == 0, publisher.text()
         assert node.stop() == 0, node.text()
-    finally:
-        for process in started:
-            process.child.kill()
-            process.child.wait()
-        link.__exit__(None, None, None)

@@ -25,6 +25,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact_kernels import compile_beside
@@ -39,6 +40,7 @@ from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.dds import told_reach
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, prefer
@@ -107,6 +109,8 @@ class TissueNode(Node):
         self.namesakes = Namesakes(self)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
+        self._bags = Bound(values["record_folder"])
+        values.checks["record_folder"] = self._bags.inside
         values.changed.append(self._on_parameters)
         self._outlet: Outlet | None = None
         self._parts: list[Reports] = []
@@ -149,7 +153,8 @@ class TissueNode(Node):
         self.get_logger().info(
             f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
             f" model {self.simulation.variant}, {self.simulation.rate:g} Hz,"
-            f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)}"
+            f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)};"
+            f" {told_reach()}"
         )
 
     def close(self) -> None:
@@ -218,10 +223,8 @@ class TissueNode(Node):
     def _start_recording(self) -> Path:
         newest = {name: message for port in self.ports for name, message in port.input.newest_messages().items()}
         values = self.parameters
-        folder, split = (
-            Path(values["record_folder"]).absolute(),
-            Split(1e6 * values["record_split_size"], values["record_split_duration"]),
-        )
+        folder = self._bags.inside(values["record_folder"])  # a link may lead elsewhere by now
+        split = Split(1e6 * values["record_split_size"], values["record_split_duration"])
         return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest, split)
 
     def _post_settings(self, settings: Settings) -> None:

@@ -11,7 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from tissue_sim.errors import UserError, give_up_output
 from tissue_sim.ros.node.node import TissueNode
-from tissue_sim.ros.shared.dds import use_shipped_profile
+from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.ending import Ending, Interrupted
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
@@ -32,7 +32,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
             give_up_output()
         return 0
     sys.setswitchinterval(TURN)
-    use_shipped_profile()
+    dds.prepare()
     node = None
     try:
         _start_rclpy(arguments)

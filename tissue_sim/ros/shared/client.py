@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.ros.shared.dds import use_shipped_profile
+from tissue_sim.ros.shared import dds
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -94,7 +94,7 @@ def client_node(name: str, target: str) -> Iterator[Node]:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    use_shipped_profile()
+    dds.prepare()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(

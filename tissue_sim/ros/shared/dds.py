@@ -1,26 +1,68 @@
-"""The DDS profile that ships with the package."""
+"""Who hears us over DDS, and the profiles of Fast DDS that ship with the package."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 
 from tissue_sim.organ.shipped import shipped_file
 
+REACH = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+ONLY_HERE, PEERS, SERVER = "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
+
 # Fast DDS 2 (Jazzy) reads the first, Fast DDS 3 the second.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-
-
 CHOSEN_BY_HAND = "FASTDDS_BUILTIN_TRANSPORTS"  # the usual cure in containers; a profile with transports would undo it
+# Discovery alone is no bound: a machine that names this one in its ROS_STATIC_PEERS is answered all the same. The
+# second profile opens no socket but on loopback.
+PROFILE, LOCAL_PROFILE = "config/fastdds.xml", "config/fastdds_local.xml"
+
+
+def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Before rclpy.init: be heard on this machine only, and carry large organs, unless the user chose otherwise."""
+    keep_to_this_machine(environment)
+    use_shipped_profile(environment)
+
+
+def keep_to_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Set the discovery range to LOCALHOST, unless the user has set one of the variables that say who is found."""
+    if not any(environment.get(name) for name in (REACH, ONLY_HERE, PEERS, SERVER)):
+        environment[REACH] = "LOCALHOST"
+
+
+def is_local(environment: Mapping[str, str] = os.environ) -> bool:
+    """Whether nobody beyond this machine is meant to be talked to."""
+    if environment.get(ONLY_HERE) == "1":
+        return True  # ROS lets it win over the other two
+    return environment.get(REACH) == "LOCALHOST" and not environment.get(PEERS) and not environment.get(SERVER)
 
 
 def use_shipped_profile(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Let Fast DDS carry large organs: before rclpy.init, unless the user has named a profile or transports.
+    """Let Fast DDS carry large organs, and keep to loopback where that is meant.
 
-    Other middleware ignores it.
+    Not where the user has named a profile or transports; other middleware ignores it. What was chosen here before, for
+    this process or its parent, is chosen anew: the range may be another by now.
     """
-    if any(environment.get(name) for name in (*PROFILE_VARIABLES, CHOSEN_BY_HAND)):
+    ours = [str(path) for path in map(shipped_file, (PROFILE, LOCAL_PROFILE)) if path is not None]
+    if any(environment.get(name, "") not in ("", *ours) for name in (*PROFILE_VARIABLES, CHOSEN_BY_HAND)):
         return
-    profile = shipped_file("config/fastdds.xml")
+    profile = shipped_file(LOCAL_PROFILE if is_local(environment) else PROFILE)
     if profile is not None:
         environment.update(dict.fromkeys(PROFILE_VARIABLES, str(profile)))
+
+
+def told_reach(environment: Mapping[str, str] = os.environ) -> str:
+    """How far a program with this environment is heard, for a log."""
+    reach = environment.get(REACH) or "SUBNET"  # that of ROS
+    if is_local(environment):
+        return f"heard on this machine only; {REACH}=SUBNET lets others in"
+    if environment.get(SERVER):
+        return f"heard by way of {SERVER}"
+    places = {
+        "LOCALHOST": "on this machine",
+        "SUBNET": "in the whole subnet",
+        "OFF": "by nobody else",
+        "SYSTEM_DEFAULT": "as the middleware is set up",
+    }
+    peers = f" and by {PEERS}" if environment.get(PEERS) and reach in ("LOCALHOST", "SUBNET") else ""
+    return f"heard {places.get(reach, 'as it says')}{peers} ({REACH}: {reach})"

@@ -95,7 +95,7 @@ NODE_SPECS = (
     Spec("gravity", [0.0, 0.0, 0.0], "m/s^2 in the organ's frame", live=True, check=_check_gravity),
     Spec("shape_is_unloaded", False, "the organ file's shape is the one without gravity, not the one under it"),
     Spec("record", False, "record a bag from the start"),
-    Spec("record_folder", "recordings", "folder in which bags are made", live=True),
+    Spec("record_folder", "recordings", "folder in which bags are made; while the node runs, one below it", live=True),
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
     Spec(
         "record_split_size", 0.0, "MB after which the next bag goes on in another file; 0: never", 0.0, 1e6, live=True
@@ -206,6 +206,7 @@ class Parameters:
         self._node = node
         self._specs: dict[str, Spec] = {}
         self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
+        self.checks: dict[str, Callable[[Any], object]] = {}  # of live changes, by name; they raise UserError
         for spec in NODE_SPECS:
             self._declare(spec.name, spec)
         self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))
@@ -301,6 +302,10 @@ class Parameters:
                 return SetParametersResult(successful=False, reason=reason)
             if problem := _problem(parameter.name, spec, parameter.value):
                 return SetParametersResult(successful=False, reason=problem)
+            try:
+                self.checks.get(parameter.name, bool)(parameter.value)
+            except UserError as error:
+                return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _tell(self, parameters: list[Parameter]) -> None:

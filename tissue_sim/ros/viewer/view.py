@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE, chosen_token
 
 if TYPE_CHECKING:
     import viser
@@ -26,10 +27,7 @@ IDLE_TIME = 0.2  # s between two looks while no browser is connected
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument(
-        "--host", default="127.0.0.1", help="address to serve at; 0.0.0.0 lets other machines look (no password)"
-    )
-    parser.add_argument("--port", type=client.port_number, default=8080, help="port to serve at")
+    add_page_arguments(parser)
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
     parser.add_argument("--tools", type=client.names, help="names of the tools (default: the node's)")
     parser.add_argument(
@@ -45,6 +43,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of whatever serves the page."""
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address that the page is served at; 0.0.0.0 lets other machines look, who need the token",
+    )
+    parser.add_argument("--port", type=client.port_number, default=8080, help="port that the page is served at")
+    parser.add_argument(
+        "--token",
+        help=f"what the page's address must end with, so that it can be bookmarked (default: ${TOKEN_VARIABLE}; else"
+        " a new one at each start where --host reaches beyond this machine, and none where it doesn't)",
+    )
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve the page until SIGINT or SIGTERM; returns 0. Raises UserError when it can't be served."""
     if args.layout:
@@ -52,14 +65,15 @@ def run(args: argparse.Namespace) -> int:
 
         return write(args.layout, args.node)
     check_port(args.host, args.port)
+    token = page_token(args)
     with (
         client.Stop() as stop,
-        _server(args.host, args.port) as server,
+        _server(args.host, args.port, token) as server,
         client.client_node("viewer", args.node) as node,
     ):
         from tissue_sim.ros.viewer.loop import Viewer
 
-        print(f"open http://{shown_host(args.host)}:{args.port}", flush=True)
+        print(f"open {address(args.host, args.port, token)}", flush=True)
         viewer = Viewer(server, node, args.node, args.tools, args.patience)
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.
         sys.setswitchinterval(0.001)
@@ -92,14 +106,16 @@ def check_port(host: str, port: int) -> None:
 
 
 @contextlib.contextmanager
-def _server(host: str, port: int) -> Iterator[viser.ViserServer]:
-    """A viser server that says nothing on the terminal and serves at this port or not at all."""
+def _server(host: str, port: int, token: str | None) -> Iterator[viser.ViserServer]:
+    """A viser server that says nothing on the terminal, and serves at this port, guarded, or not at all."""
     try:
         import viser
     except ImportError:
         raise UserError("the viewer needs viser: pip install viser") from None
+    from tissue_sim.ros.viewer.guard import Guard, guarding
+
     os.environ.pop("_VISER_PORT_OVERRIDE", None)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), guarding(Guard(token, port)):
         server = viser.ViserServer(host=host, port=port, label="tissue_sim", verbose=False)
     try:
         if server.get_port() != port:
@@ -109,6 +125,17 @@ def _server(host: str, port: int) -> Iterator[viser.ViserServer]:
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
+
+
+def page_token(args: argparse.Namespace) -> str | None:
+    """The token that the page needs, or None. Raises UserError for one that can't be."""
+    return chosen_token(args.token or os.environ.get(TOKEN_VARIABLE), args.host)
+
+
+def address(host: str, port: int, token: str | None) -> str:
+    """What to open in a browser on this machine."""
+    page = f"http://{shown_host(host)}:{port}"
+    return page if token is None else f"{page}/?token={token}"
 
 
 def shown_host(host: str) -> str:

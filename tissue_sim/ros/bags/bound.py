@@ -1,0 +1,27 @@
+"""Where bags may be made: anybody on the graph may set a parameter, and none of them may write anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tissue_sim.errors import UserError
+
+
+class Bound:
+    """The folder that bags are kept to: the one that the node was started with."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder = Path(folder).absolute()
+
+    def inside(self, folder: str) -> Path:
+        """The folder with links and `..` resolved, as they are now. Raises UserError when it isn't in the bound."""
+        try:
+            bound, wanted = self._folder.resolve(), Path(folder).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a NUL
+            raise UserError(f"record_folder {folder!r} can't be used: {error}") from None
+        if not wanted.is_relative_to(bound):
+            raise UserError(
+                f"record_folder {str(wanted)!r} is outside {str(bound)!r}, which the node was started with: bags are"
+                " made there or below; start it again with another"
+            )
+        return wanted

@@ -1,0 +1,105 @@
+"""Who may load the page and speak over its websocket.
+
+viser answers both on one port and has no hook for that: this is the only place that reaches into it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http
+import ipaddress
+import secrets
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest.mock import patch
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
+
+from tissue_sim.errors import UserError
+
+type Answer = Callable[[ServerConnection, Request], Response | None]
+
+
+class Guard:
+    """Refuses requests with 403: without the token where there is one, else for a name that isn't this machine's.
+
+    token: or None on loopback. There a web page that the user has open elsewhere is kept out: its origin is told by
+    the browser, and one whose name was made to point here (DNS rebinding) comes with that name.
+    """
+
+    def __init__(self, token: str | None, port: int) -> None:
+        self._token = token
+        self._cookie = f"tissue_sim_{port}"  # cookies of one host are shared by its ports
+
+    def refusal(self, request: Request) -> str:
+        """Why a request is refused, in a line; empty when it isn't."""
+        host = ",".join(request.headers.get_all("Host"))
+        if any(urlsplit(origin).netloc != host for origin in request.headers.get_all("Origin")):
+            return "only the page itself may open its websocket"
+        if self._token is not None:
+            known = any(self._is_token(word) for word in (*self._in_address(request), *self._in_cookies(request)))
+            return "" if known else "the address of this page ends with ?token=..., as 'tissue_sim view' prints it"
+        return "" if _is_loopback_name(host) else "this page is served at the names of this machine only, or by --token"
+
+    def _is_token(self, word: str) -> bool:
+        return secrets.compare_digest(word.encode(errors="replace"), (self._token or "").encode())
+
+    @staticmethod
+    def _in_address(request: Request) -> list[str]:
+        return parse_qs(urlsplit(request.path).query, max_num_fields=None).get("token", [])
+
+    def _in_cookies(self, request: Request) -> list[str]:
+        pairs = (pair.strip().partition("=") for line in request.headers.get_all("Cookie") for pair in line.split(";"))
+        return [value for name, _, value in pairs if name == self._cookie]
+
+    def before(self, answer: Answer) -> Answer:
+        """What answers requests in place of viser's function, which then sees only those that are not refused."""
+
+        def guarded(connection: ServerConnection, request: Request) -> Response | None:
+            try:
+                refused = self.refusal(request)
+            except ValueError:  # of what is no address
+                refused = "this request makes no sense"
+            if refused:
+                return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refused}\n")
+            response = answer(connection, request)
+            if response is not None:
+                response.headers["Content-Security-Policy"] = "frame-ancestors 'self'"
+                response.headers["Referrer-Policy"] = "no-referrer"
+                if self._token is not None:
+                    # The page opens its websocket without what follows the ? of its address.
+                    cookie = f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+                    response.headers["Set-Cookie"] = cookie
+            return response
+
+        return guarded
+
+
+def _is_loopback_name(host: str) -> bool:
+    """Whether a Host header names this machine by loopback."""
+    name = urlsplit(f"//{host}").hostname or ""
+    if name == "localhost" or name.endswith(".localhost"):  # no DNS answers for these (RFC 6761)
+        return True
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return False
+
+
+@contextlib.contextmanager
+def guarding(guard: Guard) -> Iterator[None]:
+    """A viser server that is made meanwhile has its requests looked at. Raises UserError where viser's doesn't."""
+    from websockets.asyncio import server
+
+    serve, made = server.serve, []
+
+    def guarded_serve(*words: Any, process_request: Answer, **named: Any) -> Any:
+        made.append(process_request)
+        return serve(*words, process_request=guard.before(process_request), **named)
+
+    with patch.object(server, "serve", guarded_serve):
+        yield
+    if not made:
+        raise UserError("this version of viser can't be kept to those who may see it; install viser==1.1.1")
