@@ -17,7 +17,8 @@ from tissue_sim.organ.organ import Organ
 class Scene:
     """A simulation whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
 
-    organ, model, rate, local_region as in Simulation; tools the rigid tools; ticks_a_set: ticks for each contact set.
+    organ, model, rate, local_region, integrator as in Simulation; tools the rigid tools; ticks_a_set: ticks for each
+    contact set.
     """
 
     def __init__(
@@ -28,14 +29,28 @@ class Scene:
         rate: float = 1000.0,
         local_region: str = "off",
         ticks_a_set: int = 1,
+        integrator: str = "symplectic",
     ) -> None:
         self.tools = ToolSet(tools)
-        self.simulation = Simulation(organ, model=model, rate=rate, local_region=local_region, shapes=self.tools.shapes)
+        self.simulation = Simulation(
+            organ,
+            model=model,
+            rate=rate,
+            local_region=local_region,
+            shapes=self.tools.shapes,
+            integrator=integrator,
+        )
         self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
         self.contacts: ContactSet | None = None
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
+
+    def reset(self) -> None:
+        """Back to rest, without tools; the settings stay."""
+        self.simulation.reset()
+        self.contacts, self._set_goal, self._ticks = None, None, 0
+        self._origin[:] = 0.0
 
     @property
     def wrenches(self) -> Floats:

@@ -84,4 +84,8 @@ FILES = {
     "mesh": Kind("tissue_sim.bench.fuzz.files.meshes", "meshes of every format: read, repaired and made voxels of"),
     "bag": Kind("tissue_sim.bench.fuzz.files.bags", "bags: completed where they were broken off, replayed, compared"),
 }
-KINDS: dict[str, Kind] = {**FILES}
+SCENES = {
+    "tick": Kind("tissue_sim.bench.fuzz.scenes.ticks", "tools, loads and settings, tick by tick", seconds=120.0),
+    "node": Kind("tissue_sim.bench.fuzz.scenes.node", "messages and services, to a running node over DDS"),
+}
+KINDS: dict[str, Kind] = {**FILES, **SCENES}

@@ -17,11 +17,17 @@ from tissue_sim.bench.printing import aligned, emit
 from tissue_sim.errors import UserError
 
 MOST = 10_000_000  # cases of a kind
+USUAL = 200
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--files", type=int, default=200, metavar="N", help="of each kind")
+    parser.add_argument(
+        "--files", type=int, metavar="N", help=f"files of each kind (default: {USUAL}, where no --scenes is given)"
+    )
+    parser.add_argument(
+        "--scenes", type=int, metavar="N", help=f"scenes of each kind (default: {USUAL}, where no --files is given)"
+    )
     parser.add_argument("--seed", type=int, default=1, help="other cases; the same seed gives the same ones")
     parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)}")
     parser.add_argument("--case", type=int, metavar="K", help="only this case of each kind, from 0")
@@ -45,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             outcomes.append(outcome)
             counted[outcome.verdict] += 1
             if outcome.verdict == "failed":
-                tqdm.write("\n".join(failure(outcome, args.files)), file=None if args.json != "-" else bar.fp)
+                tqdm.write("\n".join(failure(outcome)), file=None if args.json != "-" else bar.fp)
             bar.set_postfix_str(", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
             bar.update(1)
     outcomes.sort(key=lambda outcome: (list(KINDS).index(outcome.case.kind), outcome.case.number))
@@ -56,27 +62,35 @@ def run(args: argparse.Namespace) -> int:
 
 def cases_of(args: argparse.Namespace) -> list[Case]:
     """The cases that are asked for, those of all kinds mixed. Raises UserError for numbers out of range."""
-    if not 1 <= args.files <= MOST:
-        raise UserError(f"--files {args.files} is outside 1..{MOST}")
+    for option, count in (("--files", args.files), ("--scenes", args.scenes)):
+        if count is not None and not 1 <= count <= MOST:
+            raise UserError(f"{option} {count} is outside 1..{MOST}")
     if args.seed < 0:
         raise UserError(f"--seed {args.seed} is negative")
     if args.case is not None and not 0 <= args.case < MOST:
         raise UserError(f"--case {args.case} is outside 0..{MOST - 1}")
-    numbers = range(args.files) if args.case is None else [args.case]
-    return [Case(kind, args.seed, number) for number in numbers for kind in args.kinds or FILES]
+    usual = USUAL if args.files is None and args.scenes is None else 0
+    counts = {kind: (args.files if kind in FILES else args.scenes) or usual for kind in KINDS}
+    asked = [kind for kind in args.kinds or KINDS if counts[kind]]
+    if not asked:
+        raise UserError(f"--kinds {' '.join(args.kinds)} takes {'--scenes' if args.files else '--files'}")
+    if args.case is not None:
+        return [Case(kind, args.seed, args.case) for kind in asked]
+    numbers = range(max(counts[kind] for kind in asked))
+    return [Case(kind, args.seed, number) for number in numbers for kind in asked if number < counts[kind]]
 
 
-def repeating(case: Case, files: int) -> str:
+def repeating(case: Case) -> str:
     """The command that repeats a case."""
-    return f"tissue_sim bench fuzz --files {files} --seed {case.seed} --kinds {case.kind} --case {case.number}"
+    return f"tissue_sim bench fuzz --seed {case.seed} --kinds {case.kind} --case {case.number}"
 
 
-def failure(outcome: Outcome, files: int) -> list[str]:
+def failure(outcome: Outcome) -> list[str]:
     """The lines that tell a failure."""
     what = f" [{outcome.what}]" if outcome.what else ""
     return [
         f"FAILED {outcome.case.kind} {outcome.case.number}{what}: {outcome.line}",
-        f"  {repeating(outcome.case, files)}",
+        f"  {repeating(outcome.case)}",
     ]
 
 

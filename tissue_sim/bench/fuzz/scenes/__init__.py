@@ -1,0 +1,1 @@
+"""Scenes that no hand and no machine would mean: tools, loads, messages and settings, all at once."""

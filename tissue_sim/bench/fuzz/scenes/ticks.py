@@ -1,0 +1,243 @@
+"""Ticks of an organ under hostile tools, loads and settings, in one process; afterwards it has to be as before.
+
+Every tool does one thing for the whole of a scene; so does the load, which falls at once. Settings change at any time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.bench.fuzz.cases import Broken, Case, Input
+from tissue_sim.bench.sweeps.trial import small_organ
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.model.records import copy_of, words_of
+from tissue_sim.model.settings import Settings
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+TICKS = 240
+MOST_AFTER = 12_000  # ticks in which an organ that is left alone has to be asleep
+TICKS_A_SET = 4
+LEFT = 1e-4  # m that may be left of it all, of the organ's rest
+ROUNDING = 1.0 + 1e-9
+SILENCE = 0.1  # s after the last pose: stale_time and ramp_time of the default settings, and more
+
+Rng = np.random.Generator
+TOOLS = (
+    Tool("ball", "sphere", radius=0.005),
+    Tool("rod", "capsule", radius=0.003, length=0.05),
+    Tool("jaws", "gripper", radius=0.003, length=0.04),
+)
+# Most are small: what is wrong with a large one is seldom another.
+VARIANTS = {
+    "springs": (0.4, "small", {}),
+    "springs, modal": (0.1, "small", {"local_region": "auto"}),
+    "springs, frozen": (0.05, "small", {"local_region": "frozen"}),
+    "springs, implicit": (0.05, "small", {"integrator": "implicit"}),
+    "cells": (0.3, "kidney", {}),
+    "cells, modal": (0.05, "kidney", {"local_region": "modal"}),
+    "cells, implicit": (0.05, "kidney", {"integrator": "implicit"}),
+}
+
+
+class Place(NamedTuple):
+    """Where a tool is sent: m, quaternion xyzw, rad between jaws, stamp in ns."""
+
+    position: Floats
+    quaternion: Floats
+    angle: float
+    stamp: int
+
+
+Hand = Callable[[int], Place | None]  # by the tick; None: no pose in this one
+
+
+def prepare(case: Case, folder: Path) -> Input:
+    """A scene of one variant."""
+    rng = case.rng()
+    names = list(VARIANTS)
+    variant = names[rng.choice(len(names), p=[share for share, *_ in VARIANTS.values()])]
+    scene, defaults = made(variant)
+    hands = [a_hand(rng, scene) for _ in TOOLS]
+    load, told = a_load(rng, scene)
+    what = f"{variant}; {', '.join(name for name, _ in hands)}; {told}"
+    return Input(what, lambda: use(rng, scene, defaults, [hand for _, hand in hands], load))
+
+
+def warm_up(folder: Path) -> None:
+    """Make the simulations, and compile or load their kernels."""
+    for variant in VARIANTS:
+        scene, _ = made(variant)
+        for _ in range(3):
+            scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
+            scene.step()
+
+
+@lru_cache(maxsize=len(VARIANTS))
+def made(variant: str) -> tuple[Scene, Settings]:
+    """The scene of a variant, which all its cases use, and the settings that it has by default."""
+    _, name, chosen = VARIANTS[variant]
+    scene = Scene(_organ(name), list(TOOLS), ticks_a_set=TICKS_A_SET, **chosen)
+    return scene, copy_of(scene.simulation.settings)
+
+
+@lru_cache(maxsize=2)
+def _organ(name: str) -> Organ:
+    return small_organ() if name == "small" else Organ.load(shipped_organ())
+
+
+# what is done ---------------------------------------------------------------------------------------
+def a_hand(rng: Rng, scene: Scene) -> tuple[str, Hand]:
+    """What a tool does, by name."""
+    surface = scene.simulation.model.rest[: scene.simulation.organ.n_surface]
+    low, high = surface.min(axis=0), surface.max(axis=0)
+    centre, at = surface.mean(axis=0), surface[rng.integers(len(surface))]
+    outward = (at - centre) / max(float(np.linalg.norm(at - centre)), 1e-9)
+    speed, turn = 10.0 ** rng.uniform(-1.0, 1.3), rotation(rng)  # 0.1 to 20 m/s
+    holes, wild = rng.choice([0.0, 0.3, 0.9]), rng.choice([False, True], p=[0.7, 0.3])
+
+    def stamp(tick: int) -> int:
+        return int(rng.integers(0, 2**62)) if wild else 1_000_000 * (1000 + tick)
+
+    def away(tick: int) -> Floats:
+        return at + (0.03 - 1e-3 * speed * tick) * outward
+
+    ways: dict[str, Callable[[int], tuple[Floats, Floats, float]]] = {
+        "away": lambda tick: (centre + 1.0, turn, 0.5),
+        "teleports": lambda tick: (rng.uniform(low - 0.02, high + 0.02), rotation(rng), rng.uniform(-2.0, 2.0)),
+        "spins": lambda tick: (at, rotation(rng), 0.2),
+        "shoots through": lambda tick: (away(tick), turn, 0.2),
+        "swings": lambda tick: (at - 0.03 * np.sin(0.02 * speed * tick) * outward, turn, 0.3),
+        "is inside": lambda tick: (centre + 0.3 * (at - centre), turn, 0.1),
+        "presses": lambda tick: (at + (0.01 - 1e-4 * tick) * outward, turn, 0.3),
+        "snaps": lambda tick: (at + (0.01 - 1e-4 * tick) * outward, turn, 0.6 * (-1.0) ** (tick // 7)),
+        "flies far": lambda tick: (99.0 * outward * (-1.0) ** tick, turn, 0.3),
+    }
+    name = str(rng.choice(list(ways)))
+    way = ways[name]
+    return name, lambda tick: None if rng.random() < holes else Place(*way(tick), stamp(tick))
+
+
+def rotation(rng: Rng) -> Floats:
+    """A unit quaternion."""
+    drawn = rng.normal(size=4)
+    return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+class Load(NamedTuple):
+    """Forces (k, 3) N on nodes (k,) from one tick to another, and (T, 3) N at the tools' tips."""
+
+    nodes: Longs
+    forces: Floats
+    first: int
+    last: int
+    tips: Floats
+
+
+def a_load(rng: Rng, scene: Scene) -> tuple[Load, str]:
+    """A load on a patch, or on nodes anywhere, that comes and falls at once; and forces at the tips."""
+    model = scene.simulation.model
+    count = int(rng.choice([0, 1, 10, 60]))
+    n_nodes = len(model.rest)
+    nodes = rng.choice(n_nodes, size=count, replace=False).astype(np.int64)
+    if count and rng.random() < 0.6:
+        middle = model.rest[rng.integers(n_nodes)]
+        nodes = np.argsort(np.linalg.norm(model.rest - middle, axis=1), kind="stable")[:count].astype(np.int64)
+    size = 10.0 ** rng.choice([rng.uniform(-2.0, 1.0), rng.uniform(1.0, 9.0)], p=[0.7, 0.3])
+    way = rng.normal(size=3) if rng.random() < 0.6 else rng.normal(size=(count, 3))
+    forces = np.broadcast_to(size * way / max(float(np.linalg.norm(way)), 1e-9), (count, 3))
+    first, last = np.sort(rng.integers(0, TICKS, size=2))
+    tips = rng.normal(size=(len(TOOLS), 3)) * 10.0 ** rng.uniform(-3.0, 9.0) * (rng.random() < 0.3)
+    told = f"{size:.2g} N on {count} nodes" if count else "no load"
+    return Load(nodes, forces, int(first), int(last), tips), told + (", tips" if tips.any() else "")
+
+
+def change_settings(rng: Rng, scene: Scene) -> None:
+    """Any that a parameter may change, within its range, or what a slow machine gives up."""
+    simulation, settings = scene.simulation, scene.simulation.settings
+    settings.friction = rng.choice([0.0, 0.6, 5.0])
+    settings.force_clamp = rng.choice([0.0, 0.5, 10.0, 100.0])
+    settings.force_slew = 10.0 ** rng.uniform(0.0, 6.0)
+    settings.coupling_stiffness = rng.choice([0.0, 200.0, 2e4])
+    settings.coupling_damping = 10.0 ** rng.uniform(-1.0, 2.0)
+    settings.stale_time, settings.ramp_time = 10.0 ** rng.uniform(-2.3, 0.7), 10.0 ** rng.uniform(-3.0, 0.0)
+    settings.stiffness_scale, settings.damping_scale = 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-1.0, 2.0)
+    settings.tick_time = rng.choice([1e-3, 2e-3, 4e-3])
+    simulation.set_gravity(rng.choice([0.0, 9.81, 57.0]) * rng.normal(size=3) / np.sqrt(3.0))
+    simulation.set_substeps()
+
+
+# what has to hold -----------------------------------------------------------------------------------
+def use(rng: Rng, scene: Scene, defaults: Settings, hands: list[Hand], load: Load) -> str:
+    """Play it, let go, wait until the organ sleeps."""
+    simulation = scene.simulation
+    restore(scene, defaults)
+    storm = rng.choice([0.0, 0.02], p=[0.7, 0.3])
+    farthest = 0.0
+    for tick in range(TICKS):
+        if rng.random() < storm:
+            change_settings(rng, scene)
+        for tool, hand in enumerate(hands):
+            if (place := hand(tick)) is not None:
+                scene.move(tool, *place)
+            if load.tips.any() and load.first <= tick < load.last:
+                scene.push(tool, load.tips[tool])
+        if load.first <= tick < load.last and len(load.nodes):
+            simulation.apply_force(load.nodes, load.forces)
+        scene.step()
+        look(scene, tick)
+        farthest = max(farthest, float(np.abs(simulation.positions - simulation.model.rest).max()))
+    ended, faults = simulation.state.count.faults, simulation.state.count.faults
+    settle_down(scene, defaults)
+    left = float(np.abs(simulation.positions - simulation.model.rest).max())
+    if left > LEFT:
+        raise Broken(f"{1e3 * left:.3g} mm from rest at the end, asleep; was {1e3 * farthest:.3g} mm")
+    ended = simulation.state.count.faults - ended
+    return f"to {1e3 * farthest:.3g} mm, {faults} faults so far, {ended} afterwards"
+
+
+def restore(scene: Scene, defaults: Settings) -> None:
+    """As at the start."""
+    scene.reset()
+    words_of(scene.simulation.settings)[:] = words_of(defaults)
+    scene.simulation.set_gravity(np.zeros(3))
+    scene.simulation.set_substeps()
+
+
+def look(scene: Scene, tick: int) -> None:
+    """Everything is finite, and nobody feels more than the clamp. Raises Broken."""
+    simulation = scene.simulation
+    felt = scene.wrenches
+    if not (np.all(np.isfinite(felt)) and np.all(np.isfinite(simulation.positions))):
+        raise Broken(f"what is not finite after tick {tick}")
+    if (most := float(np.linalg.norm(felt[:, :3], axis=1).max())) > ROUNDING * simulation.settings.force_clamp:
+        raise Broken(f"{most:.3g} N at tick {tick}, above the clamp of {simulation.settings.force_clamp:g} N")
+    span = float(np.abs(simulation.positions - simulation.model.rest).max())
+    if span > 2.0 * simulation.settings.runaway_span:
+        raise Broken(f"{span:.3g} m from rest at tick {tick}")
+
+
+def settle_down(scene: Scene, defaults: Settings) -> None:
+    """Without poses and loads, with the usual settings: no force is left soon, and the organ sleeps. Raises Broken."""
+    simulation = scene.simulation
+    words_of(simulation.settings)[:] = words_of(defaults)
+    simulation.set_gravity(np.zeros(3))
+    simulation.set_substeps()
+    for tick in range(MOST_AFTER):
+        scene.step()
+        if tick % 50 == 0 or simulation.state.status.asleep:
+            look(scene, TICKS + tick)
+        if tick >= SILENCE * simulation.rate:
+            if scene.wrenches.any():
+                raise Broken(f"a force is felt {tick} ticks after the last pose")
+            if simulation.state.status.asleep:
+                return
+    left = float(np.abs(simulation.positions - simulation.model.rest).max())
+    raise Broken(f"not asleep {MOST_AFTER} ticks after the last load, {1e3 * left:.3g} mm from rest")
