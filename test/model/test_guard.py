@@ -16,7 +16,7 @@ from tissue_sim.model.guard import (
     is_bounded,
     lead_back,
 )
-from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.simulation import Simulation, sphere_tools
 from tissue_sim.model.state import FAULT_NAMES
 from tissue_sim.model.tick import caution
 
@@ -285,3 +285,17 @@ def test_substeps_multiply_while_cells_are_turned():
     for turned, factor in ((0, 1), (1, 2), (cells, 4)):
         state.status.turned = turned
         assert caution(model, state, False) == factor
+
+
+def test_bodies_that_contact_pushed_out_of_all_bounds_are_put_back_where_they_are_held():
+    simulation = Simulation(ball(), shapes=sphere_tools([0.005, 0.005, 0.005]))
+    state = simulation.state
+    state.held_pose[:, :3] = [0.0, 0.0, 0.1]
+    state.body_pose[:, :3] = [[0.0, np.nan, 0.1], [0.0, 1e200, 0.1], [0.001, 0.0, 0.1]]
+    state.velocity[simulation.model.moving] = np.nan
+    state.status.asleep = False
+    simulation.settings.coupling_stiffness, simulation.settings.coupling_damping = 200.0, 1.0
+    simulation.step()
+    assert fault_of(simulation) == "not finite"
+    np.testing.assert_array_equal(state.body_pose[:2, :3], state.held_pose[:2, :3])
+    assert 0.0 < state.body_pose[2, 0] < 0.001  # led on, as ever

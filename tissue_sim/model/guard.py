@@ -9,6 +9,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.regions import are_placed, modes_are_finite, restore_shape, watched_nodes
 from tissue_sim.model.state import Fault, Region
+from tissue_sim.model.tool_motion import restore_bodies
 
 MAX_BACKOFF = 8
 RUNAWAY_RATE = 100.0  # 1/s, speed over the organ's size that the nodes together never have
@@ -54,6 +55,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         keep(model, state, scratch)
         return
     restore_shape(model, state, scratch)
+    restore_bodies(state, span)
     state.contact_pressed[:] = 0.0
     state.contact_held[:] = 0.0
     scratch.impulse[:] = 0.0

@@ -85,6 +85,17 @@ def keep_bodies(state: Any, scratch: Any) -> None:
 
 
 @kernel
+def restore_bodies(state: Any, farthest: float) -> None:
+    """Put back where they are held those bodies that contact has pushed out of all bounds, m, or to nowhere."""
+    for body in range(len(state.body_pose)):
+        square = 0.0
+        for c in range(3):
+            square += (state.body_pose[body, c] - state.held_pose[body, c]) ** 2
+        if not square < farthest * farthest:
+            copy(state.held_pose[body], state.body_pose[body])
+
+
+@kernel
 def step_pose(pose: Any, goal: Any, share: float) -> None:
     """Move a pose (7,) by a share of the way to a goal; the quaternion by normalised lerp."""
     if share >= 1.0:
