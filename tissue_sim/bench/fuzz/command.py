@@ -62,8 +62,14 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
         raise UserError(f"--seed {args.seed} is negative")
     if args.case is not None and not 0 <= args.case < MOST:
         raise UserError(f"--case {args.case} is outside 0..{MOST - 1}")
+    lacking = [kind for kind in args.kinds or () if KINDS[kind].missing]
+    if lacking:
+        raise UserError(
+            f"no {lacking[0]} to mutate comes with this installation: {KINDS[lacking[0]].needs} is in a checkout"
+        )
+    kinds = args.kinds or [name for name, kind in FILES.items() if not kind.missing]
     numbers = range(args.files) if args.case is None else [args.case]
-    return [Case(kind, args.seed, number) for number in numbers for kind in args.kinds or FILES]
+    return [Case(kind, args.seed, number) for number in numbers for kind in kinds]
 
 
 def repeating(case: Case, files: int) -> str:

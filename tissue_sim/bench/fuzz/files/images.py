@@ -233,9 +233,9 @@ def _bomb(form: Form, files: Files) -> tuple[Files, str]:
     """A file of some MB that unpacks to BOMB zeros, as its header says."""
     voxels = BOMB // 2
     if form.file.endswith(".nii.gz"):
-        head = bytearray(gzip.decompress(files[form.file])[:352])
-        struct.pack_into("<4h", head, 40, 3, 1000, 1000, voxels // 1_000_000)
-        files[form.file] = gz_bomb(bytes(head))
+        header = bytearray(gzip.decompress(files[form.file])[:352])
+        struct.pack_into("<4h", header, 40, 3, 1000, 1000, voxels // 1_000_000)
+        files[form.file] = gz_bomb(bytes(header))
     elif form.file.endswith(".nrrd"):
         head = files[form.file].partition(b"\n\n")[0]
         lines = [b"sizes: 1000 1000 1000" if line.startswith(b"sizes") else line for line in head.split(b"\n")]
@@ -340,7 +340,7 @@ def _dicom_tag(rng: Rng, data: bytes) -> tuple[bytes, str]:
         return of_bytes(rng, data)
     made = bytearray(data)
     # Explicit VR: two letters, then two bytes of length; of OB and OW two zeros and four.
-    wide = made[at + 4 : at + 6] in (b"OB", b"OW", b"UN", b"SQ")
+    wide = bytes(made[at + 4 : at + 6]) in (b"OB", b"OW", b"UN", b"SQ")
     start, size = (at + 12, 4) if wide else (at + 8, 2)
     length = int.from_bytes(made[start - size : start], "little")
     way = rng.random()
