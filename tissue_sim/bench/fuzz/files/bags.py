@@ -178,10 +178,6 @@ def _metadata(rng: Rng, path: Path) -> str:
         levels = b"\n".join(b"a%d: &a%d [%s]" % (k, k, b", ".join([b"*a%d" % (k - 1)] * 9)) for k in range(1, 9))
         files[metadata.NAME], told = b"a0: &a0 x\n" + levels + b"\n" + files[metadata.NAME], "aliases of aliases"
     _put(files, path)
-    if rng.random() < 0.05:
-        (path / NAME).unlink()
-        (path / NAME).symlink_to(path.parent.parent / "outside")
-        told = f"{told}; its file is a link to another folder"
     return f"metadata: {told}"
 
 
