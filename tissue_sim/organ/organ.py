@@ -18,8 +18,18 @@ from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
+from tissue_sim.npz import read_npz
 
 SCHEMA_VERSION = 4  # 2: interior_spoke; 3: springs that harden, gone; 4: cells
+
+
+# Of the header, with their types.
+_TOLD = {"name": str, "youngs_modulus": float, "poisson_ratio": float, "density": float, "provenance": dict}
+_SHOWN, _LONGEST_NAME = 40, 200  # characters of an array's name in a message, of an organ's at all
+_FARTHEST = 1e3  # m, from the origin: the double's digits are for the organ, and its square must not overflow
+# Of every other number, in SI units: what lies beyond is a mistake, and what is computed of it no number.
+_LEAST, _MOST = 1e-12, 1e12
+_POSITIVE = ("mass", "spring_rest_length", "atom_radius", "cell_mu")
 
 
 class SpringKind(IntEnum):
@@ -93,6 +103,7 @@ class Organ:
             array = _frozen(item.name, getattr(self, item.name), item.metadata["dtype"])
             _check_shape(item.name, array, item.metadata["shape"], sizes)
             object.__setattr__(self, item.name, array)
+        self._check_numbers()
         self._check(sizes)
 
     # sizes -------------------------------------------------------------------------------------
@@ -154,9 +165,6 @@ class Organ:
         parent = self.atom_parent
         if parent.size and (parent.min() < -1 or np.any(parent >= np.arange(len(parent)))):
             raise UserError(f"organ '{self.name}': atom_parent must name an earlier atom, or -1 for the root")
-        for key in ("mass", "spring_rest_length", "atom_radius", "cell_mu"):
-            if np.any(getattr(self, key) <= 0.0):
-                raise UserError(f"organ '{self.name}': {key} must be greater than 0 everywhere")
         for key in ("damping", "return_stiffness", "spring_stiffness", "angular_stiffness", "cell_lambda"):
             if np.any(getattr(self, key) < 0.0):
                 raise UserError(f"organ '{self.name}': {key} must not be negative")
@@ -164,6 +172,20 @@ class Organ:
         if np.any(np.linalg.det(corner[:, 1:] - corner[:, :1]) <= 0.0):
             raise UserError(f"organ '{self.name}': cell_nodes holds cells without volume or inside out")
         check_surface(self.surface_positions, self.surface_triangles, f"organ '{self.name}'")
+
+    def _check_numbers(self) -> None:
+        """Refuse numbers that no organ has, and that arithmetic overflows with."""
+        for item in fields(self):
+            if item.metadata.get("dtype") is not np.float64:
+                continue
+            size = np.abs(getattr(self, item.name))
+            if item.name in _POSITIVE and np.any(getattr(self, item.name) <= 0.0):
+                raise UserError(f"organ '{self.name}': {item.name} must be greater than 0 everywhere")
+            most = _FARTHEST if item.name.endswith("_positions") else _MOST
+            least = _LEAST if item.name in _POSITIVE else 0.0
+            if size.size and (size.max() > most or size.min() < least):
+                odd = size.max() if size.max() > most else size.min()
+                raise UserError(f"organ '{self.name}': {item.name} holds {odd:.3g}, outside {least:g}..{most:g}")
 
     # files -------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -202,23 +224,23 @@ class Organ:
         or of a schema version this package doesn't know.
         """
         try:
-            with np.load(Path(path), allow_pickle=False) as stored:
-                content = {key: stored[key] for key in stored.files}
+            content = read_npz(Path(path))
         except FileNotFoundError:
             raise UserError(f"organ file {path} does not exist; make one with 'tissue_sim build'") from None
         except IsADirectoryError:
             raise UserError(f"organ file {path} is a folder; name the .npz file") from None
-        except Exception:  # a damaged archive raises errors of many kinds, down to NotImplementedError
-            raise UserError(f"organ file {path} is damaged or no organ file; build it again") from None
+        except OSError as error:
+            raise UserError(f"organ file {path} can't be read: {error.strerror}") from None
+        except ValueError as error:
+            raise UserError(f"organ file {path} is damaged or no organ file ({error}); build it again") from None
         if "header" not in content or "sha256" not in content:
             raise UserError(f"{path} is no organ file: it holds no header; make one with 'tissue_sim build'")
         text = str(content.pop("header"))
         digest = str(content.pop("sha256"))
-        try:
-            header = json.loads(text)
-            version = int(header["schema_version"])
-        except (ValueError, KeyError, TypeError):
-            raise UserError(f"organ file {path} has a damaged header; build it again") from None
+        header = _header(text)
+        if header is None:
+            raise UserError(f"organ file {path} has a damaged header; build it again")
+        version = header["schema_version"]
         if version > SCHEMA_VERSION:
             raise UserError(
                 f"organ file {path} has schema version {version}, this package reads up to {SCHEMA_VERSION};"
@@ -230,7 +252,7 @@ class Organ:
         if version < 4:
             expected -= {"cell_nodes", "cell_mu", "cell_lambda"}
         if set(content) != expected:
-            odd = ", ".join(sorted(expected ^ set(content)))
+            odd = ", ".join(name[:_SHOWN] for name in sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
         if digest != content_digest(text, content):
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
@@ -240,8 +262,7 @@ class Organ:
                 " build and calibrate it anew: its cells harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        scalars = {key: header[key] for key in ("name", "youngs_modulus", "poisson_ratio", "density", "provenance")}
-        return cls(**scalars, **content)
+        return cls(**{key: header[key] for key in _TOLD}, **content)
 
     def digest(self) -> str:
         """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
@@ -287,9 +308,15 @@ def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
 
 
 def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
-    array: NDArray[Any] = np.array(value, dtype=dtype, order="C")
+    given = np.asarray(value)
+    if given.dtype.kind not in "fiub":
+        raise UserError(f"organ: {name} holds {given.dtype.name}, no numbers")
+    with np.errstate(all="ignore"):  # looked at below
+        array: NDArray[Any] = np.array(given, dtype=dtype, order="C")
     if dtype is np.float64 and not np.all(np.isfinite(array)):
         raise UserError(f"organ: {name} holds values that are not finite")
+    if dtype is np.int32 and not np.array_equal(array, given):
+        raise UserError(f"organ: {name} holds values that are no whole numbers of 32 bits")
     array.flags.writeable = False
     return array
 
@@ -303,7 +330,25 @@ def _check_shape(name: str, array: NDArray[Any], shape: tuple[int | str, ...], s
             raise UserError(f"organ: {name} has shape {array.shape}, expected {shape} with {wanted} = {expected}")
 
 
+def _header(text: str) -> dict[str, Any] | None:
+    """What an organ file's header says; None where it is no header."""
+    try:
+        header = json.loads(text)
+        header["schema_version"] = int(header["schema_version"])
+        if header["schema_version"] > SCHEMA_VERSION:
+            return dict(header)
+        for key, kind in _TOLD.items():
+            header[key] = kind(header[key])
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        return None
+    numbers = [header[key] for key, kind in _TOLD.items() if kind is float]
+    if not header["name"].isprintable() or len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
+        return None
+    return dict(header)
+
+
 def content_digest(text: str, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 (hex) of an organ file's header and arrays, which it holds itself."""
     digest = hashlib.sha256(text.encode())
     for key in sorted(arrays):
         array = np.ascontiguousarray(arrays[key])

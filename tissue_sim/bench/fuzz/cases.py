@@ -10,6 +10,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from tissue_sim.organ.shipped import shipped_file
+
 
 class Case(NamedTuple):
     """One hostile input: all of it follows from these three."""
@@ -60,13 +62,19 @@ class Kind(NamedTuple):
     """A kind of cases. module: has `prepare(case, folder) -> Input` and `warm_up(folder)`.
 
     warm_up does once in a process what every case needs, so that its time and memory count for none.
-    megabytes, seconds: what a case may take.
+    megabytes, seconds: what a case may take. needs: a file of the checkout, without which there are no such cases.
     """
 
     module: str
     what: str
     megabytes: float = 400.0
     seconds: float = 60.0
+    needs: str = ""
+
+    @property
+    def missing(self) -> bool:
+        """Whether this installation lacks what it needs."""
+        return bool(self.needs) and shipped_file(self.needs) is None
 
     def prepare(self, case: Case, folder: Path) -> Input:
         """Make the input of a case in an empty folder."""
@@ -78,11 +86,17 @@ class Kind(NamedTuple):
         importlib.import_module(self.module).warm_up(folder)
 
 
+SCENE = "bags/bad_input/metadata.yaml"  # of a bag that the tests replay
+
 FILES = {
     "organ": Kind("tissue_sim.bench.fuzz.files.organs", "organ files (.npz): loaded, and simulated for some ticks"),
     "image": Kind("tissue_sim.bench.fuzz.files.images", "NIfTI, NRRD, MHA and DICOM: read as an image or a mask"),
     "mesh": Kind("tissue_sim.bench.fuzz.files.meshes", "meshes of every format: read, repaired and made voxels of"),
-    "bag": Kind("tissue_sim.bench.fuzz.files.bags", "bags: completed where they were broken off, replayed, compared"),
+    "bag": Kind(
+        "tissue_sim.bench.fuzz.files.bags",
+        "bags: completed where they were broken off, replayed, compared",
+        needs=SCENE,
+    ),
 }
 SCENES = {
     "tick": Kind("tissue_sim.bench.fuzz.scenes.ticks", "tools, loads and settings, tick by tick", seconds=120.0),

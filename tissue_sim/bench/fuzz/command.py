@@ -69,9 +69,15 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
         raise UserError(f"--seed {args.seed} is negative")
     if args.case is not None and not 0 <= args.case < MOST:
         raise UserError(f"--case {args.case} is outside 0..{MOST - 1}")
+    lacking = [kind for kind in args.kinds or () if KINDS[kind].missing]
+    if lacking:
+        raise UserError(
+            f"no {lacking[0]} to mutate comes with this installation: {KINDS[lacking[0]].needs} is in a checkout"
+        )
     usual = USUAL if args.files is None and args.scenes is None else 0
     counts = {kind: (args.files if kind in FILES else args.scenes) or usual for kind in KINDS}
-    asked = [kind for kind in args.kinds or KINDS if counts[kind]]
+    asked = args.kinds or [kind for kind in KINDS if not KINDS[kind].missing]
+    asked = [kind for kind in asked if counts[kind]]
     if not asked:
         raise UserError(f"--kinds {' '.join(args.kinds)} takes {'--scenes' if args.files else '--files'}")
     if args.case is not None:

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 from tissue_sim.bench.fuzz.cases import KINDS, Case, Outcome
-from tissue_sim.bench.fuzz.trial import Trial, crashed_at
+from tissue_sim.bench.fuzz.trial import Trial, remains_of
 from tissue_sim.child import end_with_parent
 
 WARM_UP = 300.0  # s that a worker's first case of a kind may take beside its own: imports, kernels
@@ -77,11 +77,12 @@ class _Worker:
             os.kill(self._process.pid or 0, signal.SIGABRT)  # the fault handler tells where it is
             self._process.join(2.0)
         reason = reason or self._cause()
-        at = crashed_at(Path(self._own.name))
+        left = remains_of(Path(self._own.name))
+        told = left.at or ("" if "died" in reason else left.words)
         self.stop()
         self._start()
         self.case = None
-        return Outcome(case, "failed", f"{reason}{f' ({at})' if at else ''}", seconds=seconds)
+        return Outcome(case, "failed", f"{reason}{f' ({told})' if told else ''}", left.what, seconds)
 
     def _cause(self) -> str:
         self._process.join(2.0)

@@ -16,12 +16,13 @@ import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from tissue_sim.bench.fuzz.cases import KINDS, Broken, Case, Input, Kind, Outcome, Verdict
 from tissue_sim.bench.fuzz.watching import Watch
 from tissue_sim.errors import UserError
 
-INPUT, SCRATCH, PRINTED, CRASH = "input", "scratch", "printed", "crash"  # in a worker's folder
+INPUT, SCRATCH, PRINTED, CRASH, WHAT = "input", "scratch", "printed", "crash", "what"  # in a worker's folder
 OUTSIDE = "outside"  # files there that an input may name, and that nothing may open
 LONGEST_LINE = 1000  # characters
 SPARE = 1024  # MB that a case may reserve beyond what it may use, before an allocation fails
@@ -51,6 +52,7 @@ class Trial:
     def run(self, case: Case) -> Outcome:
         """Make the input of a case, use it, judge."""
         kind = KINDS[case.kind]
+        (self.folder / WHAT).unlink(missing_ok=True)
         self._clear()
         if case.kind not in self._warm:
             kind.warm_up(self.folder / INPUT)
@@ -58,6 +60,7 @@ class Trial:
             self._clear()
         (self.folder / OUTSIDE).write_bytes(b"secret " * 1000)
         ready = kind.prepare(case, self.folder / INPUT)
+        (self.folder / WHAT).write_text(ready.what, encoding="utf-8")
         gc.collect()
         verdict, line, seconds, megabytes = self._used(ready, kind)
         (self.folder / OUTSIDE).unlink()
@@ -87,7 +90,7 @@ class Trial:
 
     def _wrong(self, verdict: Verdict, line: str, taken: float, kind: Kind) -> str:
         """What is not as it should be with an input that was used or refused; empty where all is."""
-        own = frozenset({INPUT, SCRATCH, PRINTED, CRASH})
+        own = frozenset({INPUT, SCRATCH, PRINTED, CRASH, WHAT})
         if seen := self._watch.seen(own):
             return "; ".join(seen)
         if taken > kind.megabytes:
@@ -128,14 +131,27 @@ def _where(error: BaseException) -> str:
     return f"{Path(frame.filename).name}:{frame.lineno} {frame.name}"
 
 
-def crashed_at(folder: Path) -> str:
-    """The innermost Python line of a worker that died, as `fault handler` has left it; empty where it has not."""
-    with contextlib.suppress(OSError):
-        lines = (folder / CRASH).read_text(errors="replace").splitlines()
-        frames = [line.strip() for line in lines if line.strip().startswith("File ")]
-        if frames:
-            return frames[0]
-    return ""
+class Remains(NamedTuple):
+    """What a worker that died has left: its last input in a few words, its innermost Python line, its last words."""
+
+    what: str
+    at: str
+    words: str
+
+
+def remains_of(folder: Path) -> Remains:
+    """Of a worker's folder; empty where there is nothing."""
+    frames = [line for line in _lines(folder / CRASH) if line.startswith("File ")]
+    return Remains(" ".join(_lines(folder / WHAT)), (frames or [""])[0], (_lines(folder / PRINTED) or [""])[-1])
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return [
+            line.strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()
+        ]
+    except OSError:
+        return []
 
 
 # memory -------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.model.records import Record
+from tissue_sim.npz import read_npz
 
 # Raised when an older replay could not read a newer bag; 1 held settings and state by position, 2 led tools without
 # regard to stamps.
@@ -72,5 +73,4 @@ def pack(**arrays: NDArray) -> NDArray[np.uint8]:
 
 def unpack(data: NDArray[np.uint8]) -> dict[str, NDArray]:
     """Arrays from the bytes of an npz; raises ValueError when they are damaged."""
-    with np.load(io.BytesIO(np.asarray(data, dtype=np.uint8).tobytes()), allow_pickle=False) as stored:
-        return {name: stored[name] for name in stored.files}
+    return read_npz(io.BytesIO(np.asarray(data, dtype=np.uint8).tobytes()))

@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -57,7 +58,7 @@ def _check(mesh: SurfaceMesh) -> None:
     if not np.all(np.isfinite(mesh.positions)):
         raise Broken("points that are not finite")
     used, inverse = np.unique(mesh.triangles, return_inverse=True)
-    check_surface(mesh.positions[used], inverse.reshape(-1, 3), "the surface that was read")
+    check_surface(mesh.positions[used], inverse.reshape(-1, 3).astype(np.int32), "the surface that was read")
 
 
 _Told = tuple[bytes, str]
@@ -113,7 +114,7 @@ def _text(rng: Rng, data: bytes) -> _Told:
 # STL, PLY, OFF, OBJ -------------------------------------------------------------------------------
 
 
-def _exported(kind: str, **options: object) -> Callable[[], bytes]:
+def _exported(kind: str, **options: Any) -> Callable[[], bytes]:
     @lru_cache(maxsize=1)
     def write() -> bytes:
         data = trimesh.Trimesh(*_ball(), process=False).export(file_type=kind, **options)
@@ -215,7 +216,9 @@ def _gltf_tree(rng: Rng, tree: dict) -> str:
     if way < 0.2:
         del node[key]  # type: ignore[arg-type]
         return f"{key} left out"
-    odd = odd_count(rng, value) if isinstance(value, int) else some(rng, (None, -1, 1e300, [], {}, "x", [0], 10**9))
+    odd: Any = (
+        odd_count(rng, value) if isinstance(value, int) else some(rng, (None, -1, 1e300, [], {}, "x", [0], 10**9))
+    )
     node[key] = odd  # type: ignore[index]
     return f"{key} {str(odd)[:30]}"
 

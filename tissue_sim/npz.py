@@ -1,0 +1,92 @@
+"""Arrays from an npz of unknown origin: checked before anything of it is unpacked, and never unpickled."""
+
+from __future__ import annotations
+
+import ast
+import math
+import os
+import struct
+import zipfile
+import zlib
+from typing import IO
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+MOST_BYTES = 1 << 30  # that all arrays may take; an organ of a million nodes takes about that
+MOST_TIMES = 200  # of its packed size that an array may take; of numbers that say something it is 20
+_SMALL = 1 << 26  # bytes for which that doesn't matter
+_LONGEST_HEADER = 10_000  # characters, as numpy has it
+_DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def read_npz(source: str | os.PathLike[str] | IO[bytes]) -> dict[str, NDArray]:
+    """The arrays of an npz by name, from a file or its bytes.
+
+    Raises ValueError with the reason, in a few words, when it is damaged, holds what is no array of numbers or text,
+    or would take more than MOST_BYTES; OSError when it can't be read.
+    """
+    try:
+        with zipfile.ZipFile(source) as archive:
+            members = archive.infolist()
+            _check(members)
+            return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
+    except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, OverflowError) as error:
+        raise ValueError(f"no whole npz: {error}") from None
+    except (NotImplementedError, RuntimeError) as error:  # encrypted, or packed in another way
+        raise ValueError(f"an npz that numpy doesn't write: {error}") from None
+
+
+def _check(members: list[zipfile.ZipInfo]) -> None:
+    """Names, and sizes before anything is unpacked."""
+    names = [member.filename for member in members]
+    if len(set(names)) < len(names):
+        raise ValueError("an array is there twice")
+    for member in members:
+        if not member.filename.removesuffix(".npy").isidentifier() or member.compress_type not in _DEFLATED:
+            raise ValueError(f"'{_short(member.filename)}' is no array")
+        if member.file_size > max(_SMALL, MOST_TIMES * member.compress_size):
+            raise ValueError(f"'{_short(member.filename)}' unpacks to over {MOST_TIMES} times its size")
+    unpacked = sum(member.file_size for member in members)
+    if unpacked > MOST_BYTES:
+        raise ValueError(f"its arrays take {unpacked / 2**30:.3g} GB, more than {MOST_BYTES / 2**30:g}")
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
+    with archive.open(member) as stream:
+        data = stream.read(member.file_size + 1)
+    if len(data) != member.file_size:
+        raise ValueError(f"'{_short(member.filename)}' is cut short")
+    dtype, fortran, shape, start = _header(data, member.filename)
+    if math.prod(shape) * dtype.itemsize != len(data) - start:
+        raise ValueError(f"'{_short(member.filename)}' holds other bytes than its header says")
+    flat = np.frombuffer(data, dtype=dtype, offset=start).copy()  # may be written to
+    return flat.reshape(shape[::-1]).transpose() if fortran else flat.reshape(shape)
+
+
+def _header(data: bytes, name: str) -> tuple[np.dtype, bool, tuple[int, ...], int]:
+    """Type, order and shape, and where the numbers begin."""
+    if data[:6] != npy.MAGIC_PREFIX or data[6:7] not in (b"\1", b"\2", b"\3"):
+        raise ValueError(f"'{_short(name)}' is no array, or pickled")
+    wide = data[6] > 1
+    start = 12 if wide else 10
+    end = start + struct.unpack_from("<I" if wide else "<H", data, 8)[0]
+    if end - start > _LONGEST_HEADER or end > len(data):
+        raise ValueError(f"'{_short(name)}' has a damaged header")
+    try:
+        told = ast.literal_eval(data[start:end].decode("latin1").strip())
+        shape = told["shape"]
+        dtype = npy.descr_to_dtype(told["descr"])
+        fortran = bool(told["fortran_order"])
+    except (ValueError, SyntaxError, TypeError, KeyError, AttributeError, IndexError, RecursionError, MemoryError):
+        raise ValueError(f"'{_short(name)}' has a damaged header") from None
+    if dtype.hasobject:
+        raise ValueError(f"'{_short(name)}' is pickled, which is not read: it could run anything")
+    if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape) or not dtype.itemsize:
+        raise ValueError(f"'{_short(name)}' has a damaged header")
+    return dtype, fortran, shape, end
+
+
+def _short(name: str) -> str:
+    return repr(name)[1:-1][:40]
