@@ -16,6 +16,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")
 # What isn't ours: options of other programs, and names that come from elsewhere.
 FOREIGN_OPTIONS = {
     *("--ros-args", "--params-file", "--from-paths", "--ignore-src", "--share", "--help", "--package-path"),
+    "--enclave",  # of rcl
     *("--nworkers", "--nthreads"),  # of dask worker
     "--system-site-packages",  # of venv
     *("--once", "--qos-reliability", "--frame-id", "--child-frame-id"),  # of ros2 topic and of tf2_ros
@@ -191,6 +192,8 @@ def test_parameters_exist(page, parameters):
 @by_page
 def test_topics_exist(page, topics):
     bridges = "\n".join(path.read_text() for path in (ROOT / "config" / "bridges").glob("*.yaml"))
+    policy = set(re.findall(r'[>"](/[\w/]+)', (ROOT / "config" / "sros2_policy.xml").read_text()))
+    known = {*topics, *FOREIGN_TOPICS, *policy, "/tissue_sim", "/ward/tissue_sim"}
     for snippet in snippets(page):
         if re.fullmatch(r"(~|<tool>|~/<tool>|left|right)(/\w+)+", snippet):
             name = re.sub(r"^(~/<tool>|left|right)/", "<tool>/", snippet)
@@ -198,7 +201,7 @@ def test_topics_exist(page, topics):
         for name in re.findall(r"(?<![\w.:/<>~])/[a-zA-Z]\w+(?:/\w+)*(?![\w.])", snippet):
             own = re.sub("^/tissue_sim/", "~/", re.sub("^/left/", "<tool>/", name))
             if not name.startswith("/etc/") and "__ns:=" not in snippet:
-                assert own in {*topics, *FOREIGN_TOPICS, "/tissue_sim", "/ward/tissue_sim"} or name in bridges, snippet
+                assert known & {own, name, name.removeprefix("/ward")} or name in bridges, snippet
 
 
 @by_page

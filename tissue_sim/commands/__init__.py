@@ -11,5 +11,6 @@ COMMANDS = {
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
     "replay": ("tissue_sim.ros.bags.replay", "run recorded bags again and compare"),
     "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
+    "policy": ("tissue_sim.ros.policy", "print what DDS Security has to allow a running node and its clients"),
     "bridge": ("tissue_sim.ros.bridge.play", "play a scripted haptic bridge to a running node"),
 }

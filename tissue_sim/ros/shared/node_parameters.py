@@ -11,7 +11,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from tissue_sim.ros.shared.client import node_beside
+from tissue_sim.ros.shared.client import client_node, node_beside, wait_until
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
 NODE_NAMES = ("tools", *(spec.name for spec in NODE_SPECS))
@@ -69,3 +69,9 @@ class NodeParameters:
         if self._pending is not None:
             self._client.remove_pending_request(self._pending)
             self._pending = None
+
+
+def told_by(target: str, asker: str, longest: float) -> dict[str, Any] | None:
+    """The parameters of the node `target`, for a node called `asker`; None where it doesn't answer for so many s."""
+    with client_node(asker, target) as own:
+        return wait_until(NodeParameters(own, target).poll, longest) or None

@@ -9,7 +9,6 @@ from typing import Any
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
-from tissue_sim.ros.shared import client
 
 LAYOUTS = {"rviz": "config/tissue_sim.rviz", "foxglove": "config/foxglove.json"}
 WAIT = 15.0  # s for the node to tell its parameters
@@ -33,7 +32,9 @@ def fitted(kind: str, node: str, frame_id: str = FRAME, tools: Mapping[str, str]
 
 def write(kind: str, node: str) -> int:
     """Print a layout that fits a node as it answers now, or as it is by default; returns 0."""
-    values = _asked(node)
+    from tissue_sim.ros.shared.node_parameters import told_by
+
+    values = told_by(node, "layout", WAIT)
     namespace = f"/{node}".rpartition("/")[0]
     if values is None:
         sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are taken for its own\n")
@@ -43,15 +44,6 @@ def write(kind: str, node: str) -> int:
     absolute = {tool: topic if topic.startswith("/") else f"{namespace}/{topic}" for tool, topic in given.items()}
     print(fitted(kind, node, values["frame_id"], absolute), end="")
     return 0
-
-
-def _asked(node: str) -> dict[str, Any] | None:
-    """The node's parameters, or None when it doesn't tell them in time."""
-    from tissue_sim.ros.shared.node_parameters import NodeParameters
-
-    with client.client_node("layout", node) as own:
-        parameters = NodeParameters(own, node)
-        return client.wait_until(parameters.poll, WAIT) or None
 
 
 def _told(values: dict[str, Any], tool: str, node: str) -> str:

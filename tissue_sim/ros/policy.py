@@ -1,0 +1,130 @@
+"""`tissue_sim policy`: what DDS Security (sros2) has to allow a node, its haptic bridge and its viewer."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+from tissue_sim.errors import UserError
+from tissue_sim.ros.shared import client
+
+if TYPE_CHECKING:
+    from tissue_sim.ros.shared.tool_link import ToolLink
+
+VERSION = "0.2.0"  # of sros2's format
+WAIT = 15.0  # s for the node to tell its parameters
+ABOUT = " Printed by `tissue_sim policy` for a running node; read by `ros2 security generate_artifacts -p`. "
+PARAMETER_SERVICES = (
+    *("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"),
+    *("set_parameters", "set_parameters_atomically"),
+)
+OF_EVERY_NODE = "get_type_description"
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """What a process may do, by absolute names: topics that it publishes and subscribes, services that it answers and
+    calls. node: the name that its policy is noted under; nodes: those of all its nodes."""
+
+    node: str
+    nodes: Sequence[str]
+    publish: Iterable[str] = ()
+    subscribe: Iterable[str] = ()
+    reply: Iterable[str] = ()
+    request: Iterable[str] = ()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node, which runs")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the policy that fits a node as it answers now; returns 0. Raises UserError when it doesn't."""
+    from tissue_sim.ros.shared.node_parameters import told_by
+
+    values = told_by(args.node, "policy", WAIT)
+    if values is None:
+        raise UserError(f"/{args.node} doesn't answer; start it as it will run, without security, and ask again")
+    print(fitted(args.node, values), end="")
+    return 0
+
+
+def fitted(node: str, values: Mapping[str, Any]) -> str:
+    """The policy, XML, for a node of this name (with its namespace) and these parameters."""
+    root = ElementTree.Element("policy", version=VERSION)
+    root.append(ElementTree.Comment(ABOUT))
+    enclaves = ElementTree.SubElement(root, "enclaves")
+    for path, allowed in enclaves_of(node, values).items():
+        profiles = ElementTree.SubElement(ElementTree.SubElement(enclaves, "enclave", path=path), "profiles")
+        _write(profiles, allowed)
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
+    """What each process may do, by its enclave."""
+    from tissue_sim.ros.shared.tool_link import ToolLink
+
+    links = [link for tool in values["tools"] if (link := ToolLink.told(values, tool, node)) is not None]
+    namespace = f"/{node}".rpartition("/")[0]
+    poses = [name for link in links for name in _topics(namespace, link, "measured_cp", "measured_js")]
+    forces = [name for link in links for name in _topics(namespace, link, "measured_cf")]
+    wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
+    own = f"/{node}"
+    return {
+        own: Allowed(
+            own,
+            [own],
+            # tf where it is installed, and the clock with use_sim_time.
+            [*wrenches, *_below(own, "markers", "mesh", "skeleton", "surface", "tools"), "/diagnostics", "/rosout"]
+            + ["/tf", "/tf_static"],
+            [*poses, *forces, "/clock", "/tf", "/tf_static"],
+            _below(own, "record", "reset", *PARAMETER_SERVICES),
+        ),
+        f"{own}/bridge": Allowed(
+            f"{namespace}/haptic_bridge",
+            [f"{namespace}/haptic_bridge", f"{namespace}/haptic_bridge_parameters"],
+            [*poses, *forces],
+            [*wrenches, f"{own}/mesh"],
+            (),
+            [f"{own}/get_parameters"],
+        ),
+        f"{own}/viewer": Allowed(
+            f"{namespace}/viewer",
+            [f"{namespace}/viewer{part}" for part in ("", "_parameters", "_services")],
+            poses,  # its page pokes
+            [*_below(own, "mesh", "skeleton", "surface", "tools"), "/diagnostics"],
+            (),
+            _below(own, "get_parameters", "record", "reset"),
+        ),
+    }
+
+
+def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
+    """Absolute names of a tool's topics; measured_js only of a gripper."""
+    names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
+    return [name if name.startswith("/") else f"{namespace}/{name}" for name in names]
+
+
+def _below(own: str, *names: str) -> list[str]:
+    return [f"{own}/{name}" for name in names]
+
+
+def _write(profiles: ElementTree.Element, allowed: Allowed) -> None:
+    namespace, _, name = allowed.node.rpartition("/")
+    profile = ElementTree.SubElement(profiles, "profile", ns=namespace or "/", node=name)
+    described = [f"{node}/{OF_EVERY_NODE}" for node in allowed.nodes]
+    for kind, verb, names in (
+        ("topic", "publish", [*allowed.publish, "/parameter_events"]),
+        ("topic", "subscribe", allowed.subscribe),
+        ("service", "reply", [*allowed.reply, *described]),
+        ("service", "request", allowed.request),
+    ):
+        if wanted := sorted(set(names)):
+            listed = ElementTree.SubElement(profile, f"{kind}s", {verb: "ALLOW"})
+            for one in wanted:
+                ElementTree.SubElement(listed, kind).text = one
