@@ -25,7 +25,7 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.latency import MOST_OF_BARE, POINTS_BEYOND, RATE, bare
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
 from tissue_sim.bench.soak_bag import BagFound, read_bag
-from tissue_sim.bench.soak_watch import Sample, Watch
+from tissue_sim.bench.soak_watch import PATIENCE, Sample, Watch
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -149,8 +149,8 @@ def _force_clamp(node: Any) -> float:
     from tissue_sim.ros.probes.graph import first_within
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
-    values = first_within(NodeParameters(node, NODE).poll, 30.0, "the node told no parameters")
-    return float(values["force_clamp"])
+    values = first_within(NodeParameters(node, NODE).poll, PATIENCE, "the node told no parameters")
+    return float((values or {})["force_clamp"])
 
 
 def _repeats(bag: Path) -> bool:
@@ -267,7 +267,8 @@ def text(found: dict[str, Any]) -> str:
         ],
     ]
     lines = [
-        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz: two tools played, one subscriber of markers at 60 Hz, a bag",
+        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz: two tools played, one subscriber of markers at 60 Hz,"
+        " a bag",
         *aligned(rows),
         "",
         f"ticks late by more than a period: node {late['node_percent']:.2f} % of {late['ticks']}, a bare loop beside it"

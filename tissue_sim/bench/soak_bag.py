@@ -1,4 +1,4 @@
-"""Whether a long bag is whole, and what went out to the hand: read message by message, as it may be larger than memory."""
+"""Whether a long bag is whole, and what went out to the hand; read one by one: it may be larger than memory."""
 
 from __future__ import annotations
 
