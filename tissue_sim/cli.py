@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import tissue_sim
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, give_up_output
+from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
 
 UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should
 
@@ -45,10 +46,14 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code: 0, 1 for a failed check, 2 for wrong use."""
+    if arguments is None:  # not for who calls this from a program of its own
+        catch_all("tissue_sim")
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
-        return _run(words, chosen)
+        code = _run(words, chosen)
+        sys.stdout.flush()  # what fails there is to be told here
+        return code
     except UserError as error:
         sys.stderr.write(f"tissue_sim: error: {error}\n")
         return 2
@@ -56,7 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         give_up_output()
         return 0
     except KeyboardInterrupt:  # before the command listens for it
-        return 0 if chosen in UNTIL_ASKED else 130
+        return 0 if chosen in UNTIL_ASKED else INTERRUPTED
+    except Exception as error:  # what nobody thought of
+        tell(error, "tissue_sim")
+        if isinstance(error, OSError):  # a full disk, perhaps, and what is still to be printed would fail once more
+            give_up_output()
+        return 1
 
 
 def _run(words: Sequence[str], chosen: str | None) -> int:

@@ -26,6 +26,10 @@ BENCHMARKS = {
         "what markers cost, plain and coloured, beside a node that only sends them",
     ),
     "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
+    "soak": (
+        "tissue_sim.bench.soak",
+        "half an hour of use: drift of the shape at rest, memory, lateness, an intact bag",
+    ),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
     "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),

@@ -20,6 +20,7 @@ from numba.core import event  # noqa: E402
 
 from tissue_sim.model.simulation import Simulation  # noqa: E402
 from tissue_sim.organ.organ import Organ  # noqa: E402
+from tissue_sim.unexpected import catch_all
 
 
 def main(began: str, organ_file: str) -> None:
@@ -71,4 +72,5 @@ def by_kernel(events: Iterable[tuple[float, Any]]) -> list[tuple[str, float]]:
 
 
 if __name__ == "__main__":
+    catch_all("first_tick")
     main(*sys.argv[1:3])

@@ -12,6 +12,7 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.shipped_kidney import KIDNEY, make_kidney
+from tissue_sim.unexpected import catch_all
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -37,4 +38,5 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    catch_all("build_shipped")
     sys.exit(main())

@@ -15,6 +15,7 @@ from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.commands import build
 from tissue_sim.commands.calibrate_many import add_cluster, calibrate_many, check_cluster, write_figures
 from tissue_sim.errors import UserError
+from tissue_sim.unexpected import catch_all
 
 _LIVER, _HEART = 0.2, 0.12  # m, longest side of meshes without a unit
 
@@ -110,4 +111,5 @@ def built(sources: list[Source], data: Path, folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
+    catch_all("every_organ")
     sys.exit(main())

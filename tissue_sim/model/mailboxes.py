@@ -62,6 +62,7 @@ class Control(Record):
     dropped: int
     simulated: int  # ns of simulated time
     due: int  # ns of the clock in use: when the last tick was due
+    looked_up: int  # ns of the monotonic clock: when the loop was last about to wait; an old time: it hangs, or starves
     posted_time: int  # ns, newest time of /clock; 0 before the first one
 
 

@@ -108,11 +108,13 @@ def nap(deadline: int, world: Any, box: Any) -> int:
 def _loop(world: Any, tick: Any, box: Any) -> None:
     state, settings, control, pace = world.state, world.settings, box.control, box.pace
     post_results(world, box, True)  # the rest shape
+    control.looked_up = now(box.now)
     control.started = True
     moved = False
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
     posted = not control.sim_time
     while not control.stop:
+        control.looked_up = now(box.now)
         post_snapshot(state, box)
         if posted != control.sim_time:
             posted = control.sim_time

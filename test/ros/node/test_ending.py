@@ -73,23 +73,38 @@ def test_signal_before_the_program_watches_for_it_ends_without_a_traceback():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_node_that_fails_leaves_no_force_standing(monkeypatch):
-    """An error in a callback reaches serve: what is published last is a wrench of zero."""
-    done = []
+@pytest.fixture
+def served(monkeypatch):
+    """Serves a made-up node, whose spinning fails again and again; notes what is done to it."""
+    done, notes = [], []
     node = SimpleNamespace(**{name: partial(done.append, name) for name in ("start", "close", "destroy_node")})
+    node.mishaps = SimpleNamespace(note=notes.append)
+    node.physics = SimpleNamespace(ended=False, failure=None)
+    ending = SimpleNamespace(asked=threading.Event(), started=lambda: None, closes=lambda: None)
 
     def fail(timeout_sec):
+        if len(notes) == 3:
+            ending.asked.set()
         raise KeyError("nobody thought of this")
 
     executor = SimpleNamespace(add_node=lambda _: None, spin_once=fail)
     monkeypatch.setattr(serve, "TissueNode", lambda: node)
     monkeypatch.setattr(serve, "make_executor", lambda: executor)
     monkeypatch.setattr(serve, "_start_rclpy", lambda _: None)
-    ending = SimpleNamespace(asked=threading.Event(), started=lambda: None, closes=lambda: None)
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)
     interval = sys.getswitchinterval()
-    try:
-        with pytest.raises(KeyError):
-            serve.serve(["tissue_node"], ending)
-    finally:
-        sys.setswitchinterval(interval)
-    assert done == ["start", "close", "destroy_node"]
+    yield SimpleNamespace(node=node, done=done, notes=notes, run=partial(serve.serve, ["tissue_node"], ending))
+    sys.setswitchinterval(interval)
+
+
+def test_errors_of_rclpy_itself_are_noted_and_the_node_goes_on(served):
+    assert served.run() == 0
+    assert [type(error) for error in served.notes] == [KeyError] * 4
+    assert served.done == ["start", "close", "destroy_node"]
+
+
+def test_a_node_whose_loop_ended_closes_and_ends_with_one_line(served, capfd):
+    served.node.physics.ended, served.node.physics.failure = True, MemoryError("no more")
+    assert served.run() == 1
+    assert capfd.readouterr().err == "tissue_node: error: internal: the physics loop ended: MemoryError: no more\n"
+    assert served.done == ["start", "close", "destroy_node"]

@@ -170,9 +170,13 @@ class Recorder:
         if self._spool is None or not self._recording:
             return None
         self._journal_at = 0.0
-        self.poll(physics)
-        self._recording = False
-        self._spool.close(patience)
+        try:
+            self.poll(physics)
+        except TimeoutError:  # a loop that hangs or has ended gives no state: the bag ends without one
+            pass
+        finally:
+            self._recording = False
+            self._spool.close(patience)
         return self.path
 
     def poll(self, physics: Physics) -> None:

@@ -14,6 +14,7 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared.children import Child
+from tissue_sim.unexpected import catch_all
 
 
 def compile_beside(organ_file: Path) -> Child:
@@ -29,4 +30,5 @@ def main(organ_file: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("contact_kernels")
     main(sys.argv[1])

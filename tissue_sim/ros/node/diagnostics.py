@@ -98,6 +98,8 @@ class LoopReport:
             report.warnings.append(f"{timing.late_ticks} ticks were late by more than a period")
         if not self._physics.alive:
             report.failures.append("the physics loop has ended")
+        elif not self._physics.answers:
+            report.failures.append("the physics loop hangs, or gets no time to run: no forces until it goes on")
 
 
 def _text(value: Any) -> str:

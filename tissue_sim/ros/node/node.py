@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 import tissue_sim
@@ -31,6 +30,7 @@ from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact_kernels import compile_beside
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
+from tissue_sim.ros.node.guarded import GuardedNode
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
@@ -50,7 +50,7 @@ NAME = "tissue_sim"
 BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
 
 
-class TissueNode(Node):
+class TissueNode(GuardedNode):
     """The node: wires parameters, simulation, tools and topics together.
 
     Raises UserError for a parameter or file that can't be used.
@@ -143,6 +143,7 @@ class TissueNode(Node):
             self.contacts,
             self.presenter,
             outlet,
+            self.mishaps,
         ]
         self.contacts.rate = self.parameters["contact_rate"]
         self.contacts.start()
@@ -159,14 +160,21 @@ class TissueNode(Node):
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
+        noted = self.mishaps.noted  # where one of them fails, the others are done
         if self._outlet is not None:
             self._outlet.stop()
         for port in self.ports:
-            port.output.publish_zero()
-        self.presenter.close()
+            with noted():
+                port.output.publish_zero()
+        with noted():
+            self.presenter.close()
         self.contacts.stop()
-        path = self.recorder.stop(self.physics, BAG_PATIENCE)
+        with noted():
+            self._close_bag()
         self.physics.stop()
+
+    def _close_bag(self) -> None:
+        path = self.recorder.stop(self.physics, BAG_PATIENCE)
         if path is not None and self.recorder.error:
             self.get_logger().error(self.recorder.error)
         elif path is not None:

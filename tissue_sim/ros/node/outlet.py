@@ -20,6 +20,7 @@ from tissue_sim.ros.shared.report import Report, Trouble
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
 REPORT_EVERY = 1.0  # s
+AFTER_FAILURE = 0.01  # s until the next turn
 
 
 class Logger(Protocol):
@@ -79,7 +80,10 @@ class Outlet:
     def _run(self) -> None:
         self._next_marker = self._next_look = self._next_report = time.monotonic()
         while not self._stop.is_set():
-            if (wait := self._turn()) > 0.0:
+            wait = AFTER_FAILURE
+            with self._trouble.noted():
+                wait = self._turn()
+            if wait > 0.0:
                 self._stop.wait(wait)
 
     def _turn(self) -> float:
@@ -131,10 +135,11 @@ class Outlet:
 
     def _degrade(self, level: int, why: str) -> None:
         """Go to another level of degradation, and say so."""
-        worse = level > self._live.level
-        self._live.update(level)
-        line = f"{self._live.describe()} ({why})"
-        if worse:
-            self._logger.warning(f"the machine is too slow: {line}")
-        else:
-            self._logger.info(f"the machine keeps up again: {line}")
+        with self._trouble.noted():
+            worse = level > self._live.level
+            self._live.update(level)
+            line = f"{self._live.describe()} ({why})"
+            if worse:
+                self._logger.warning(f"the machine is too slow: {line}")
+            else:
+                self._logger.info(f"the machine keeps up again: {line}")

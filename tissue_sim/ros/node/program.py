@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from typing import NoReturn
 
 from tissue_sim.ros.shared.ending import Ending, Interrupted
+from tissue_sim.unexpected import catch_all, tell
 
 
 def run() -> NoReturn:
     """Run the node and leave the process."""
     code, ending = 0, None
+    catch_all("tissue_node")
     try:
         ending = Ending()  # from here on, and within, a signal raises Interrupted
 
@@ -20,11 +23,13 @@ def run() -> NoReturn:
         code = serve(sys.argv, ending)
     except Interrupted:
         pass
-    except Exception:
+    except Exception as error:
         # A library that was being loaded may have turned Interrupted into an error of its own.
-        if ending is None or not ending.asked.is_set():
-            raise
-    sys.stdout.flush()
+        if ending is None or not ending.interrupted:
+            tell(error, "tissue_node")
+            code = 1
+    with suppress(OSError):  # full or gone
+        sys.stdout.flush()
     os._exit(code)  # the wheels' DDS threads may outlive the interpreter otherwise
 
 

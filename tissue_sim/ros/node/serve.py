@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+import threading
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
@@ -15,9 +16,16 @@ from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.ending import Ending, Interrupted
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
+from tissue_sim.unexpected import tell, told
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
+PROGRAM = "tissue_node"
+SPIN, AFTER_FAILURE = 0.1, 0.01  # s for an event to come; until the next try where rclpy fails
 TURN = 0.0005  # s at the GIL, ten times shorter than Python's own: a pose must not wait for a diagnostics message
+
+
+class LoopEnded(Exception):
+    """The physics loop is no more, and with it what the node is for."""
 
 
 def serve(arguments: list[str], ending: Ending) -> int:
@@ -43,20 +51,41 @@ def serve(arguments: list[str], ending: Ending) -> int:
         executor.add_node(node)
         node.start()
         ending.started()
-        while not ending.asked.is_set():
-            executor.spin_once(timeout_sec=0.1)
+        _go_on(node, executor, ending)
         return 0
     except Interrupted:
         return 0
     except UserError as error:
-        sys.stderr.write(f"tissue_node: error: {error}\n")
+        tell(error, PROGRAM)
         return 2
+    except LoopEnded as error:
+        sys.stderr.write(f"{PROGRAM}: error: internal: {error}\n")
+        return 1
     finally:
         if node is not None:  # whatever ended it: no force is left standing, no bag open
             ending.closes()
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _go_on(node: TissueNode, executor: Executor, ending: Ending) -> None:
+    """Spin until asked to end, whatever fails. Raises LoopEnded when nothing ticks any more."""
+    threading.excepthook = lambda given: _noted(node, given.exc_value)
+    while not ending.asked.is_set():
+        try:
+            executor.spin_once(timeout_sec=SPIN)
+        except Exception as error:  # of rclpy itself: callbacks are guarded
+            node.mishaps.note(error)
+            ending.asked.wait(AFTER_FAILURE)
+        if node.physics.ended:
+            why = node.physics.failure
+            raise LoopEnded("the physics loop ended" + (f": {told(why)}" if why is not None else ""))
+
+
+def _noted(node: TissueNode, error: BaseException | None) -> None:
+    if error is not None:
+        node.mishaps.note(error)
 
 
 def usage() -> str:

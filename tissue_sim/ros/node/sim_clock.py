@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from rclpy.clock import ClockChange, JumpThreshold, TimeJump
 from rclpy.duration import Duration
-from rclpy.node import Node
 
+from tissue_sim.ros.node.guarded import GuardedNode
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
 
@@ -22,12 +22,12 @@ class SimClock:
     when ticks follow another clock.
     """
 
-    def __init__(self, node: Node, physics: Physics) -> None:
+    def __init__(self, node: GuardedNode, physics: Physics) -> None:
         self._clock, self._log, self._physics = node.get_clock(), node.get_logger(), physics
         self.jumped: list[Callable[[], None]] = []
         self._active = self._waiting = self._stood = False
         threshold = JumpThreshold(min_forward=NANOSECOND, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
-        self._handle = self._clock.create_jump_callback(threshold, post_callback=self._on_jump)
+        self._handle = self._clock.create_jump_callback(threshold, post_callback=node.guarded(self._on_jump))
         self._follow(bool(node.get_parameter("use_sim_time").value))
 
     def now(self) -> float:

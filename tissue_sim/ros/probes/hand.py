@@ -17,6 +17,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.probes.graph import NODE, START_TIME, first_within
 from tissue_sim.ros.shared import client
+from tissue_sim.unexpected import catch_all
 
 RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: the tool, how deep it is, by how much it moves
 FAR = -0.1  # m, a depth out of the organ's reach
@@ -73,4 +74,5 @@ def main(organ_file: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("hand")
     main(sys.argv[1])

@@ -8,6 +8,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.shared.client import Stop, client_node
 from tissue_sim.ros.shared.executors import make_executor
+from tissue_sim.unexpected import catch_all
 
 
 def main(target: str) -> None:
@@ -21,4 +22,5 @@ def main(target: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("listener")
     main(sys.argv[1])

@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tissue_sim.errors import UserError
+from tissue_sim.unexpected import catch_all
 
 OWN_FRAME = 4  # PACKET_OUTGOING: what we sent ourselves
 ALL_PROTOCOLS = 3  # ETH_P_ALL
@@ -138,6 +139,7 @@ def fill_checksums(name: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("lossy_link")
     if sys.argv[1] == "--fill-checksums":
         fill_checksums(sys.argv[2])
     else:

@@ -15,6 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.shared.client import Stop, client_node, latched_qos, stream_qos
+from tissue_sim.unexpected import catch_all
 
 KINDS = {"markers": (MarkerArray, latched_qos), "surface": (PointCloud2, stream_qos)}
 
@@ -34,4 +35,5 @@ def main(topic: str, kind: str, file: str, rate: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("sender")
     main(*sys.argv[1:5])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import time
 
+from tissue_sim.unexpected import catch_all
+
 
 def main(rate: str) -> None:
     """Run until it is ended by a signal."""
@@ -13,6 +15,7 @@ def main(rate: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("sleeper")
     try:
         main(sys.argv[1])
     except KeyboardInterrupt:

@@ -20,6 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tissue_sim.ros.probes.graph import first_within
 from tissue_sim.ros.shared.client import Inbox, client_node, latched_qos, stream_qos
+from tissue_sim.unexpected import catch_all
 
 TURN = 0.004  # s between two looks
 KINDS = {
@@ -86,4 +87,5 @@ def main(seconds: str, *topics: str) -> None:
 
 
 if __name__ == "__main__":
+    catch_all("viewer")
     main(*sys.argv[1:])

@@ -36,8 +36,13 @@ class Ending:
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
         for number in SIGNALS:
             signal.signal(number, self._on_signal)
-        sys.unraisablehook = self._on_unraisable
+        self._unraisable, sys.unraisablehook = sys.unraisablehook, self._on_unraisable
         threading.Thread(target=self._watch, args=(read,), name="ending", daemon=True).start()
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Interrupted was raised."""
+        return self._raised
 
     def started(self) -> None:
         """The node runs, and closes itself when asked to. Raises Interrupted if it was asked before."""
@@ -63,7 +68,7 @@ class Ending:
         The process ends all the same.
         """
         if not self._raised:
-            sys.__unraisablehook__(unraisable)
+            self._unraisable(unraisable)
 
     def _watch(self, pipe: int) -> None:
         """In a thread of its own: the pipe is written to by the system's handler."""

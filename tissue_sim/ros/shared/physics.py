@@ -23,6 +23,8 @@ from tissue_sim.model.state import Region, Results, results_in
 from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.priority import prefer
 
+LONGEST = 60.0  # s that a wrench may go out without a new one
+
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
 
 
@@ -42,6 +44,9 @@ class Physics:
         self.n_bodies = len(simulation.shapes.kind)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._journal_read = 0
+        self.ended = False  # the loop, though nobody has asked for that
+        self.failure: BaseException | None = None  # what ended it
+        self._oldest = 0  # ns, the age up to which a wrench may go out
         bell = ctypes.c_void_p(self.box.bell.ctypes.data)
         _libc.sem_init(bell, 0, 0)
         self._ring = partial(_libc.sem_post, bell)
@@ -49,6 +54,13 @@ class Physics:
         self.post_settings(simulation.settings)
 
     def _run(self) -> None:
+        try:
+            self._loop()
+        except Exception as error:  # the node tells, and ends
+            self.failure = error
+        self.ended = not self.box.control.stop or self.failure is not None
+
+    def _loop(self) -> None:
         simulation = self.simulation
         # Settings of its own: those of the simulation change between ticks, when a parameter does.
         own = copy_of(simulation.settings)
@@ -83,6 +95,19 @@ class Physics:
         """True while the loop runs."""
         return self._thread.is_alive()
 
+    @property
+    def answers(self) -> bool:
+        """False while the loop is not there, hangs, or gets no time to run: what it handed out last is old.
+
+        Older than what a tool may feel without poses, that is, or than two ticks; a loop that waits for /clock looks
+        up less often.
+        """
+        if self.ended:
+            return False
+        control = self.box.control
+        oldest = self._oldest + (rt.LOOK_UP if control.sim_time else 0)
+        return bool(time.monotonic_ns() - control.looked_up <= oldest)
+
     # in ----------------------------------------------------------------------------------------
     def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
         """The newest pose (7,) of a tool's body, and its stamp, ns; returns its sequence number."""
@@ -101,6 +126,8 @@ class Physics:
     def post_settings(self, settings: Settings) -> int:
         """New settings; returns their sequence number."""
         with self._settings_lock:
+            lasts = max(settings.stale_time + settings.ramp_time, 2.0 * settings.tick_time)
+            self._oldest = round(1e9 * min(lasts, LONGEST))
             return int(mb.put(self._settings, 0, words_of(settings)))
 
     def settings(self) -> Settings:
@@ -156,11 +183,11 @@ class Physics:
         return results_in(words, self.n_bodies)
 
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock stands.
+        """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock stands, or the loop.
 
         A force that no tick renews must not stay in the hand.
         """
-        if self.standing:
+        if self.standing or not self.answers:
             return -1, np.zeros((self.n_bodies, 6))
         newest = self.results()
         return newest.status.tick, newest.wrench

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
+
+from tissue_sim.unexpected import place_of, told
 
 MOST_LINES = 8  # about one part's troubles, that are kept
 
@@ -31,16 +35,17 @@ class Reports(Protocol):
         """Add to the report what there is to tell."""
 
 
-class Trouble:
-    """What goes wrong in a thread that goes on all the same: told once, counted, and over when it works again.
+class Mishaps:
+    """What goes wrong where nobody thought of it, while the node goes on: told once for each place, and counted.
 
-    part: the thread's name; warn takes the line.
+    part: what fails, in words; warn takes the line.
     """
 
     def __init__(self, part: str, warn: Callable[[str], object]) -> None:
         self._part, self._warn = part, warn
-        self._count = 0
-        self._lines: tuple[str, ...] = ()  # what went wrong since it last worked; replaced as a whole
+        self._key = f"{part.replace(' ', '_')}_failures"
+        self._counts: Counter[str] = Counter()  # by place
+        self._lock = threading.Lock()
 
     @contextmanager
     def noted(self) -> Iterator[None]:
@@ -48,20 +53,48 @@ class Trouble:
         try:
             yield
         except Exception as error:  # whatever it is: nothing else of the thread's may end with it
-            self._failed(error)
+            self.note(error)
 
-    def _failed(self, error: Exception) -> None:
-        self._count += 1
-        line = f"{self._part} failed: {type(error).__name__}: {error}"
-        if line not in self._lines:  # not one for every turn
+    def note(self, error: BaseException) -> str:
+        """Note an error; returns its line."""
+        place, line = place_of(error), f"{self._part} failed: {told(error)}"
+        with self._lock:
+            self._counts[place] += 1
+            is_new = self._is_new(place, line)
+        if is_new:
             self._warn(line)
-            self._lines = (*self._lines, line)[-MOST_LINES:]
+        return line
+
+    def report(self, report: Report) -> None:
+        """Add how much went wrong, and where."""
+        with self._lock:
+            counts = dict(self._counts)
+        report.problems[self._key] = sum(counts.values())
+        report.problems |= {f"{self._key}.{place}": count for place, count in counts.items()}
+
+    def _is_new(self, place: str, line: str) -> bool:
+        """Whether nobody was told."""
+        return self._counts[place] == 1
+
+
+class Trouble(Mishaps):
+    """What goes wrong in a thread that does the same again and again: over when it works, and then told anew."""
+
+    def __init__(self, part: str, warn: Callable[[str], object]) -> None:
+        super().__init__(part, warn)
+        self._lines: tuple[str, ...] = ()  # what went wrong since it last worked; replaced as a whole
 
     def succeeded(self) -> None:
         """It works."""
         self._lines = ()
 
     def report(self, report: Report) -> None:
-        """Add the count, and what is wrong at present."""
-        report.problems[f"{self._part.replace(' ', '_')}_failures"] = self._count
+        """Add the counts, and what is wrong at present."""
+        super().report(report)
         report.failures += self._lines
+
+    def _is_new(self, place: str, line: str) -> bool:
+        if line in self._lines:  # not one for every turn
+            return False
+        self._lines = (*self._lines, line)[-MOST_LINES:]
+        return True

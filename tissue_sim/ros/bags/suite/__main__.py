@@ -15,6 +15,7 @@ from tissue_sim.ros.bags.suite.scenes import SCENES
 from tissue_sim.ros.bags.suite.small_kidney import make_small_kidney
 from tissue_sim.ros.bags.suite.summary import as_text, figures
 from tissue_sim.ros.demo import chosen_graph
+from tissue_sim.unexpected import catch_all
 
 SUMMARY = "summary.txt"
 
@@ -68,4 +69,5 @@ def _parts(path: Path) -> dict[str, str]:
 
 
 if __name__ == "__main__":
+    catch_all("suite")
     sys.exit(main())

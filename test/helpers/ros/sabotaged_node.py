@@ -1,0 +1,71 @@
+"""A node that can be made to fail: it has services for that beside its own.
+
+fail: the service itself raises; break_poses, mend_poses, break_parameters: what answers poses, or takes parameters,
+does; fail_in_thread: a thread of its own does; hang, resume: the loop's thread stops where it is, and goes on; end_loop: the
+compiled loop returns, and its thread ends with an error.
+"""
+
+import ctypes
+import signal
+import threading
+
+from std_srvs.srv import Trigger
+
+from tissue_sim.ros.node import program, serve
+from tissue_sim.ros.node.node import TissueNode
+from tissue_sim.ros.shared.physics import Physics
+
+libc = ctypes.CDLL(None)
+loop = Physics._loop
+
+
+def failing(*_: object) -> None:
+    raise ZeroDivisionError("sabotaged,\nin two lines")
+
+
+def failing_loop(physics: Physics) -> None:
+    loop(physics)
+    if Sabotaged.loop_fails:
+        failing()
+
+
+class Sabotaged(TissueNode):
+    loop_fails = False
+
+    def start(self) -> None:
+        super().start()
+        libc.signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
+        # In C, as the loop holds no GIL: a signal has its thread wait for another signal, which does nothing.
+        for number, handler in ((signal.SIGUSR1, libc.pause), (signal.SIGUSR2, libc.abs)):
+            libc.signal(number, ctypes.cast(handler, ctypes.c_void_p))
+        output, answer = self.ports[0].output, self.ports[0].output.answer
+        ways = {
+            "fail": failing,
+            "break_poses": lambda: setattr(output, "answer", failing),
+            "mend_poses": lambda: setattr(output, "answer", answer),
+            "break_parameters": lambda: self.parameters.changed.append(failing),
+            "fail_in_thread": lambda: threading.Thread(target=failing).start(),
+            "hang": lambda: self.signal_loop(signal.SIGUSR1),
+            "resume": lambda: self.signal_loop(signal.SIGUSR2),
+            "end_loop": self.end_loop,
+        }
+        for name, act in ways.items():
+            self.create_service(Trigger, f"~/{name}", lambda _, response, act=act: self.done(act, response))
+
+    @staticmethod
+    def done(act: object, response: Trigger.Response) -> Trigger.Response:
+        act()
+        response.success = True
+        return response
+
+    def signal_loop(self, number: int) -> None:
+        signal.pthread_kill(self.physics._thread.ident, number)
+
+    def end_loop(self) -> None:
+        Sabotaged.loop_fails = True
+        self.physics.box.control.stop = True
+
+
+serve.TissueNode = Sabotaged
+Physics._loop = failing_loop
+program.run()

@@ -1,0 +1,131 @@
+"""Errors that nobody thought of, in a real node: it goes on, or ends with its wrenches zeroed; and says where."""
+
+import re
+
+import numpy as np
+import pytest
+from std_srvs.srv import Trigger
+
+from helpers.ros.clients import Client
+from helpers.ros.processes import HERE, READY, SOON_STALE, Process, press_until_felt
+from tissue_sim.ros.bags.recording import Recording
+
+SABOTAGED = str(HERE / "sabotaged_node.py")
+OUTSIDE = (0.3, 0.0, 0.0)  # m
+
+
+def start(folder, *parameters):
+    words = [word for parameter in (SOON_STALE, *parameters) for word in ("-p", parameter)]
+    process = Process([SABOTAGED, "--ros-args", *words], folder / "node.log")
+    process.wait_for(READY)
+    return process
+
+
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    process = start(tmp_path_factory.mktemp("sabotaged"))
+    yield process
+    assert process.stop() == 0, process.text()
+    assert "Traceback" not in process.text()
+
+
+@pytest.fixture
+def client():
+    client = Client(markers=False)
+    yield client
+    client.close()
+
+
+def sabotage(client, way):
+    return client.call(Trigger, f"/tissue_sim/{way}", Trigger.Request())
+
+
+def lines(process, place):
+    """What it logged about a place in the package."""
+    return [line for line in process.text().splitlines() if f"(tissue_sim/{place}:" in line]
+
+
+def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node, client):
+    assert sabotage(client, "break_poses").success
+    for _ in range(50):
+        client.send_pose(OUTSIDE)
+        client.spin(0.01)
+    warned = []
+    assert client.spin_until(
+        lambda: (int(client.diagnostics.get("callback_failures", 0)) > 10 and warned) or warned.append(client.message)
+    )
+    (line,) = lines(node, "ros/node/tool_port.py")
+    assert re.search(r"callback failed: ZeroDivisionError: sabotaged, in two lines \(tissue_sim/\S+:\d+\)$", line)
+    (key,) = (
+        key for key in client.diagnostics if key.startswith("callback_failures.tissue_sim/ros/node/tool_port.py:")
+    )
+    assert int(client.diagnostics[key]) > 10
+    assert any("callback_failures" in told for told in client.told), "it is a warning"
+    assert sabotage(client, "mend_poses").success
+    client.ask(OUTSIDE)
+    assert client.spin_until(lambda: bool(client.wrenches) or client.send_pose(OUTSIDE))
+
+
+def test_who_calls_a_service_that_fails_is_told(node, client):
+    answer = sabotage(client, "fail")
+    assert not answer.success
+    assert "ZeroDivisionError: sabotaged, in two lines" in answer.message
+    assert client.reset().success
+
+
+def test_who_sets_a_parameter_is_told(node, client):
+    assert sabotage(client, "break_parameters").success
+    answer = client.set_parameter("marker_rate", 30.0)
+    assert not answer.successful
+    assert "ZeroDivisionError" in answer.reason
+    assert client.reset().success
+
+
+def test_thread_that_fails_is_told(node, client):
+    before = int(client.report()["callback_failures"])
+    assert sabotage(client, "fail_in_thread").success
+    assert client.spin_until(lambda: int(client.diagnostics["callback_failures"]) > before)
+
+
+def test_no_force_stands_while_the_loop_hangs(node, client):
+    def move(position):
+        client.send_pose(position)
+        client.spin(0.005)
+
+    where = press_until_felt(client, move)
+    assert sabotage(client, "hang").success
+    assert client.spin_until(lambda: client.hand_force() == 0.0 or client.send_pose(where))
+    heard = len(client.wrenches)
+    assert client.spin_until(lambda: len(client.wrenches) > heard + 50 or client.send_pose(where))
+    assert not any(np.any(wrench) for _, wrench in client.wrenches[heard:])
+    assert client.spin_until(lambda: "loop hangs" in client.message)
+    assert sabotage(client, "resume").success
+    client.ask(OUTSIDE)
+    press_until_felt(client, move)
+    assert client.spin_until(lambda: "loop hangs" not in client.message)
+
+
+def test_a_node_whose_loop_ends_zeroes_its_wrenches_closes_the_bag_and_says_where(tmp_path, client):
+    process = start(tmp_path, "record:=true", f"record_folder:={tmp_path / 'bags'}")
+
+    def move(position):
+        client.send_pose(position)
+        client.spin(0.005)
+
+    where = press_until_felt(client, move)
+    client.spin_until(lambda: bool(client.send_pose(where)), 0.5)  # the bag has its state
+    sabotage_loop = client.node.create_client(Trigger, "/tissue_sim/end_loop")
+    assert sabotage_loop.wait_for_service(10.0)
+    sabotage_loop.call_async(Trigger.Request())
+    assert client.spin_until(lambda: client.hand_force() == 0.0)
+    assert process.wait() == 1
+    client.spin(0.2)
+    assert client.hand_force() == 0.0
+    text = process.text()
+    ends = [line for line in text.splitlines() if line.startswith("tissue_node: error: ")]
+    assert len(ends) == 1
+    assert re.search(r"internal: the physics loop ended: ZeroDivisionError: .* \(tissue_sim/\S+:\d+\)", ends[0])
+    assert "Traceback" not in text
+    assert "bag closed" in text
+    (bag,) = (tmp_path / "bags").iterdir()
+    assert len(Recording.read(bag).wrenches[0]) > 0

@@ -1,0 +1,92 @@
+"""What nobody thought of reaches a user as one line, and a developer, who asks for it, as a traceback."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tissue_sim import cli
+from tissue_sim.organ.organ import Organ
+from tissue_sim.unexpected import TRACEBACK, place_of, told
+
+ORGAN = "tissue_sim.organ.organ"
+# A program whose reading of an organ, or whatever is asked for, fails as nobody thinks.
+PROGRAM = """
+import sys
+from tissue_sim import cli, unexpected
+from tissue_sim.organ.organ import Organ
+
+Organ.digest = {failing}
+sys.exit(cli.main())
+"""
+ONE_LINE = (
+    r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\); TISSUE_SIM_TRACEBACK=1 shows all of it\n"
+)
+
+
+def run(code, *words, **environment):
+    environment = {name: value for name, value in os.environ.items() if name != TRACEBACK} | environment
+    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, env=environment)
+
+
+def test_command_that_fails_ends_with_one_line_and_1():
+    code = PROGRAM.format(failing="None")
+    done = run(code, "info", "config/organs/kidney.npz", "--json")
+    assert done.returncode == 1
+    assert re.fullmatch(ONE_LINE, done.stderr)
+    shown = run(code, "info", "config/organs/kidney.npz", "--json", **{TRACEBACK: "1"})
+    assert shown.returncode == 1
+    assert "Traceback (most recent call last)" in shown.stderr
+    assert re.search(ONE_LINE, shown.stderr)
+
+
+def test_thread_and_what_is_uncaught_are_told_in_one_line_each():
+    code = """
+import threading
+from tissue_sim.unexpected import catch_all
+from tissue_sim.organ.organ import Organ
+catch_all("some program")
+made = threading.Thread(target=Organ.load, args=(7,))
+made.start()
+made.join()
+Organ.load(8)
+"""
+    done = run(code)
+    assert done.returncode == 1
+    first, second = done.stderr.splitlines()
+    for line in (first, second):
+        assert line.startswith("some program: error: internal: ")
+        assert "(tissue_sim/organ/" in line
+
+
+def test_place_is_the_innermost_inside_the_package():
+    with pytest.raises(Exception) as caught:  # noqa: PT011
+        Organ.load(7)
+    assert re.fullmatch(r"tissue_sim/organ/\S+\.py:\d+", place_of(caught.value))
+    assert place_of(ValueError()) == ""
+    assert told(ValueError("in\n two  lines")) == "ValueError: in two lines"
+    assert told(KeyboardInterrupt()) == "KeyboardInterrupt"
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_full_disk_or_closed_stream_takes_one_line(stream):
+    words = [sys.executable, "-m", "tissue_sim", "info", "config/organs/kidney.npz"]
+    closed = subprocess.run(
+        ["sh", "-c", f'exec "$@" {dict(stdout=1, stderr=2)[stream]}>&-', "sh", *words], capture_output=True, text=True
+    )
+    assert (closed.returncode, closed.stderr) == (0, "")
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}, text=True)
+    if stream == "stdout":
+        assert done.returncode == 1
+        assert re.fullmatch(r"tissue_sim: error: No space left on device \(\S+\)\n", done.stderr)
+    else:
+        assert done.returncode == 0
+
+
+def test_caller_of_main_keeps_its_hooks():
+    before = sys.excepthook
+    assert cli.main(["info", "nowhere.npz"]) == 2
+    assert sys.excepthook is before

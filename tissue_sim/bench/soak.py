@@ -1,0 +1,283 @@
+"""`tissue_sim bench soak`: a node that is used for a long time, and what stays of that.
+
+A node at 1 kHz with two tools that the scripted bridge plays, somebody who takes the markers, and a bag. Every second
+its memory and how late its ticks were is noted; a bare loop runs beside it in turns. At the end the tools go, and the
+organ's shape at rest is held against that before the first touch; the bag is closed and read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.array_types import Floats
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.latency import MOST_OF_BARE, POINTS_BEYOND, RATE, bare
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.soak_bag import BagFound, read_bag
+from tissue_sim.bench.soak_watch import PATIENCE, Sample, Watch
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+from tissue_sim.ros.shared.children import Child
+
+SHORTEST, LONGEST = 0.1, 1440.0  # min
+WINDOW = 60.0  # s at the beginning and the end whose memory is compared; the first begins after one of warming up
+TURN, PAUSE = 4.0, 16.0  # s that the bare loop runs, and rests
+MOST_DRIFT, MOST_GROWTH = 1e-6, 1.0  # m, MB
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, out="folder for a plot of memory and lateness over time", check=True)
+    parser.add_argument("--minutes", type=float, default=30.0, help="how long the tools are played")
+    parser.add_argument("--bag-folder", metavar="DIR", help="keep the bag in this folder; else it is deleted")
+    parser.add_argument(
+        "--replay", action="store_true", help="also replay the bag, tick by tick; needs memory for all of it"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    if not SHORTEST <= args.minutes <= LONGEST:
+        raise UserError(f"--minutes {args.minutes:g} is outside {SHORTEST:g}..{LONGEST:g}")
+    with tempfile.TemporaryDirectory(prefix="tissue_sim-soak-") as folder:
+        found = measure(args.organ, args.minutes, Path(args.bag_folder or folder).absolute(), replays=args.replay)
+    emit(found, text(found), args.json)
+    if args.out:
+        from tissue_sim.bench.soak_plot import write_plot
+
+        told([write_plot(found, Path(args.out))])
+    return exit_code(found, check=args.check)
+
+
+# measuring -----------------------------------------------------------------------------------------
+
+
+def measure(organ_file: str | None, minutes: float, folder: Path, *, replays: bool = False) -> dict[str, Any]:
+    """Figures of a node that is used for so many minutes, with its bag in a folder.
+
+    Raises UserError when rclpy is not installed, the node does not start or ends, or the bag can't be read.
+    """
+    path = organ_file or str(shipped_organ())
+    organ = Organ.load(path)
+    with Graph() as graph:
+        from tissue_sim.ros.shared.client import client_node
+
+        parameters = f"rate:={RATE}", "marker_rate:=60.0", "record:=true", f"record_folder:={folder}"
+        served = graph.start_node(path, *parameters)
+        graph.start("probes.listener", NODE)
+        ticks(served)
+        own = graph.enter_context(client_node("soak", NODE))
+        watch = Watch(own, NODE, served.pid)
+        before = watch.at_rest()
+        clamp = _force_clamp(own)
+        bridge = _bridge()
+        graph.callback(bridge.stop)
+        samples, turns = _soak(watch, served, bridge, 60.0 * minutes)
+        bridge.stop()
+        drift = float(np.abs(watch.at_rest() - before).max())
+        bag = watch.close_bag()
+        watch.values = {}
+        watch.sample()  # the last counters
+        problems, failures = watch.problems(), watch.failures
+        served.stop()
+        if served.exit_code != 0:
+            raise UserError(f"the node did not end as it should: {served.last_words()}")
+    return as_json(
+        organ=organ.name,
+        minutes=minutes,
+        samples=samples,
+        turns=turns,
+        drift=drift,
+        clamp=clamp,
+        bag=read_bag(bag),
+        problems=problems,
+        failures=failures,
+        repeats=_repeats(bag) if replays else None,
+    )
+
+
+def _soak(
+    watch: Watch, served: Child, bridge: Child, seconds: float
+) -> tuple[list[Sample], list[tuple[float, Floats]]]:
+    """Look at the node every second; returns that, and for each turn of the bare loop when it began and its lateness."""
+    samples: list[Sample] = []
+    turns: list[tuple[float, Future[Floats]]] = []
+    turn, pause = min(TURN, 0.25 * seconds), min(PAUSE, 0.25 * seconds)
+    began = next_turn = time.monotonic()
+    with ThreadPoolExecutor(1, "bare") as bare_loop, tqdm(total=round(seconds), disable=None, unit="s") as bar:
+        for second in range(1, max(2, round(seconds)) + 1):
+            time.sleep(max(0.0, began + second - time.monotonic()))
+            _check_alive(served, bridge)
+            samples.append(watch.sample())
+            now = time.monotonic()
+            if now >= next_turn and now + turn < began + seconds:
+                busy = 1e-6 * float(watch.values["tick_p50_us"])
+                turns.append((samples[-1].seconds, bare_loop.submit(bare, turn, busy)))
+                next_turn = now + turn + pause
+            bar.update()
+    return samples, [(at, made.result()) for at, made in turns]
+
+
+def _check_alive(*children: Child) -> None:
+    for child in children:
+        if child.exit_code is not None:
+            raise UserError(f"the {child.name} ended before its time: {child.last_words()}")
+
+
+def _bridge() -> Child:
+    """Two tools, played."""
+    words = [sys.executable, "-m", "tissue_sim", "bridge", "--rate", f"{RATE:g}"]
+    return Child("bridge", words, os.environ)
+
+
+def _force_clamp(node: Any) -> float:
+    """N, the largest force that the node may publish. Raises UserError when it does not answer."""
+    from tissue_sim.ros.probes.graph import first_within
+    from tissue_sim.ros.shared.node_parameters import NodeParameters
+
+    values = first_within(NodeParameters(node, NODE).poll, PATIENCE, "the node told no parameters")
+    return float((values or {})["force_clamp"])
+
+
+def _repeats(bag: Path) -> bool:
+    """Whether a replay shows what the bag does."""
+    from tissue_sim.ros.bags.outcome import Asked, replay_bag
+
+    return bool(replay_bag(bag, Asked(1e-6, 1e-6, None)).comparison.passes)
+
+
+# telling -------------------------------------------------------------------------------------------
+
+
+def memory_of(seconds: Sequence[float], megabytes: Sequence[float]) -> dict[str, float | None]:
+    """Medians of the memory in MB of the first WINDOW after warming up and of the last one, their difference, the slope.
+
+    The slope, MB per hour, is the median of those between samples half the run apart. None for what a run is too short
+    for.
+    """
+    at, level = np.asarray(seconds) - seconds[0], np.asarray(megabytes)
+    if at[-1] < 3.0 * WINDOW:
+        return {"first_mb": None, "last_mb": None, "growth_mb": None, "slope_mb_per_hour": None, "most_mb": level.max()}
+    first = float(np.median(level[(at >= WINDOW) & (at < 2.0 * WINDOW)]))
+    last = float(np.median(level[at >= at[-1] - WINDOW]))
+    at, level = at[at >= WINDOW], level[at >= WINDOW]
+    half = len(at) // 2
+    slopes = (level[half:] - level[: len(level) - half]) / (at[half:] - at[: len(at) - half])
+    return {
+        "first_mb": first,
+        "last_mb": last,
+        "growth_mb": last - first,
+        "slope_mb_per_hour": 3600.0 * float(np.median(slopes)),
+        "most_mb": float(level.max()),
+    }
+
+
+def as_json(
+    *,
+    organ: str,
+    minutes: float,
+    samples: Sequence[Sample],
+    turns: Sequence[tuple[float, Floats]],
+    drift: float,
+    clamp: float,
+    bag: BagFound,
+    problems: dict[str, int],
+    failures: Sequence[str],
+    repeats: bool | None = None,
+) -> dict[str, Any]:
+    """All figures, and the bounds that they are held against.
+
+    turns: of the bare loop, when each began, s, and how late its ticks were, s; drift: m, of the shape at rest; clamp:
+    N; problems: counters of the diagnostics that are not 0; failures: what they called an error.
+    """
+    period, first, last = 1.0 / RATE, samples[0], samples[-1]
+    done, late = last.ticks - first.ticks, last.late - first.late
+    bare_late: Floats = np.concatenate([own for _, own in turns]) if turns else np.zeros(0)
+    node_share = 100.0 * late / max(1, done)
+    bare_share = 100.0 * float(np.mean(bare_late > period)) if turns else None
+    memory = memory_of([one.seconds for one in samples], [one.megabytes for one in samples])
+    dropped = last.dropped - first.dropped
+    bounds = [
+        Bound("drift of the shape at rest", drift, MOST_DRIFT, "m"),
+        Bound("growth of the node's memory", memory["growth_mb"], MOST_GROWTH, "MB"),
+        Bound("highest force", bag.highest_force, clamp, "N"),
+        Bound("wrenches and surfaces that are not finite", bag.not_finite, 0.0, ""),
+        Bound("messages that the bag lacks", bag.missing, 0.0, ""),
+        Bound("problems in the diagnostics", sum(problems.values()) + len(failures), 0.0, ""),
+        Bound("ticks given up", dropped, 0.0, ""),
+    ]
+    if bare_share is not None:
+        limit = MOST_OF_BARE * bare_share + POINTS_BEYOND
+        bounds.append(Bound("ticks late by more than a period", node_share, limit, "%"))
+    if repeats is not None:
+        bounds.append(Bound("replay that does not repeat", float(not repeats), 0.0, ""))
+    return {
+        "organ": organ,
+        "minutes": minutes,
+        "rate_hz": RATE,
+        "drift_m": drift,
+        "memory": memory,
+        "force_clamp_n": clamp,
+        "bag": bag._asdict(),
+        "repeats": repeats,
+        "problems": problems,
+        "failures": list(failures),
+        "late": {
+            "node_percent": node_share,
+            "bare_percent": bare_share,
+            "ticks": done,
+            "bare_ticks": len(bare_late),
+            "dropped": dropped,
+            "bare_turns": [{"seconds": at, "p99_us": 1e6 * float(np.percentile(own, 99.0))} for at, own in turns],
+        },
+        "series": {name: [getattr(one, name) for one in samples] for name in Sample._fields},
+        "bounds": [bound.as_json() for bound in bounds],
+    }
+
+
+def text(found: dict[str, Any]) -> str:
+    """The figures as tables."""
+    memory, late, bag = found["memory"], found["late"], found["bag"]
+
+    def shown(value: float | None, form: Callable[[float], str]) -> str:
+        return "-" if value is None else form(value)
+
+    rows = [
+        ["memory, MB", "minute 2", "last minute", "growth", "an hour", "most"],
+        [
+            "node",
+            *(
+                shown(memory[key], lambda value: f"{value:.2f}")
+                for key in ("first_mb", "last_mb", "growth_mb", "slope_mb_per_hour", "most_mb")
+            ),
+        ],
+    ]
+    lines = [
+        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz: two tools played, one subscriber of markers at 60 Hz,"
+        " a bag",
+        *aligned(rows),
+        "",
+        f"ticks late by more than a period: node {late['node_percent']:.2f} % of {late['ticks']}, a bare loop beside it"
+        f" {shown(late['bare_percent'], lambda value: f'{value:.2f}')} %",
+        f"bag: {1e-6 * bag['bytes']:.0f} MB, {bag['messages']} messages, {bag['wrenches']} wrenches up to"
+        f" {bag['highest_force']:.2f} N, {bag['surfaces']} surfaces",
+        *(f"problem: {name} {count}" for name, count in found["problems"].items()),
+        *(f"failure: {line}" for line in found["failures"]),
+        "",
+        *bound_lines(found["bounds"]),
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,54 @@
+"""Plot of `tissue_sim bench soak`: memory and lateness over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.errors import UserError
+
+_NODE, _BARE, _GUIDE = "#2166ac", "#b2182b", "#777777"
+
+
+def write_plot(found: dict[str, Any], folder: Path) -> Path:
+    """Write soak.png from the figures of `bench soak`; returns its path. Raises UserError when it can't be written."""
+    path = folder / "soak.png"
+    try:
+        _drawn(found).savefig(path, dpi=140)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None
+    return path
+
+
+def _drawn(found: dict[str, Any]) -> Any:
+    from matplotlib.figure import Figure
+
+    series = {name: np.array(values) for name, values in found["series"].items()}
+    minutes = series["seconds"] / 60.0
+    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    memory, lateness = figure.subplots(2, 1, sharex=True)
+    memory.plot(minutes, series["megabytes"], color=_NODE, linewidth=1.0)
+    for key in ("first", "last"):
+        if (level := found["memory"][f"{key}_mb"]) is not None:
+            memory.axhline(level, color=_GUIDE, linewidth=0.8, linestyle=":")
+    memory.set_ylabel("resident memory (MB)")
+    memory.set_title(f"{found['organ']}, {found['rate_hz']:g} Hz, {found['minutes']:g} min", loc="left")
+    lateness.plot(minutes, series["late_us"], color=_NODE, linewidth=0.8, label="node, p99 of each second")
+    bare = found["late"]["bare_turns"]
+    lateness.plot(
+        [turn["seconds"] / 60.0 for turn in bare],
+        [turn["p99_us"] for turn in bare],
+        ".",
+        color=_BARE,
+        label="a bare loop, p99 of each turn",
+    )
+    lateness.set_yscale("log")
+    lateness.set_ylabel("ticks late by (us)")
+    lateness.set_xlabel("time (min)")
+    lateness.legend(frameon=False)
+    for axis in (memory, lateness):
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    return figure

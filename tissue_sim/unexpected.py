@@ -1,0 +1,89 @@
+"""Errors that nobody thought of: a user gets one line that names the place, and the traceback only when asked for."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import traceback
+from pathlib import Path
+from types import TracebackType
+
+from tissue_sim.errors import UserError
+
+TRACEBACK = "TISSUE_SIM_TRACEBACK"  # set to anything but nothing: the traceback is shown, too
+INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def place_of(error: BaseException) -> str:
+    """File and line of the innermost frame inside the package, else of the innermost one; empty where there is none."""
+    inside = outside = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(_PACKAGE):
+            inside = f"{path.relative_to(_PACKAGE.parent)}:{line}"
+        else:
+            outside = f"{path.name}:{line}"
+    return inside or outside
+
+
+def told(error: BaseException) -> str:
+    """An error in one line: its type, what it says, and its place."""
+    said = " ".join(str(error).split())
+    place = place_of(error)
+    return f"{type(error).__name__}{': ' if said else ''}{said}{f' ({place})' if place else ''}"
+
+
+def tell(error: BaseException, program: str) -> None:
+    """Write the line of an error that ends a program, or a thread of it, to the standard error."""
+    if os.environ.get(TRACEBACK):
+        _write("".join(traceback.format_exception(error)))
+    if isinstance(error, UserError):
+        _write(f"{program}: error: {error}\n")
+    elif isinstance(error, OSError) and error.strerror:  # of the machine, and mostly plain
+        names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
+        _write(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")
+    else:
+        _write(f"{program}: error: internal: {told(error)}; {TRACEBACK}=1 shows all of it\n")
+
+
+def catch_all(program: str) -> None:
+    """Have all that nothing else catches in this process told by `tell`; for programs, not for who imports the package.
+
+    Streams that are closed are opened on nothing: what writes to them must not fail, nor write to another file.
+    """
+    for name, number in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            _open_on_nothing(name, number)
+
+    def uncaught(_: type[BaseException], error: BaseException, __: TracebackType | None) -> None:
+        if not isinstance(error, KeyboardInterrupt):
+            tell(error, program)
+
+    def in_thread(given: threading.ExceptHookArgs) -> None:
+        if given.exc_value is not None:
+            tell(given.exc_value, program)
+
+    def unraisable(given: sys.UnraisableHookArgs) -> None:
+        if given.exc_value is not None and not isinstance(given.exc_value, (KeyboardInterrupt, BrokenPipeError)):
+            tell(given.exc_value, program)
+
+    sys.excepthook, threading.excepthook, sys.unraisablehook = uncaught, in_thread, unraisable
+
+
+def _open_on_nothing(name: str, number: int) -> None:
+    opened = os.open(os.devnull, os.O_RDWR)
+    if opened != number:
+        os.dup2(opened, number)
+        os.close(opened)
+    setattr(sys, name, open(number, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
+
+
+def _write(text: str) -> None:
+    try:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    except (OSError, ValueError, AttributeError):  # full, closed or not there: nobody is told
+        pass
