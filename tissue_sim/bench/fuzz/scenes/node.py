@@ -1,0 +1,124 @@
+"""A running node under hostile messages, services and subscribers, over DDS; afterwards it has to be as before.
+
+Every process of cases has a node of its own, which lives on from case to case: what one leaves behind, such as memory,
+the next ones see. After a failure the node is begun anew.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissue_sim.bench.fuzz.cases import Broken, Case, Input
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+
+if TYPE_CHECKING:
+    from tissue_sim.ros.probes.hostile import Hostile
+    from tissue_sim.ros.shared.children import Child
+
+MOST_ACTS = 3
+WARM_CASES = 10  # after which a node has everything that it needs
+MOST_GROWTH = 40.0  # MB since then
+SETTINGS = (
+    "tools:=[left, right, jaws]",
+    "left.radius:=0.005",
+    "right.shape:=capsule",
+    "right.radius:=0.003",
+    "jaws.shape:=gripper",
+    "jaws.radius:=0.003",
+    "jaws.length:=0.04",
+    *(f"{tool}.reliable:=true" for tool in ("left", "right", "jaws")),  # so that nothing sent is lost on the way
+)
+
+
+class Served:
+    """The node of this process, and who sends to it."""
+
+    def __init__(self) -> None:
+        from tissue_sim.ros.probes.hostile import Hostile
+        from tissue_sim.ros.shared.client import client_node
+
+        self._stack = ExitStack()
+        graph = self._stack.enter_context(Graph())
+        path = shipped_organ()
+        self.child: Child = graph.start_node(str(path), *SETTINGS)
+        ticks(self.child)
+        node = self._stack.enter_context(client_node("hostile", NODE))
+        self.hostile: Hostile = Hostile(node, NODE, Organ.load(path))
+        self.hostile.meet()
+        self.cases, self._memory, self._tick = 0, 0.0, -1
+        self.child.errors.clear()
+
+    def close(self) -> None:
+        """End both."""
+        self._stack.close()
+
+    def check(self) -> str:
+        """It lives, has ticked, has printed no traceback and keeps no memory. Raises Broken."""
+        if self.child.exit_code is not None:
+            raise Broken(f"the node has ended: {self.child.last_words()}")
+        report = self.hostile.calm_down()
+        lines = [*self.child.output, *self.child.errors]
+        if any("Traceback" in line for line in lines):
+            raise Broken(f"a traceback: {lines[-1]}")
+        if wide := [line for line in lines if len(line) > 1000]:
+            raise Broken(f"a line of {len(wide[0])} characters: {wide[0][:60]}")
+        self.child.output.clear()
+        self.child.errors.clear()
+        memory, self.cases = resident(self.child.pid), self.cases + 1
+        if self.cases <= WARM_CASES:
+            self._memory = max(memory, self._memory)
+        elif memory > self._memory + MOST_GROWTH:
+            raise Broken(f"{memory:.0f} MB after {self.cases} cases, {self._memory:.0f} MB after {WARM_CASES}")
+        hostile = self.hostile
+        felt = f"{hostile.wrenches} wrenches, {hostile.felt:.3g} N at the most so far"
+        return f"{felt}; {memory:.0f} MB after {self.cases} cases; degraded: {report.get('degraded', 'unknown')}"
+
+
+_served: list[Served] = []  # none or one
+
+
+def prepare(case: Case, folder: Path) -> Input:
+    """Up to three acts."""
+    from tissue_sim.ros.probes.hostile import ACTS
+
+    rng = case.rng()
+    acts = [str(act) for act in rng.choice(list(ACTS), size=rng.integers(1, MOST_ACTS + 1))]
+    warm_up(folder)
+
+    def use() -> str:
+        return used(_served[0], lambda hostile: hostile.play(rng, acts))
+
+    return Input(", ".join(acts), use)
+
+
+def warm_up(folder: Path) -> None:
+    """Start the node, unless it runs."""
+    if not _served:
+        _served.append(Served())
+
+
+def used(served: Served, play: Callable[[Hostile], None]) -> str:
+    """Play, and check; a node that has failed is given up. Raises Broken."""
+    from tissue_sim.ros.probes.hostile import Fault
+
+    try:
+        play(served.hostile)
+        return served.check()
+    except (Broken, Fault, UserError) as error:
+        _served.clear()
+        words = served.child.last_words() if served.child.exit_code is not None else ""
+        served.close()
+        raise Broken(f"{error}{f'; the node has ended: {words}' if words else ''}") from None
+
+
+def resident(pid: int) -> float:
+    """Memory of a process, MB."""
+    found = re.search(r"VmRSS:\s*(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    return int(found[1]) / 1024.0 if found else 0.0
