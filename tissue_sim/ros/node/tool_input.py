@@ -25,7 +25,13 @@ from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming
 
 FARTHEST = 100.0  # m: a pose beyond it is in another unit
+LONGEST_NAME = 60  # characters of a frame's name that a line shows
 WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
+
+
+def shown(name: str) -> str:
+    """A name from outside as a line may have it: short, and without what a terminal would obey."""
+    return (name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}...").encode("unicode_escape").decode()
 
 
 class Refused(Exception):
@@ -162,7 +168,7 @@ class ToolInput:
             remedy = "frame_id names another" if message.frame_id else "allow_empty_frame takes it for that"
             raise Refused(
                 "unknown_frame",
-                f"its frame is '{message.frame_id}', expected '{tool.topics.frame_id}'"
+                f"its frame is '{shown(message.frame_id)}', expected '{tool.topics.frame_id}'"
                 f" (parameter {tool.name}.{remedy}); {error}",
             ) from None
         if message.stamp == 0:

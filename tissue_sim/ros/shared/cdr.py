@@ -134,11 +134,11 @@ def _doubles(raw: bytes, at: int, count: int) -> tuple[float, ...]:
 def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """The pose (7,) with its quaternion scaled to length 1, in place.
 
-    Node and replay share it, so that a pose is the same number in both. Raises ValueError for a zero
-    quaternion.
+    Node and replay share it, so that a pose is the same number in both. Raises ValueError for a quaternion of zero, or
+    of a length that is no number.
     """
     norm = math.sqrt(float(pose[3:] @ pose[3:]))
-    if norm < 1e-6:
-        raise ValueError("its quaternion is zero; send a unit quaternion")
+    if not 1e-6 <= norm < math.inf:
+        raise ValueError(f"its quaternion is {'zero' if norm < 1e-6 else 'too large'}; send a unit quaternion")
     pose[3:] /= norm
     return pose
