@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import os
+import re
 import struct
 import zipfile
 import zlib
@@ -18,6 +19,7 @@ MOST_BYTES = 1 << 30  # that all arrays may take; an organ of a million nodes ta
 MOST_TIMES = 200  # of its packed size that an array may take; of numbers that say something it is 20
 _SMALL = 1 << 26  # bytes for which that doesn't matter
 _LONGEST_HEADER = 10_000  # characters, as numpy has it
+_NAME = re.compile(r"\w[\w.]{0,99}")  # no path
 _DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -44,7 +46,7 @@ def _check(members: list[zipfile.ZipInfo]) -> None:
     if len(set(names)) < len(names):
         raise ValueError("an array is there twice")
     for member in members:
-        if not member.filename.removesuffix(".npy").isidentifier() or member.compress_type not in _DEFLATED:
+        if not _NAME.fullmatch(member.filename) or member.compress_type not in _DEFLATED:
             raise ValueError(f"'{_short(member.filename)}' is no array")
         if member.file_size > max(_SMALL, MOST_TIMES * member.compress_size):
             raise ValueError(f"'{_short(member.filename)}' unpacks to over {MOST_TIMES} times its size")

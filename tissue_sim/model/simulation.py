@@ -26,6 +26,7 @@ from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Integrator, Lo
 from tissue_sim.model.settling import residuals, settle
 from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.state import Region, State, make_state, take_fields
+from tissue_sim.model.state_check import check_state
 from tissue_sim.model.world import (
     free_world,
     load_world,
@@ -344,6 +345,7 @@ class Simulation:
         before = self.state.words.copy()
         try:
             take_fields(self.state, fields)
+            check_state(self.state)
         except ValueError as error:
             self.state.words[:] = before
             raise UserError(str(error)) from None

@@ -214,12 +214,17 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
     """Take over what fields_of gave of a state of the same size; raises ValueError naming what doesn't fit."""
     state.words[:] = 0
     header = fields.get("contacts.header")
-    state.contacts.header.points = 0 if header is None else min(int(header["points"]), MOST_POINTS)
+    points = 0 if header is None or "points" not in (header.dtype.names or ()) or header.size != 1 else header["points"].item()
+    if not 0 <= points <= MOST_POINTS:
+        raise ValueError(f"its state counts {points} contact points; there is room for {MOST_POINTS}")
+    state.contacts.header.points = points
     for name, target in fields_of(state).items():
         found = fields.get(name)
         if found is None or found.shape != target.shape:
             raise ValueError(f"its state has another '{name}': it belongs to another organ or other tools")
         if target.dtype.names is None:
+            if found.dtype.kind not in "iufb":
+                raise ValueError(f"its state's '{name}' holds no numbers")
             target[...] = found
             continue
         for field in target.dtype.names:
