@@ -11,6 +11,12 @@ class UserError(Exception):
     """
 
 
+def shown(text: str, longest: int = 60) -> str:
+    """What comes from outside as a line may have it: short, and without what a terminal would obey."""
+    short = text if len(text) <= longest else f"{text[:longest]}..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in short)
+
+
 def give_up_output() -> None:
     """After a BrokenPipeError: what is still to be printed, and flushed at the end, has nowhere to go."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -214,7 +214,11 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
     """Take over what fields_of gave of a state of the same size; raises ValueError naming what doesn't fit."""
     state.words[:] = 0
     header = fields.get("contacts.header")
-    points = 0 if header is None or "points" not in (header.dtype.names or ()) or header.size != 1 else header["points"].item()
+    points = (
+        0
+        if header is None or "points" not in (header.dtype.names or ()) or header.size != 1
+        else header["points"].item()
+    )
     if not 0 <= points <= MOST_POINTS:
         raise ValueError(f"its state counts {points} contact points; there is room for {MOST_POINTS}")
     state.contacts.header.points = points

@@ -23,7 +23,10 @@ def check_state(state: State) -> None:
     n, n_cells, status = len(state.position), len(state.is_turned), state.status
     _check_finite(fields_of(state))
     _check_contacts(state.contacts, n)
-    listed = {"loaded": (state.loaded_node, state.is_loaded), "prescribed": (state.prescribed_node, state.is_prescribed)}
+    listed = {
+        "loaded": (state.loaded_node, state.is_loaded),
+        "prescribed": (state.prescribed_node, state.is_prescribed),
+    }
     for name, (nodes, marks) in listed.items():
         count = int(getattr(status, name))
         if not 0 <= count <= n:

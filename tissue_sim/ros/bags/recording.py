@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import tempfile
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -16,10 +17,10 @@ from rosbags.rosbag2.errors import ReaderError
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
-from tissue_sim.errors import UserError
-from tissue_sim.model.contact_set import ContactSet, contact_set
-from tissue_sim.model.records import array_of
+from tissue_sim.errors import UserError, shown
+from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.settings import Settings
+from tissue_sim.model.state_check import check_settings, contact_set_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
@@ -50,6 +51,13 @@ class Recording:
         if not path.exists():
             raise UserError(f"bag {path} does not exist")
         messages = _read_messages(path)
+        try:
+            return cls._parsed(path, messages)
+        except (ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as error:
+            raise UserError(f"bag {path} is damaged: {shown(str(error), 200) or type(error).__name__}") from None
+
+    @classmethod
+    def _parsed(cls, path: Path, messages: dict[str, list[bytes]]) -> Recording:
         name = next((topic[: -len("/config")] for topic in messages if topic.endswith("/config")), None)
         if name is None:
             raise UserError(f"bag {path} was not recorded by a tissue_sim node: it has no configuration")
@@ -70,12 +78,14 @@ class Recording:
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
         rows = [bag.unpack(values) for values in data("journal")]
         kinds = rows[0] if rows else {}
-        sets = [_contact_set(bag.unpack(values), n_bodies) for values in data("contact_set")]
+        state = bag.unpack(data("state")[0])
+        n_nodes = len(state["position"])
+        sets = [contact_set_of(bag.unpack(values), n_bodies, n_nodes) for values in data("contact_set")]
         settings = [bag.unpack(values) for values in data("settings")]
         recording = cls(
             config=config,
             organ=data("organ")[0].tobytes(),
-            state=bag.unpack(data("state")[0]),
+            state=state,
             settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
             contact_sets={int(found.header.sequence): found for found in sets},
             journal={kind: np.concatenate([row[kind] for row in rows]) for kind in kinds},
@@ -136,16 +146,8 @@ def settings_of(path: Path, recorded: np.ndarray) -> Settings:
     settings = Settings.new()
     for name in names:
         setattr(settings, name, recorded[name][()])
+    check_settings(settings)
     return settings
-
-
-def _contact_set(fields: dict[str, np.ndarray], n_bodies: int) -> ContactSet:
-    """A contact set from its fields by name."""
-    made = contact_set(n_bodies, len(fields["body"]))
-    for name, value in made._asdict().items():
-        if name != "words":
-            array_of(value)[...] = fields[name]
-    return made
 
 
 def tools_of(config: dict[str, Any]) -> list[Tool]:

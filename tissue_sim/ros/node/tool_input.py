@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
@@ -25,13 +26,7 @@ from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming
 
 FARTHEST = 100.0  # m: a pose beyond it is in another unit
-LONGEST_NAME = 60  # characters of a frame's name that a line shows
 WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
-
-
-def shown(name: str) -> str:
-    """A name from outside as a line may have it: short, and without what a terminal would obey."""
-    return (name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}...").encode("unicode_escape").decode()
 
 
 class Refused(Exception):
