@@ -74,7 +74,7 @@ def test_place_is_the_innermost_inside_the_package():
 def test_full_disk_or_closed_stream_takes_one_line(stream):
     words = [sys.executable, "-m", "tissue_sim", "info", "config/organs/kidney.npz"]
     closed = subprocess.run(
-        ["sh", "-c", f'exec "$@" {dict(stdout=1, stderr=2)[stream]}>&-', "sh", *words], capture_output=True, text=True
+        ["sh", "-c", f'exec "$@" {{"stdout": 1, "stderr": 2}[stream]}>&-', "sh", *words], capture_output=True, text=True
     )
     assert (closed.returncode, closed.stderr) == (0, "")
     with open("/dev/full", "w") as full:

@@ -18,7 +18,7 @@ from tissue_sim.organ.winding import inside
 
 # poses that come late ---------------------------------------------------------------------------
 def poke(gap, period):
-    """Forces, (ticks, 3) N, of a tool that goes 6 mm into the kidney and out, without poses for a gap in each 100 ms."""
+    """Forces, (ticks,) N, of a tool that goes 6 mm into the kidney and out; in each 100 ms no pose comes for a gap."""
     scene = Scene(kidney(), [Tool("left", "sphere", radius=0.005)], ticks_a_set=4)
     outermost = kidney().surface_positions[np.argmax(kidney().surface_positions[:, 0])]
     forces = []

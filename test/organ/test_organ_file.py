@@ -11,7 +11,7 @@ import trimesh
 
 from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.errors import UserError
-from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, content_digest, check_surface, signed_volume
+from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, check_surface, content_digest, signed_volume
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.organ.topology import assemble_organ
 

@@ -113,7 +113,7 @@ def measure(organ_file: str | None, minutes: float, folder: Path, *, replays: bo
 def _soak(
     watch: Watch, served: Child, bridge: Child, seconds: float
 ) -> tuple[list[Sample], list[tuple[float, Floats]]]:
-    """Look at the node every second; returns that, and for each turn of the bare loop when it began and its lateness."""
+    """Look at the node every second; returns that, and when each turn of the bare loop began and how late it was."""
     samples: list[Sample] = []
     turns: list[tuple[float, Future[Floats]]] = []
     turn, pause = min(TURN, 0.25 * seconds), min(PAUSE, 0.25 * seconds)
@@ -164,7 +164,7 @@ def _repeats(bag: Path) -> bool:
 
 
 def memory_of(seconds: Sequence[float], megabytes: Sequence[float]) -> dict[str, float | None]:
-    """Medians of the memory in MB of the first WINDOW after warming up and of the last one, their difference, the slope.
+    """Medians of the memory in MB in the first WINDOW after warming up and in the last, their difference, the slope.
 
     The slope, MB per hour, is the median of those between samples half the run apart. None for what a run is too short
     for.

@@ -33,10 +33,11 @@ def take_pose(state: Any, settings: Any, body: int, pose: Any, stamp: int, seque
 
 @kernel
 def lead_to(state: Any, settings: Any, body: int, pose: Any, stamp: int) -> None:
-    """Set how long a tool is led to a pose (7,): no faster than its poses tell, from their stamps, or else as they came.
+    """Set how long a tool is led to a pose (7,): no faster than its poses tell, by their stamps, or else as they came.
 
     Where poses were skipped or came late, the tool still has a part of their way before it. It makes that good softly,
-    and no faster than they told: a hand must not feel that a machine is busy. It is never longer behind than stale_time.
+    and no faster than they told: a hand must not feel that a machine is busy. It is never behind for longer than
+    stale_time.
     """
     status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
     told = 1e-9 * (stamp - status.stamp) if 0 < status.stamp < stamp else max(status.age, 1) * settings.tick_time

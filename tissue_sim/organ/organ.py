@@ -262,7 +262,8 @@ class Organ:
                 " build and calibrate it anew: its cells harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        return cls(**{key: header[key] for key in _TOLD}, **content)
+        told: dict[str, Any] = {key: header[key] for key in _TOLD}
+        return cls(**told, **content)
 
     def digest(self) -> str:
         """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""

@@ -1,8 +1,8 @@
 """A node that can be made to fail: it has services for that beside its own.
 
 fail: the service itself raises; break_poses, mend_poses, break_parameters: what answers poses, or takes parameters,
-does; fail_in_thread: a thread of its own does; hang, resume: the loop's thread stops where it is, and goes on; end_loop: the
-compiled loop returns, and its thread ends with an error.
+does; fail_in_thread: a thread of its own does; hang, resume: the loop's thread stops where it is, and goes on;
+end_loop: the compiled loop returns, and its thread ends with an error.
 """
 
 import ctypes

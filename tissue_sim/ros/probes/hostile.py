@@ -119,7 +119,7 @@ class Hostile:
         return message
 
     def _jaws(self, angle: float) -> None:
-        self._angles.publish(JointState(name=["jaw"], position=[float(angle)]))
+        self._angles.publish(JointState(name=["jaw"], position=[angle]))
 
     def _somewhere(self, rng: Rng) -> Floats:
         return np.asarray(rng.uniform(self._low - 0.02, self._high + 0.02))
@@ -133,7 +133,12 @@ class Hostile:
 
     def _spin(self, rng: Rng) -> None:
         at = self._surface_rest[rng.integers(len(self._surface_rest))]
-        self._during(0.001, lambda: [self._poses[tool].publish(self._pose(at, _turn(rng))) for tool in TOOLS])
+
+        def act() -> None:
+            for tool in TOOLS:
+                self._poses[tool].publish(self._pose(at, _turn(rng)))
+
+        self._during(0.001, act)
 
     def _race(self, rng: Rng) -> None:
         """A hundred times as fast as a hand."""
@@ -148,14 +153,19 @@ class Hostile:
 
     def _inside(self, rng: Rng) -> None:
         at = self._middle + rng.uniform(-0.005, 0.005, size=3)
-        self._during(0.002, lambda: [self._poses[tool].publish(self._pose(at, (0, 0, 0, 1))) for tool in TOOLS])
+
+        def act() -> None:
+            for tool in TOOLS:
+                self._poses[tool].publish(self._pose(at, (0, 0, 0, 1)))
+
+        self._during(0.002, act)
 
     def _snap(self, rng: Rng) -> None:
         """Jaws through each other, and open beyond all measure, around tissue."""
         at = self._surface_rest[rng.integers(len(self._surface_rest))]
 
         def act() -> None:
-            self._jaws(rng.choice([-10.0, -0.5, 0.0, 0.5, 7.0, np.nan, np.inf, 1e300]))
+            self._jaws(float(rng.choice([-10.0, -0.5, 0.0, 0.5, 7.0, np.nan, np.inf, 1e300])))
             self._poses["jaws"].publish(self._pose(at, (0, 0, 0, 1)))
 
         self._during(0.001, act)

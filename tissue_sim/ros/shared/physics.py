@@ -183,7 +183,7 @@ class Physics:
         return results_in(words, self.n_bodies)
 
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock stands, or the loop.
+        """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock or the loop stands.
 
         A force that no tick renews must not stay in the hand.
         """

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ TOOLS = (
     Tool("jaws", "gripper", radius=0.003, length=0.04),
 )
 # Most are small: what is wrong with a large one is seldom another.
-VARIANTS = {
+VARIANTS: dict[str, tuple[float, str, dict[str, Any]]] = {
     "springs": (0.4, "small", {}),
     "springs, modal": (0.1, "small", {"local_region": "auto"}),
     "springs, frozen": (0.05, "small", {"local_region": "frozen"}),
@@ -159,17 +159,22 @@ def a_load(rng: Rng, scene: Scene) -> tuple[Load, str]:
     return Load(nodes, forces, int(first), int(last), tips), told + (", tips" if tips.any() else "")
 
 
+def one_of(rng: Rng, numbers: list[float]) -> float:
+    """Any of them."""
+    return float(rng.choice(numbers))
+
+
 def change_settings(rng: Rng, scene: Scene) -> None:
     """Any that a parameter may change, within its range, or what a slow machine gives up."""
     simulation, settings = scene.simulation, scene.simulation.settings
-    settings.friction = rng.choice([0.0, 0.6, 5.0])
-    settings.force_clamp = rng.choice([0.0, 0.5, 10.0, 100.0])
+    settings.friction = one_of(rng, [0.0, 0.6, 5.0])
+    settings.force_clamp = one_of(rng, [0.0, 0.5, 10.0, 100.0])
     settings.force_slew = 10.0 ** rng.uniform(0.0, 6.0)
-    settings.coupling_stiffness = rng.choice([0.0, 200.0, 2e4])
+    settings.coupling_stiffness = one_of(rng, [0.0, 200.0, 2e4])
     settings.coupling_damping = 10.0 ** rng.uniform(-1.0, 2.0)
     settings.stale_time, settings.ramp_time = 10.0 ** rng.uniform(-2.3, 0.7), 10.0 ** rng.uniform(-3.0, 0.0)
     settings.stiffness_scale, settings.damping_scale = 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-1.0, 2.0)
-    settings.tick_time = rng.choice([1e-3, 2e-3, 4e-3])
+    settings.tick_time = one_of(rng, [1e-3, 2e-3, 4e-3])
     simulation.set_gravity(rng.choice([0.0, 9.81, 57.0]) * rng.uniform(-1.0, 1.0, size=3))
     simulation.set_substeps()
 
