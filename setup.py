@@ -53,7 +53,7 @@ setup(
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "image": ["SimpleITK", "scikit-image", "matplotlib"],
-        "viewer": ["viser"],
+        "viewer": ["viser", "websockets"],
         "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],
         "cluster": ["distributed"],

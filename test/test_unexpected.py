@@ -73,9 +73,8 @@ def test_place_is_the_innermost_inside_the_package():
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
 def test_full_disk_or_closed_stream_takes_one_line(stream):
     words = [sys.executable, "-m", "tissue_sim", "info", "config/organs/kidney.npz"]
-    closed = subprocess.run(
-        ["sh", "-c", f'exec "$@" {{"stdout": 1, "stderr": 2}[stream]}>&-', "sh", *words], capture_output=True, text=True
-    )
+    number = {"stdout": 1, "stderr": 2}[stream]
+    closed = subprocess.run(["sh", "-c", f'exec "$@" {number}>&-', "sh", *words], capture_output=True, text=True)
     assert (closed.returncode, closed.stderr) == (0, "")
     with open("/dev/full", "w") as full:
         done = subprocess.run(words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}, text=True)

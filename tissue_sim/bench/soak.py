@@ -25,11 +25,11 @@ from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.latency import MOST_OF_BARE, POINTS_BEYOND, RATE, bare
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
 from tissue_sim.bench.soak_bag import BagFound, read_bag
-from tissue_sim.bench.soak_watch import PATIENCE, Sample, Watch
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+from tissue_sim.ros.probes.soak_watch import PATIENCE, Sample, Watch
 from tissue_sim.ros.shared.children import Child
 
 SHORTEST, LONGEST = 0.1, 1440.0  # min

@@ -262,8 +262,8 @@ class Organ:
                 " build and calibrate it anew: its cells harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
-        told: dict[str, Any] = {key: header[key] for key in _TOLD}
-        return cls(**told, **content)
+        whole: dict[str, Any] = {**{key: header[key] for key in _TOLD}, **content}
+        return cls(**whole)
 
     def digest(self) -> str:
         """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""

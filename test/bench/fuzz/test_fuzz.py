@@ -1,0 +1,61 @@
+"""Hostile input: that cases repeat, that failures are seen and told, and that some of every kind hold."""
+
+import json
+import re
+
+import pytest
+
+from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case
+from tissue_sim.bench.fuzz.pool import run_cases
+from tissue_sim.cli import main
+
+
+def test_files_are_used_or_refused(tmp_path, capsys):
+    out = tmp_path / "found.json"
+    assert main(["bench", "fuzz", "--files", "6", "--seed", "3", "--jobs", "1", "--check", "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert {case["kind"] for case in found["cases"]} == {kind for kind in FILES if not FILES[kind].missing}
+    assert all(case["verdict"] in ("used", "refused") for case in found["cases"])
+    assert any(case["verdict"] == "refused" for case in found["cases"])
+    assert all("\n" not in case["line"] for case in found["cases"])
+
+
+def test_organ_is_as_before_after_hostile_ticks():
+    found = list(run_cases([Case("tick", 5, number) for number in range(4)], 1))
+    assert [outcome.verdict for outcome in found] == ["used"] * 4, [outcome.line for outcome in found]
+
+
+def test_node_is_as_before_after_hostile_messages():
+    found = list(run_cases([Case("node", 5, number) for number in range(6)], 1))
+    assert [outcome.verdict for outcome in found] == ["used"] * 6, [outcome.line for outcome in found]
+    assert int(re.match(r"(\d+) wrenches", found[-1].line)[1]) > 0
+
+
+@pytest.mark.parametrize("kind", ["organ", "mesh", "image"])
+def test_case_follows_from_its_numbers_alone(tmp_path, kind):
+    made = []
+    for turn in range(2):
+        for number in (7, 8):
+            folder = tmp_path / f"{turn}{number}"
+            folder.mkdir()
+            what = KINDS[kind].prepare(Case(kind, 2, number), folder).what
+            files = {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+            made.append((what, files))
+    assert made[0] == made[2]
+    assert made[1] == made[3]
+    assert made[0][1] != made[1][1]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--files", "0"], r"--files 0 is outside"),
+        (["--scenes", "0"], r"--scenes 0 is outside"),
+        (["--seed", "-1"], r"--seed -1 is negative"),
+        (["--scenes", "3", "--kinds", "organ"], r"--kinds organ takes --files"),
+        (["--jobs", "0"], r"--jobs 0"),
+    ],
+)
+def test_wrong_numbers_take_one_line(capsys, words, line):
+    assert main(["bench", "fuzz", *words]) == 2
+    assert re.fullmatch(rf"tissue_sim: error: {line}.*\n", capsys.readouterr().err)
