@@ -38,7 +38,10 @@ BENCHMARKS = {
         "bodies that others have measured: what was measured, finite elements, the real-time model",
     ),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
-    "fuzz": ("tissue_sim.bench.fuzz.command", "files mutated at random: each is used, or refused with one line"),
+    "fuzz": (
+        "tissue_sim.bench.fuzz.command",
+        "hostile files, scenes and messages: used, or refused with one line",
+    ),
 }
 
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, shown
 from tissue_sim.npz import read_npz
 
 SCHEMA_VERSION = 4  # 2: interior_spoke; 3: springs that harden, gone; 4: cells
@@ -232,7 +232,9 @@ class Organ:
         except OSError as error:
             raise UserError(f"organ file {path} can't be read: {error.strerror}") from None
         except ValueError as error:
-            raise UserError(f"organ file {path} is damaged or no organ file ({error}); build it again") from None
+            raise UserError(
+                f"organ file {path} is damaged or no organ file ({shown(str(error), 200)}); build it again"
+            ) from None
         if "header" not in content or "sha256" not in content:
             raise UserError(f"{path} is no organ file: it holds no header; make one with 'tissue_sim build'")
         text = str(content.pop("header"))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.silence import silenced
 
 _GAP = 0.1  # relative deviation of a slice distance that counts as a gap
 _ALIKE = 1e-3  # difference of direction cosines, relative one of pixel spacings, within a stack
@@ -98,7 +99,8 @@ def _read_header(file: str) -> _Slice | None:
     reader.SetImageIO("GDCMImageIO")
     reader.SetFileName(file)
     try:
-        reader.ReadImageInformation()
+        with silenced():
+            reader.ReadImageInformation()
     except RuntimeError:
         return None
     size, components = reader.GetSize(), reader.GetNumberOfComponents()
@@ -243,7 +245,8 @@ def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) 
 
 def _decoded(file: str) -> Any:
     try:
-        return sitk.ReadImage(file, sitk.sitkFloat32, "GDCMImageIO")
+        with silenced():
+            return sitk.ReadImage(file, sitk.sitkFloat32, "GDCMImageIO")
     except RuntimeError:
         raise UserError(f"DICOM slice {file} can't be decoded; export the series again, uncompressed") from None
 

@@ -8,6 +8,7 @@ them into LPS on reading. Lengths are millimetres in headers and here, metres in
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,10 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.dicom import read_stack
+from tissue_sim.organ.imaging.meta_header import check_meta_header
+from tissue_sim.organ.imaging.silence import silenced
 
 MM = 1e-3  # metres in a millimetre
 AIR = -1024.0  # HU, for voxels without a value
 _MOST_LABELS = 200
+_LARGEST_AXIS = 1e6  # of a number in a direction, or of mm in a NIfTI's row
 _LARGEST_SKEW = 1e-3  # cosine between two axes
 _PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"
 _FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
@@ -222,6 +226,8 @@ def _skew(image: sitk.Image) -> float:
     rows = [f"srow_{axis}" for axis in "xyz"]
     if image.HasMetaDataKey("ITK_sform_corrected") and all(image.HasMetaDataKey(row) for row in rows):
         axes = np.array([[float(value) for value in image.GetMetaData(row).split()[:3]] for row in rows])
+    if not np.all(np.abs(axes) < _LARGEST_AXIS):
+        return math.inf
     length = np.maximum(np.linalg.norm(axes, axis=0), 1e-12)
     return float(np.abs(np.triu((axes / length).T @ (axes / length), 1)).max())
 
@@ -229,8 +235,10 @@ def _skew(image: sitk.Image) -> float:
 def _read_strictly(path: Path) -> sitk.Image:
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
+    check_meta_header(path)
     try:
-        reader.ReadImageInformation()
+        with silenced():
+            reader.ReadImageInformation()
         size, dimension = reader.GetSize(), reader.GetDimension()
         components = reader.GetNumberOfComponents()
     except RuntimeError as error:
@@ -247,7 +255,8 @@ def _read_strictly(path: Path) -> sitk.Image:
         hint = "; name the folder that holds the series" if path.suffix.lower() in (".dcm", ".ima", "") else ""
         raise UserError(f"{path} is a single slice ({shape}), a 3-D volume is needed{hint}")
     try:
-        image = reader.Execute()
+        with silenced():
+            image = reader.Execute()
     except (RuntimeError, MemoryError) as error:
         raise UserError(f"{path} is damaged or truncated ({_reason(error)})") from None
     return image if dimension == 3 else image[(slice(None),) * 3 + (0,) * (dimension - 3)]

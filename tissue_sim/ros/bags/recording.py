@@ -164,6 +164,13 @@ def recorded_organ(recording: Recording) -> Organ:
         return Organ.load(path)
 
 
+# What rosbags makes of metadata and records that say anything at all.
+_OF_RUBBISH = (
+    *(ReaderError, OSError, ValueError, KeyError, IndexError, OverflowError),
+    *(AssertionError, TypeError, AttributeError, struct.error),
+)
+
+
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
     try:
@@ -171,9 +178,13 @@ def _read_messages(path: Path) -> dict[str, list[bytes]]:
             for connection, _, raw in recovery.messages(path):
                 messages[connection.topic].append(bytes(raw))
             return messages
+        for file in path.glob("*.mcap"):
+            recovery.check_lengths(file)
         with Reader(path) as reader:
             for connection, _, raw in reader.messages():
                 messages[connection.topic].append(bytes(raw))
-    except (ReaderError, OSError, ValueError, KeyError, AssertionError) as error:
-        raise UserError(f"bag {path} can't be read: {error}") from None
+    except MemoryError:
+        raise UserError(f"bag {path} can't be read: a length in it goes beyond its file") from None
+    except _OF_RUBBISH as error:
+        raise UserError(f"bag {path} can't be read: {shown(str(error), 200)}") from None
     return messages

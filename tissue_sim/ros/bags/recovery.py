@@ -148,6 +148,18 @@ def _whole_records(bio: BinaryIO) -> tuple[int, int]:
     return start, end
 
 
+def check_lengths(file: Path) -> None:
+    """Raise ReaderError where a record says that it is longer than its file: a reader would ask for the room."""
+    size = file.stat().st_size
+    with file.open("rb") as bio:
+        end = len(bio.read(len(MAGIC)))
+        while len(head := bio.read(9)) == 9:
+            _, length = struct.unpack("<BQ", head)
+            if end + 9 + length > size:
+                raise ReaderError(f"a record of {length} bytes at {end}, in a file of {size}")
+            end = bio.seek(end + 9 + length)
+
+
 def _is_whole(chunk: bytes) -> bool:
     _, _, length, crc = struct.unpack_from("<QQQI", chunk)
     stream = BytesIO(chunk)

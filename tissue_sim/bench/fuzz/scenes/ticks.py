@@ -72,12 +72,7 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """Make the simulations, and compile or load their kernels."""
-    for variant in VARIANTS:
-        scene, _ = made(variant)
-        for _ in range(3):
-            scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
-            scene.step()
+    """Each variant is made, and its kernels loaded, with its first case: most runs of few cases need few of them."""
 
 
 @lru_cache(maxsize=len(VARIANTS))
@@ -85,6 +80,9 @@ def made(variant: str) -> tuple[Scene, Settings]:
     """The scene of a variant, which all its cases use, and the settings that it has by default."""
     _, name, chosen = VARIANTS[variant]
     scene = Scene(_organ(name), list(TOOLS), ticks_a_set=TICKS_A_SET, **chosen)
+    for _ in range(3):
+        scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
+        scene.step()
     return scene, copy_of(scene.simulation.settings)
 
 
