@@ -21,7 +21,6 @@ from typing import Any
 
 from tissue_sim.child import end_with_parent
 from tissue_sim.errors import UserError
-from tissue_sim.unexpected import catch_all
 
 CONNECT = 10.0  # s that a scheduler may take to answer
 TRIES = 3  # more, of a calculation that failed on the cluster for no reason of its own
@@ -141,5 +140,4 @@ def _answer(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    catch_all("cohort")
     _answer(Path(sys.argv[1]))

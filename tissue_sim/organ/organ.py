@@ -345,7 +345,7 @@ def _header(text: str) -> dict[str, Any] | None:
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     numbers = [header[key] for key, kind in _TOLD.items() if kind is float]
-    if not header["name"].isprintable() or len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
+    if len(header["name"]) > _LONGEST_NAME or not np.all(np.isfinite(numbers)):
         return None
     return dict(header)
 

@@ -22,12 +22,12 @@ def test_files_are_used_or_refused(tmp_path, capsys):
 
 def test_organ_is_as_before_after_hostile_ticks():
     found = list(run_cases([Case("tick", 5, number) for number in range(4)], 1))
-    assert [outcome.verdict for outcome in found] == ["used"] * 4, [outcome.line for outcome in found]
+    assert not [outcome for outcome in found if outcome.verdict != "used"]
 
 
 def test_node_is_as_before_after_hostile_messages():
     found = list(run_cases([Case("node", 5, number) for number in range(6)], 1))
-    assert [outcome.verdict for outcome in found] == ["used"] * 6, [outcome.line for outcome in found]
+    assert not [f"{one.what}: {one.line}" for one in found if one.verdict != "used"]
     assert int(re.match(r"(\d+) wrenches", found[-1].line)[1]) > 0
 
 

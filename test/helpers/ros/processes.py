@@ -146,3 +146,11 @@ def press_until_felt(client: Client, move: Callable[[np.ndarray], None], deepest
 
 def shipped() -> Organ:
     return Organ.load(shipped_organ())
+
+
+def start_sabotaged(folder, *parameters):
+    """A node that can be made to fail (sabotaged_node.py), ready."""
+    words = [word for parameter in (SOON_STALE, *parameters) for word in ("-p", parameter)]
+    process = Process([str(HERE / "sabotaged_node.py"), "--ros-args", *words], folder / "node.log")
+    process.wait_for(READY)
+    return process

@@ -11,6 +11,7 @@ from helpers.scenes import ball
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state import BodyStatus
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
@@ -65,7 +66,13 @@ def report_of(worker):
 def test_a_tool_that_the_loop_let_go_is_looked_at_anew(scene, monkeypatch):
     """The thread had no time while poses stopped; as they go on, it finds none of them old."""
     lapsed, taken = [False], []
-    monkeypatch.setattr(scene.physics, "results", lambda: SimpleNamespace(bodies=[SimpleNamespace(lapsed=lapsed[0])]))
+
+    def results():
+        bodies = BodyStatus.rows(np.zeros(BodyStatus.words(), dtype=np.int64))
+        bodies[0].lapsed = lapsed[0]
+        return SimpleNamespace(bodies=bodies)
+
+    monkeypatch.setattr(scene.physics, "results", results)
     monkeypatch.setattr(scene.physics, "post_contacts", lambda found: taken.append(int(found.engaged[0])) or len(taken))
     scene.worker.start()
     wait_for(lambda: 1 in taken)

@@ -7,23 +7,14 @@ import pytest
 from std_srvs.srv import Trigger
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import HERE, READY, SOON_STALE, Process, press_until_felt
-from tissue_sim.ros.bags.recording import Recording
+from helpers.ros.processes import press_until_felt, start_sabotaged
 
-SABOTAGED = str(HERE / "sabotaged_node.py")
 OUTSIDE = (0.3, 0.0, 0.0)  # m
-
-
-def start(folder, *parameters):
-    words = [word for parameter in (SOON_STALE, *parameters) for word in ("-p", parameter)]
-    process = Process([SABOTAGED, "--ros-args", *words], folder / "node.log")
-    process.wait_for(READY)
-    return process
 
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
-    process = start(tmp_path_factory.mktemp("sabotaged"))
+    process = start_sabotaged(tmp_path_factory.mktemp("sabotaged"))
     yield process
     assert process.stop() == 0, process.text()
     assert "Traceback" not in process.text()
@@ -103,29 +94,3 @@ def test_no_force_stands_while_the_loop_hangs(node, client):
     client.ask(OUTSIDE)
     press_until_felt(client, move)
     assert client.spin_until(lambda: "loop hangs" not in client.message)
-
-
-def test_a_node_whose_loop_ends_zeroes_its_wrenches_closes_the_bag_and_says_where(tmp_path, client):
-    process = start(tmp_path, "record:=true", f"record_folder:={tmp_path / 'bags'}")
-
-    def move(position):
-        client.send_pose(position)
-        client.spin(0.005)
-
-    where = press_until_felt(client, move)
-    client.spin_until(lambda: bool(client.send_pose(where)), 0.5)  # the bag has its state
-    sabotage_loop = client.node.create_client(Trigger, "/tissue_sim/end_loop")
-    assert sabotage_loop.wait_for_service(10.0)
-    sabotage_loop.call_async(Trigger.Request())
-    assert client.spin_until(lambda: client.hand_force() == 0.0)
-    assert process.wait() == 1
-    client.spin(0.2)
-    assert client.hand_force() == 0.0
-    text = process.text()
-    ends = [line for line in text.splitlines() if line.startswith("tissue_node: error: ")]
-    assert len(ends) == 1
-    assert re.search(r"internal: the physics loop ended: ZeroDivisionError: .* \(tissue_sim/\S+:\d+\)", ends[0])
-    assert "Traceback" not in text
-    assert "bag closed" in text
-    (bag,) = (tmp_path / "bags").iterdir()
-    assert len(Recording.read(bag).wrenches[0]) > 0
