@@ -15,11 +15,14 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from tissue_sim.errors import shown
+
 MOST_BYTES = 1 << 30  # that all arrays may take; an organ of a million nodes takes about that
 MOST_TIMES = 200  # of its packed size that an array may take; of numbers that say something it is 20
 _SMALL = 1 << 26  # bytes for which that doesn't matter
 _LONGEST_HEADER = 10_000  # characters, as numpy has it
 _NAME = re.compile(r"\w[\w.]{0,99}")  # no path
+_SHOWN = 40  # characters of a name in a message
 _DEFLATED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -47,9 +50,9 @@ def _check(members: list[zipfile.ZipInfo]) -> None:
         raise ValueError("an array is there twice")
     for member in members:
         if not _NAME.fullmatch(member.filename) or member.compress_type not in _DEFLATED:
-            raise ValueError(f"'{_short(member.filename)}' is no array")
+            raise ValueError(f"'{shown(member.filename, _SHOWN)}' is no array")
         if member.file_size > max(_SMALL, MOST_TIMES * member.compress_size):
-            raise ValueError(f"'{_short(member.filename)}' unpacks to over {MOST_TIMES} times its size")
+            raise ValueError(f"'{shown(member.filename, _SHOWN)}' unpacks to over {MOST_TIMES} times its size")
     unpacked = sum(member.file_size for member in members)
     if unpacked > MOST_BYTES:
         raise ValueError(f"its arrays take {unpacked / 2**30:.3g} GB, more than {MOST_BYTES / 2**30:g}")
@@ -59,10 +62,10 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
     with archive.open(member) as stream:
         data = stream.read(member.file_size + 1)
     if len(data) != member.file_size:
-        raise ValueError(f"'{_short(member.filename)}' is cut short")
+        raise ValueError(f"'{shown(member.filename, _SHOWN)}' is cut short")
     dtype, fortran, shape, start = _header(data, member.filename)
     if math.prod(shape) * dtype.itemsize != len(data) - start:
-        raise ValueError(f"'{_short(member.filename)}' holds other bytes than its header says")
+        raise ValueError(f"'{shown(member.filename, _SHOWN)}' holds other bytes than its header says")
     flat = np.frombuffer(data, dtype=dtype, offset=start).copy()  # may be written to
     return flat.reshape(shape[::-1]).transpose() if fortran else flat.reshape(shape)
 
@@ -70,25 +73,21 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
 def _header(data: bytes, name: str) -> tuple[np.dtype, bool, tuple[int, ...], int]:
     """Type, order and shape, and where the numbers begin."""
     if data[:6] != npy.MAGIC_PREFIX or data[6:7] not in (b"\1", b"\2", b"\3"):
-        raise ValueError(f"'{_short(name)}' is no array, or pickled")
+        raise ValueError(f"'{shown(name, _SHOWN)}' is no array, or pickled")
     wide = data[6] > 1
     start = 12 if wide else 10
     end = start + struct.unpack_from("<I" if wide else "<H", data, 8)[0]
     if end - start > _LONGEST_HEADER or end > len(data):
-        raise ValueError(f"'{_short(name)}' has a damaged header")
+        raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header")
     try:
         told = ast.literal_eval(data[start:end].decode("latin1").strip())
         shape = told["shape"]
         dtype = npy.descr_to_dtype(told["descr"])
         fortran = bool(told["fortran_order"])
     except (ValueError, SyntaxError, TypeError, KeyError, AttributeError, IndexError, RecursionError, MemoryError):
-        raise ValueError(f"'{_short(name)}' has a damaged header") from None
+        raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header") from None
     if dtype.hasobject:
-        raise ValueError(f"'{_short(name)}' is pickled, which is not read: it could run anything")
+        raise ValueError(f"'{shown(name, _SHOWN)}' is pickled, which is not read: it could run anything")
     if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape) or not dtype.itemsize:
-        raise ValueError(f"'{_short(name)}' has a damaged header")
+        raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header")
     return dtype, fortran, shape, end
-
-
-def _short(name: str) -> str:
-    return repr(name)[1:-1][:40]

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from helpers.ros.clients import Client
 from helpers.ros.processes import Process, start_node
 from tissue_sim.ros.shared import client
 
@@ -44,3 +45,11 @@ def open_page(graph):
     yield one
     for page in opened:
         page.close()
+
+
+@pytest.fixture(name="client")
+def hand() -> Iterator[Client]:
+    """A client that sends poses and feels wrenches, without markers."""
+    made = Client(markers=False)
+    yield made
+    made.close()

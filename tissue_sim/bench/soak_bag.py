@@ -30,7 +30,6 @@ class BagFound(NamedTuple):
 def read_bag(path: Path) -> BagFound:
     """Read all of a closed bag. Raises UserError when it can't be read, or was broken off."""
     from rosbags.rosbag2 import Reader
-    from rosbags.rosbag2.errors import ReaderError
 
     from tissue_sim.ros.bags import recovery
 
@@ -42,7 +41,7 @@ def read_bag(path: Path) -> BagFound:
             total = reader.message_count
             for connection, _, raw in tqdm(reader.messages(), total=total, disable=None, desc="bag", unit="message"):
                 reading.take(connection, bytes(raw))
-    except (ReaderError, OSError, ValueError, KeyError, AssertionError) as error:
+    except recovery.OF_RUBBISH as error:
         raise UserError(f"bag {path} can't be read: {error}") from None
     missing = abs(total - reading.messages) + reading.unwritten()
     size = sum(file.stat().st_size for file in path.iterdir())

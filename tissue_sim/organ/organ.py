@@ -254,7 +254,7 @@ class Organ:
         if version < 4:
             expected -= {"cell_nodes", "cell_mu", "cell_lambda"}
         if set(content) != expected:
-            odd = ", ".join(name[:_SHOWN] for name in sorted(expected ^ set(content)))
+            odd = ", ".join(shown(name, _SHOWN) for name in sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
         if digest != content_digest(text, content):
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")

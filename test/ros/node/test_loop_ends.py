@@ -2,19 +2,10 @@
 
 import re
 
-import pytest
 from std_srvs.srv import Trigger
 
-from helpers.ros.clients import Client
 from helpers.ros.processes import press_until_felt, start_sabotaged
 from tissue_sim.ros.bags.recording import Recording
-
-
-@pytest.fixture
-def client():
-    client = Client(markers=False)
-    yield client
-    client.close()
 
 
 def test_a_node_whose_loop_ends_zeroes_its_wrenches_closes_the_bag_and_says_where(tmp_path, client):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from helpers.ros.clients import Client
 from helpers.ros.processes import press_until_felt, start_sabotaged
 
 OUTSIDE = (0.3, 0.0, 0.0)  # m
@@ -18,13 +17,6 @@ def node(tmp_path_factory):
     yield process
     assert process.stop() == 0, process.text()
     assert "Traceback" not in process.text()
-
-
-@pytest.fixture
-def client():
-    client = Client(markers=False)
-    yield client
-    client.close()
 
 
 def sabotage(client, way):

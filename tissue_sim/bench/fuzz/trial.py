@@ -12,7 +12,6 @@ import shutil
 import sys
 import tempfile
 import time
-import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +19,8 @@ from typing import NamedTuple
 
 from tissue_sim.bench.fuzz.cases import KINDS, Broken, Case, Input, Kind, Outcome, Verdict
 from tissue_sim.bench.fuzz.watching import Watch
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, shown
+from tissue_sim.unexpected import told
 
 INPUT, SCRATCH, PRINTED, CRASH, WHAT = "input", "scratch", "printed", "crash", "what"  # in a worker's folder
 OUTSIDE = "outside"  # files there that an input may name, and that nothing may open
@@ -116,19 +116,7 @@ def _verdict(use: Callable[[], str]) -> tuple[Verdict, str]:
         except Broken as error:
             return "failed", str(error)
         except BaseException as error:
-            return "failed", f"{type(error).__name__}: {_first_line(error)} ({_where(error)})"
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [""])[0][:200]
-
-
-def _where(error: BaseException) -> str:
-    """The innermost line of this package, else of any."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if "tissue_sim" in frame.filename and "fuzz" not in frame.filename]
-    frame = (own or frames)[-1]
-    return f"{Path(frame.filename).name}:{frame.lineno} {frame.name}"
+            return "failed", shown(told(error), 300)
 
 
 class Remains(NamedTuple):

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.errors import ReaderError
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
@@ -164,13 +163,6 @@ def recorded_organ(recording: Recording) -> Organ:
         return Organ.load(path)
 
 
-# What rosbags makes of metadata and records that say anything at all.
-_OF_RUBBISH = (
-    *(ReaderError, OSError, ValueError, KeyError, IndexError, OverflowError),
-    *(AssertionError, TypeError, AttributeError, struct.error),
-)
-
-
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
     try:
@@ -185,6 +177,6 @@ def _read_messages(path: Path) -> dict[str, list[bytes]]:
                 messages[connection.topic].append(bytes(raw))
     except MemoryError:
         raise UserError(f"bag {path} can't be read: a length in it goes beyond its file") from None
-    except _OF_RUBBISH as error:
+    except recovery.OF_RUBBISH as error:
         raise UserError(f"bag {path} can't be read: {shown(str(error), 200)}") from None
     return messages

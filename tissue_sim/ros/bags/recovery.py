@@ -23,6 +23,11 @@ from tissue_sim.ros.bags import metadata
 from tissue_sim.ros.bags.writer import BagWriter, Topic, lock
 
 MAGIC = b"\x89MCAP0\r\n"
+# What rosbags makes of metadata and records that say anything at all.
+OF_RUBBISH = (
+    *(ReaderError, OSError, ValueError, KeyError, IndexError, OverflowError),
+    *(AssertionError, TypeError, AttributeError, struct.error),
+)
 HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
 ANEW = ".recovered"  # folder in a bag where a file is written anew
 
@@ -129,20 +134,14 @@ class _BrokenOff(McapReader):
 
 def _whole_records(bio: BinaryIO) -> tuple[int, int]:
     """Where the records after the header begin, and where the last whole one ends; raises ReaderError."""
-    size = bio.seek(0, 2)
-    bio.seek(0)
-    if bio.read(len(MAGIC)) != MAGIC:
-        raise ReaderError("no MCAP file")
-    start, end = 0, bio.tell()
-    while len(head := bio.read(9)) == 9:
-        opcode, length = struct.unpack("<BQ", head)
-        after = end + 9 + length
+    size, start, end = bio.seek(0, 2), 0, len(MAGIC)
+    for opcode, length, after in _records(bio):
         # After a power cut a file may go on with zeros.
         if opcode in (0, DATA_END) or after > size or (opcode == CHUNK and not _is_whole(bio.read(length))):
             break
         if opcode == HEADER:
             start = after
-        end = bio.seek(after)
+        end = after
     if not start:
         raise ReaderError("no header")
     return start, end
@@ -152,12 +151,25 @@ def check_lengths(file: Path) -> None:
     """Raise ReaderError where a record says that it is longer than its file: a reader would ask for the room."""
     size = file.stat().st_size
     with file.open("rb") as bio:
-        end = len(bio.read(len(MAGIC)))
-        while len(head := bio.read(9)) == 9:
-            _, length = struct.unpack("<BQ", head)
-            if end + 9 + length > size:
-                raise ReaderError(f"a record of {length} bytes at {end}, in a file of {size}")
-            end = bio.seek(end + 9 + length)
+        for _, length, after in _records(bio):
+            if after > size:
+                raise ReaderError(f"a record of {length} bytes, in a file of {size}")
+
+
+def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
+    """Each record's opcode, its length, and where the next one begins, with the file at the record's content.
+
+    Raises ReaderError for what is no MCAP file.
+    """
+    bio.seek(0)
+    if bio.read(len(MAGIC)) != MAGIC:
+        raise ReaderError("no MCAP file")
+    at = len(MAGIC)
+    while len(head := bio.read(9)) == 9:
+        opcode, length = struct.unpack("<BQ", head)
+        at += 9 + length
+        yield opcode, length, at
+        bio.seek(at)
 
 
 def _is_whole(chunk: bytes) -> bool:

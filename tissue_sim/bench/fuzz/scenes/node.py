@@ -6,7 +6,6 @@ the next ones see. After a failure the node is begun anew.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +16,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+from tissue_sim.ros.probes.soak_watch import resident
 
 if TYPE_CHECKING:
     from tissue_sim.ros.probes.hostile import Hostile
@@ -86,14 +86,14 @@ _served: list[Served] = []  # none or one
 
 def prepare(case: Case, folder: Path) -> Input:
     """Up to three acts."""
-    from tissue_sim.ros.probes.hostile import ACTS
+    from tissue_sim.ros.probes.hostile_acts import ACTS, play
 
     rng = case.rng()
     acts = [str(act) for act in rng.choice(list(ACTS), size=rng.integers(1, MOST_ACTS + 1))]
     warm_up(folder)
 
     def use() -> str:
-        return used(_served[0], lambda hostile: hostile.play(rng, acts))
+        return used(_served[0], lambda hostile: play(hostile, rng, acts))
 
     return Input(", ".join(acts), use)
 
@@ -116,9 +116,3 @@ def used(served: Served, play: Callable[[Hostile], None]) -> str:
         words = served.child.last_words() if served.child.exit_code is not None else ""
         served.close()
         raise Broken(f"{error}{f'; the node has ended: {words}' if words else ''}") from None
-
-
-def resident(pid: int) -> float:
-    """Memory of a process, MB."""
-    found = re.search(r"VmRSS:\s*(\d+) kB", Path(f"/proc/{pid}/status").read_text())
-    return int(found[1]) / 1024.0 if found else 0.0
