@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -51,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             outcomes.append(outcome)
             counted[outcome.verdict] += 1
             if outcome.verdict == "failed":
-                tqdm.write("\n".join(failure(outcome)), file=None if args.json != "-" else bar.fp)
+                tqdm.write("\n".join(failure(outcome)), file=sys.stderr if args.json == "-" else sys.stdout)
             bar.set_postfix_str(", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
             bar.update(1)
     outcomes.sort(key=lambda outcome: (list(KINDS).index(outcome.case.kind), outcome.case.number))

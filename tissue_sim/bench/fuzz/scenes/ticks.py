@@ -238,7 +238,7 @@ def settle_down(scene: Scene, defaults: Settings) -> None:
         if tick % 50 == 0 or simulation.state.status.asleep:
             look(scene, TICKS + tick)
         if tick >= SILENCE * simulation.rate:
-            if scene.wrenches.any():
+            if simulation.state.wrench.any():
                 raise Broken(f"a force is felt {tick} ticks after the last pose")
             if simulation.state.status.asleep:
                 return
