@@ -1,11 +1,14 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-least regress bags lint format organ colcon clean FORCE
+.PHONY: help demo test test-slow test-least regress bags lint format organ colcon pins audit clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
 DEMO_EXTRAS := ros,viewer
 EXTRAS := $(DEMO_EXTRAS),image,calibration,cluster,bench,test
+
+# What the pins' own targets wait for.
+AUDITED = $(if $(wildcard .venv/bin/pip-audit),,.venv/.installed)
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
 unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
@@ -60,6 +63,14 @@ colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels,
 	@$(COLCON) test --build-base .colcon/build --install-base .colcon/install \
 		--return-code-on-test-failure --event-handlers console_direct+
 	@$(COLCON) test-result --test-result-base .colcon/build
+
+# Neither brings .venv up to date: pins that no longer fit setup.py would stand in the way of those that do.
+pins: $(AUDITED) ## the newest versions that setup.py allows into constraints.txt, then make audit
+	@$(PY) .ci/pins
+	@$(PY) .ci/audit $(SERVICE)
+
+audit: $(AUDITED) ## known holes of the versions in constraints.txt, as OSV knows them; SERVICE=pypi for PyPI
+	@$(PY) .ci/audit $(SERVICE)
 
 clean: ## removes .venv, caches and builds
 	@rm -rf .venv .venv-least .colcon .mypy_cache .pytest_cache .ruff_cache build install log dist *.egg-info
