@@ -6,6 +6,8 @@ them and applies rescale slope and intercept, slice by slice.
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +19,15 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.memory import limited
 from tissue_sim.organ.imaging.silence import silenced
+from tissue_sim.organ.imaging.voxel_files import check_count
 
 _GAP = 0.1  # relative deviation of a slice distance that counts as a gap
 _ALIKE = 1e-3  # difference of direction cosines, relative one of pixel spacings, within a stack
 _TILT = 0.5  # pixels that slices may drift sideways over the whole stack
 _FEW = 3  # slices: fewer beside a stack are localizers or scraps
+_SPARE = 1 << 27  # bytes of address space that GDCM and ITK may reserve beside those of a file
 _SHOWN = 12  # series named in a message
 
 
@@ -99,9 +104,9 @@ def _read_header(file: str) -> _Slice | None:
     reader.SetImageIO("GDCMImageIO")
     reader.SetFileName(file)
     try:
-        with silenced():
+        with silenced(), limited(_room(file)):
             reader.ReadImageInformation()
-    except RuntimeError:
+    except (RuntimeError, MemoryError):
         return None
     size, components = reader.GetSize(), reader.GetNumberOfComponents()
 
@@ -211,9 +216,10 @@ def _read_slices(folder: Path, slices: Sequence[_Slice], notes: tuple[str, ...])
     order = np.argsort(position @ normal, kind="stable")
     step = _checked_step(folder, position[order], normal, float(first.pixel.min()))
     nx, ny = first.size[:2]
+    check_count(folder, (nx, ny, len(slices)))
     array = np.empty((len(slices), ny, nx), dtype=np.float32)
     for k, at in enumerate(order):
-        picture = _decoded(slices[at].file)  # named: a view doesn't keep its image
+        picture = _decoded(slices[at].file, nx * ny)  # named: a view doesn't keep its image
         array[k] = sitk.GetArrayViewFromImage(picture).reshape(ny, nx)
     direction = np.stack([row, column, normal], axis=1)
     return Stack(array, np.array([*first.pixel, step]), position[order[0]], direction, notes)
@@ -243,17 +249,26 @@ def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) 
     return float(depth[-1] - depth[0]) / len(step)
 
 
-def _decoded(file: str) -> Any:
+def _room(file: str, voxels: int = 0) -> int:
+    """Bytes that GDCM may need for a file, and for voxels that it decodes: in doubles, and again as they are handed over.
+
+    A damaged element may say that it is 4 GB long.
+    """
+    return _SPARE + 4 * os.path.getsize(file) + 32 * voxels
+
+
+def _decoded(file: str, voxels: int) -> Any:
     try:
-        with silenced():
+        with silenced(), limited(_room(file, voxels)):
             return sitk.ReadImage(file, sitk.sitkFloat32, "GDCMImageIO")
-    except RuntimeError:
+    except (RuntimeError, MemoryError):
         raise UserError(f"DICOM slice {file} can't be decoded; export the series again, uncompressed") from None
 
 
 def _read_frames(folder: Path, found: _Slice, notes: tuple[str, ...]) -> Stack:
     """A volume in one file of many frames, as GDCM places it."""
-    image = _decoded(found.file)
+    check_count(folder, found.size)
+    image = _decoded(found.file, math.prod(found.size))
     if image.GetDimension() != 3 or min(image.GetSize()) < 2:
         raise UserError(f"DICOM folder {folder} holds no volume; name the folder that holds the slices")
     return Stack(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,13 +24,16 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.dicom import read_stack
 from tissue_sim.organ.imaging.meta_header import check_meta_header
+from tissue_sim.organ.imaging.nrrd_header import check_nrrd_header
 from tissue_sim.organ.imaging.silence import silenced
+from tissue_sim.organ.imaging.voxel_files import check_count, check_room
 
 MM = 1e-3  # metres in a millimetre
 AIR = -1024.0  # HU, for voxels without a value
 _MOST_LABELS = 200
 _LARGEST_AXIS = 1e6  # of a number in a direction, or of mm in a NIfTI's row
 _LARGEST_SKEW = 1e-3  # cosine between two axes
+_PAIR = re.compile(r"\.(hdr|img)(\.gz)?$", re.IGNORECASE)  # NIfTI in two files
 _PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"
 _FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
 
@@ -235,7 +239,7 @@ def _skew(image: sitk.Image) -> float:
 def _read_strictly(path: Path) -> sitk.Image:
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
-    check_meta_header(path)
+    beside = _checked_header(path)
     try:
         with silenced():
             reader.ReadImageInformation()
@@ -254,12 +258,31 @@ def _read_strictly(path: Path) -> sitk.Image:
         shape = " x ".join(str(n) for n in size)
         hint = "; name the folder that holds the series" if path.suffix.lower() in (".dcm", ".ima", "") else ""
         raise UserError(f"{path} is a single slice ({shape}), a 3-D volume is needed{hint}")
+    if beside is None:
+        check_count(path, size)
+    else:
+        check_room(path, beside, size, sitk.Image([1, 1], reader.GetPixelID()).GetSizeOfPixelComponent())
     try:
         with silenced():
             image = reader.Execute()
     except (RuntimeError, MemoryError) as error:
         raise UserError(f"{path} is damaged or truncated ({_reason(error)})") from None
     return image if dimension == 3 else image[(slice(None),) * 3 + (0,) * (dimension - 3)]
+
+
+def _checked_header(path: Path) -> tuple[Path, ...] | None:
+    """The files of voxels beside an image; None where it is packed in an unknown way. Raises UserError, see there."""
+    if not path.is_file():
+        return None
+    name = path.name.lower()
+    if name.endswith((".mha", ".mhd")):
+        return check_meta_header(path)
+    if name.endswith((".nrrd", ".nhdr")):
+        return check_nrrd_header(path)
+    if name.endswith((".nii", ".nii.gz")):
+        return ()
+    stem = _PAIR.sub("", str(path))
+    return None if stem == str(path) else tuple(Path(f"{stem}{suffix}") for suffix in (".img", ".img.gz"))
 
 
 def _reason(error: BaseException) -> str:

@@ -1,39 +1,64 @@
-"""Numbers in a MetaImage's header (.mha, .mhd) that ITK takes at their word, and dies of."""
+"""What a MetaImage's header (.mha, .mhd) says that ITK takes at its word, and dies of, or opens."""
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 
 from tissue_sim.errors import UserError, shown
+from tissue_sim.organ.imaging.voxel_files import LONGEST_HEADER, MOST_VOXELS, data_file
 
-_SUFFIXES = ".mha", ".mhd"
-_LONGEST = 4096  # bytes of a header that are looked at
+_LINE = re.compile(r"\s*(\w+)\s*[=:]\s*(.*)")
 _MOST_AXES = 10
-_MOST_VOXELS = 1 << 32
+_LOCAL = ("local", "Local", "LOCAL")
+_PACKED = ("", ".gz", ".Z")  # suffixes that ITK tries after the name
 
 
-def check_meta_header(path: Path) -> None:
-    """Raise UserError naming the line of a MetaImage's header that no image has; other files are left alone."""
-    if path.suffix.lower() not in _SUFFIXES or not path.is_file():
-        return
+def check_meta_header(path: Path) -> tuple[Path, ...]:
+    """The files of voxels beside a MetaImage.
+
+    Raises UserError naming the line of its header that no image has, or the file that isn't in its folder.
+    """
     with path.open("rb") as file:
-        text = file.read(_LONGEST).decode("latin-1")
-    for line in text.split("\n"):
-        key, equals, value = (part.strip() for part in line.partition("="))
-        if not equals:
-            continue
+        text = file.read(LONGEST_HEADER).decode("latin-1")
+    packed = ""
+    for line in re.split(r"[\r\n]", text):
+        found = _LINE.match(line)
+        key, value = found.groups() if found else ("", "")
+        value = value.strip()
         if key == "NDims" and not (value.isdecimal() and 1 <= int(value[:9]) <= _MOST_AXES):
-            raise UserError(f"{path} has a damaged header: NDims = {shown(value)}, wanted 1 to {_MOST_AXES}")
+            raise _damaged(path, key, value, f"1 to {_MOST_AXES}")
         if key == "DimSize" and not _is_size(value.split()):
-            raise UserError(f"{path} has a damaged header: DimSize = {shown(value)}, wanted positive numbers")
+            raise _damaged(path, key, value, "positive numbers")
+        if key == "CompressedDataSize":
+            packed = value
         if key == "ElementDataFile":  # the last one
-            return
+            files = () if value in _LOCAL else _beside(path, value)
+            held = sum(one.stat().st_size for one in (path, *files))
+            if packed and not _is_within(packed, held):
+                raise _damaged(path, "CompressedDataSize", packed, f"at most the {held} bytes that there are")
+            return files
+    raise UserError(f"{path} has a damaged header: it has no ElementDataFile")
+
+
+def _beside(path: Path, name: str) -> tuple[Path, ...]:
+    found = data_file(path, name)
+    return tuple(one for suffix in _PACKED if (one := Path(f"{found}{suffix}")).is_file())
+
+
+def _damaged(path: Path, key: str, value: str, wanted: str) -> UserError:
+    return UserError(f"{path} has a damaged header: {key} = {shown(value)}, wanted {wanted}")
 
 
 def _is_size(words: list[str]) -> bool:
-    voxels = 1
-    for word in words:
-        if not word.isdecimal() or len(word) > 10:
-            return False
-        voxels *= int(word)
-    return 0 < voxels <= _MOST_VOXELS
+    if not words or not all(word.isdecimal() and len(word) <= 10 for word in words):
+        return False
+    return 0 < math.prod(map(int, words)) <= MOST_VOXELS
+
+
+def _is_within(text: str, most: int) -> bool:
+    try:
+        return 0.0 <= float(text) <= most
+    except ValueError:
+        return False
