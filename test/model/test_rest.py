@@ -5,7 +5,7 @@ import pytest
 
 from helpers.scenes import ball, changed, kidney
 from tissue_sim.model.regions import largest_motion
-from tissue_sim.model.rest import QUIET_TICKS, TURNED_TIME, pace
+from tissue_sim.model.rest import LONGEST_WAY, QUIET_TICKS, TURNED_TIME, pace
 from tissue_sim.model.simulation import Simulation
 
 
@@ -142,3 +142,21 @@ def test_a_slow_organ_has_not_settled_while_it_creeps():
     assert settled
     assert settled_too
     assert np.linalg.norm(slow - quick) < 2e-3 * np.linalg.norm(quick)
+
+
+def test_an_organ_that_trembles_far_from_rest_for_good_is_led_back():
+    """Neither still nor on its way: what is not back long after a sound one would be goes to sleep all the same."""
+    simulation = awake(changed(SLACK, damping=0.0))
+    state, model = simulation.state, simulation.model
+    longest = LONGEST_WAY / (pace(model, simulation.settings) * simulation.settings.tick_time)
+    for tick in range(round(longest) + 5):
+        state.position[model.moving] = model.rest[model.moving]
+        state.position[model.moving, 2] += 1e-3
+        state.velocity[model.moving] = [0.0, 0.0, 0.1 * (-1.0) ** tick]
+        assert not state.status.snapped, tick
+        simulation.step()
+        if state.status.snapped:
+            break
+    assert abs(tick - longest) <= 3
+    assert state.count.faults == 0
+    settles(simulation)

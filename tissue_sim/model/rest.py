@@ -17,6 +17,7 @@ CREEPING = 0.02  # of the organ's pace: a sound one goes back at half of that
 SLOWEST = 0.2  # 1/s, of paces
 SNAPPED_DISPLACEMENT = 2e-4  # m; a sound organ that far from rest is moving
 TURNED_TIME = 0.15  # s that the inside may stay turned inside out with nothing acting
+LONGEST_WAY = 30.0  # times of the organ's pace after which a sound one is back from anywhere: exp(-15) is left
 
 
 @kernel
@@ -24,8 +25,8 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Fall asleep after a number of ticks without touch, load, speed and displacement.
 
     Springs pushed through each other can come to rest in a false shape, finite and still. An organ that
-    nobody touches and that stands still away from its rest shape, or whose inside stays turned inside out, is led
-    back to it.
+    nobody touches and that stands still away from its rest shape, that is not back long after a sound one would be, as
+    squeezed cells can tremble at the same places for good, or whose inside stays turned inside out, is led back to it.
     """
     status = state.status
     if status.turned > 0 and status.alone * settings.tick_time > TURNED_TIME:
@@ -33,6 +34,9 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         return
     speed, away = largest_motion(model, state, scratch)
     rate = pace(model, settings)
+    if away > SNAPPED_DISPLACEMENT and rate * status.alone * settings.tick_time > LONGEST_WAY:
+        snap(model, state, settings, scratch)
+        return
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
     if speed > max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away):
         status.quiet = 0

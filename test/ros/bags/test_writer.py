@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -200,3 +201,36 @@ def test_a_disk_that_is_too_far_behind_ends_the_bag_before_an_input_is_lost(stal
         found = [int.from_bytes(raw[:4], "little") for _, _, raw in reader.messages(topics)]
     assert found == list(range(sent - 1))
     wait_for(lambda: recorder.lost == 1)
+
+
+def test_the_index_of_a_long_bag_takes_no_memory(tmp_path):
+    """What a node that records keeps of a thousand chunks until the bag's end is less than 50 bytes of each."""
+    writer = BagWriter(tmp_path / "long")
+    writer.open()
+    with Reader(POKE) as reader:
+        added = writer.add_topics({topic.topic: Topic(topic.msgtype, []) for topic in reader.connections})
+        shown = {topic.topic: (topic, raw) for topic, _, raw in reader.messages() if len(raw) < 1000}
+
+    def write(chunks):
+        for _ in range(chunks):
+            for name, (_, raw) in shown.items():
+                stamps.append(stamps[-1] + 1)
+                writer.write(added[name], stamps[-1], raw)
+            writer._file.close_chunk()
+
+    stamps = [10**18]
+    write(50)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        kept = len(stamps)
+        write(1000)
+        kept = 40 * (len(stamps) - kept)  # this list's own
+        grown = tracemalloc.get_traced_memory()[0] - before - kept
+    finally:
+        tracemalloc.stop()
+    writer.close()
+    assert shown
+    assert grown < 50_000
+    with Reader(tmp_path / "long") as reader:
+        assert [stamp for _, stamp, _ in reader.messages()] == stamps[1:]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import fcntl
 import os
+import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -35,6 +37,33 @@ class Split(NamedTuple):
 
 
 WHOLE = Split()
+
+
+class _Shelved:
+    """What stands for a list of records that only grows, such as the index of a file's chunks, in a file without name.
+
+    In memory it would take some MB an hour of a node that records.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file: Any = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - it ends with this object
+        self._count = 0
+
+    def append(self, record: BytesIO) -> None:
+        """Put one behind the others; raises OSError."""
+        self._file.write(record.tell().to_bytes(4, "little"))
+        self._file.write(record.getbuffer())
+        self._count += 1
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[BytesIO]:
+        self._file.seek(0)
+        while length := self._file.read(4):
+            record = BytesIO()
+            record.write(self._file.read(int.from_bytes(length, "little")))
+            yield record
 
 
 class BagWriter(Writer):
@@ -103,6 +132,7 @@ class BagWriter(Writer):
         self._flushed = 0
         file = self.storage = self._file = McapWriter(self.path, self.compression_mode)
         lock(file.bio.fileno())
+        file.chunks = _Shelved(self.path)  # type: ignore[assignment]
         file.path = file.path.rename(self.path / f"{self.path.name}_{len(self._files)}.mcap")
         self._counts = Counter()
         for topic in self.connections:
