@@ -11,7 +11,7 @@ from rclpy.node import Node
 from tissue_sim.model.state import FAULT_NAMES
 from tissue_sim.ros.node.loop_timing import MOST_BEHIND, TimingReader
 from tissue_sim.ros.shared.physics import Physics
-from tissue_sim.ros.shared.report import Report
+from tissue_sim.ros.shared.report import STARVED, Report
 
 MOST_LATE = 0.01  # share of late ticks; single ones come with every kernel that is not a real-time one
 DRIFT = 0.01  # of the real-time factor from 1
@@ -99,7 +99,7 @@ class LoopReport:
         if not self._physics.alive:
             report.failures.append("the physics loop has ended")
         elif not self._physics.answers:
-            report.failures.append("the physics loop hangs, or gets no time to run: no forces until it goes on")
+            report.failures.append(STARVED)
 
 
 def _text(value: Any) -> str:

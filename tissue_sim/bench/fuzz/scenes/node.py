@@ -78,6 +78,7 @@ class Served:
             raise Broken(f"{memory:.0f} MB after {self.cases} cases, {self._memory:.0f} MB after {WARM_CASES}")
         hostile = self.hostile
         felt = f"{hostile.wrenches} wrenches, {hostile.felt:.3g} N at the most so far"
+        felt += f"; had no time to run {hostile.starved} times" if hostile.starved else ""
         return f"{felt}; {memory:.0f} MB after {self.cases} cases; degraded: {report.get('degraded', 'unknown')}"
 
 
