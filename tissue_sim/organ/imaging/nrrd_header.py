@@ -12,7 +12,8 @@ _FIELDS = ("data file", "datafile")
 
 def check_nrrd_header(path: Path) -> tuple[Path, ...]:
     """The files of voxels beside a NRRD; raises UserError where one isn't in its folder, or the header has no end."""
-    found, left = [], LONGEST_HEADER
+    found: list[Path] = []
+    left = LONGEST_HEADER
     with path.open("rb") as file:
         while left > 0:
             line = file.readline(left)

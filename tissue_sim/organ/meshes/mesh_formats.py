@@ -120,7 +120,17 @@ class _Words:
         if len(parts) < count:
             raise ValueError("the file ends early")
         self.at = len(self.data) - (len(parts[count]) if len(parts) > count else 0)
-        return np.array(parts[:count], dtype="f8").astype(kind)
+        return _cast(np.array(parts[:count], dtype="f8"), kind)
+
+
+def _cast(values: Floats, kind: str) -> NDArray[Any]:
+    """Numbers as a numpy type; raises ValueError where they are none of it, and makes infinity of what is too large."""
+    if np.dtype(kind).kind in "iu":
+        limits = np.iinfo(kind)
+        if not np.all((values >= float(limits.min)) & (values < float(limits.max) + 1.0)):
+            raise ValueError("a number that can't be, where counts and indices are")
+    with np.errstate(over="ignore"):
+        return values.astype(kind)
 
 
 _WORD = re.compile(rb"\s*(\S+)")
@@ -178,7 +188,7 @@ def _read_gmsh(source: Path) -> MeshFile:
 def _gmsh_nodes(section: bytes) -> tuple[Longs, Floats]:
     words = section.split()
     table = np.array(words[1 : 1 + 4 * int(words[0])], dtype=np.float64).reshape(int(words[0]), 4)
-    return table[:, 0].astype(np.int64), np.ascontiguousarray(table[:, 1:])
+    return _cast(table[:, 0], "i8"), np.ascontiguousarray(table[:, 1:])
 
 
 def _gmsh_elements(section: bytes, version: int) -> dict[int, list[int]]:
@@ -293,6 +303,8 @@ def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
         words.word()  # CONNECTIVITY
         return offsets, words.numbers(second, _VTK_TYPES[words.word().lower()]).astype(np.int64)
     words.at = start
+    if first > second:
+        raise ValueError("more polygons than numbers that describe them")
     flat = words.numbers(second, "i4").astype(np.int64)
     offsets = np.zeros(first + 1, dtype=np.int64)
     marks = np.zeros(first, dtype=np.int64)
