@@ -11,7 +11,8 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -203,21 +204,30 @@ def _read_folder(folder: Path, series: str | None) -> Volume:
 def _read_file(path: Path) -> sitk.Image:
     """Read a 3-D image file; its axes are at right angles, to within a thousandth."""
     try:
-        image = _read_strictly(path)
-    except _SkewedError:
-        # ITK takes a NIfTI header with rounding errors past 1e-5 only when asked to; how skewed it is, is checked here.
-        before = os.environ.get(_PERMISSIVE)
-        os.environ[_PERMISSIVE] = "ON"
         try:
             image = _read_strictly(path)
-        finally:
-            if before is None:
-                del os.environ[_PERMISSIVE]
-            else:
-                os.environ[_PERMISSIVE] = before
-    if _skew(image) > _LARGEST_SKEW:
-        raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
-    return image
+        except _SkewedError:
+            with _permissive():
+                image = _read_strictly(path)
+        if _skew(image) <= _LARGEST_SKEW:
+            return image
+    except _SkewedError:  # axes that can't be straightened
+        pass
+    raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
+
+
+@contextmanager
+def _permissive() -> Iterator[None]:
+    """ITK takes a NIfTI header with rounding errors past 1e-5 only when asked to; how skewed it is, is checked here."""
+    before = os.environ.get(_PERMISSIVE)
+    os.environ[_PERMISSIVE] = "ON"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_PERMISSIVE]
+        else:
+            os.environ[_PERMISSIVE] = before
 
 
 class _SkewedError(Exception):

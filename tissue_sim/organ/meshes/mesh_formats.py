@@ -6,9 +6,11 @@ weighs 100 MB.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints what it puts up with
 
 _TRIMESH = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 # glTF 2.0, 3.4: +Y up, +Z forward, -X right; so these rows take it to LPS (x left, y back, z up).
@@ -52,7 +56,21 @@ def read_pieces(source: Path) -> MeshFile:
 
 
 def _read_trimesh(source: Path) -> MeshFile:
-    loaded: Any = trimesh.load(source, process=False, maintain_order=True)
+    # Numbers that are none are looked for later.
+    with np.errstate(all="ignore"):
+        return _pieces(_load_trimesh(source), source.suffix.lower())
+
+
+def _load_trimesh(source: Path) -> Any:
+    options: dict[str, Any] = {"process": False, "maintain_order": True}
+    if source.suffix.lower() != ".glb":
+        return trimesh.load(source, **options)
+    # From memory: of a file it would ask for room for as much as a chunk says that it is long.
+    resolver = trimesh.resolvers.FilePathResolver(str(source))
+    return trimesh.load(BytesIO(source.read_bytes()), file_type="glb", resolver=resolver, **options)
+
+
+def _pieces(loaded: Any, suffix: str) -> MeshFile:
     if not isinstance(loaded, trimesh.Scene):
         return MeshFile((_piece(loaded, "", np.eye(4)),))
     pieces = []
@@ -61,7 +79,7 @@ def _read_trimesh(source: Path) -> MeshFile:
         mesh = loaded.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             pieces.append(_piece(mesh, str(node), transform))
-    if source.suffix.lower() not in (".glb", ".gltf"):
+    if suffix not in (".glb", ".gltf"):
         return MeshFile(tuple(pieces))
     turned = tuple(Piece(p.name, p.positions @ _GLTF_TO_LPS.T, p.triangles) for p in pieces)
     return MeshFile(turned, ("glTF is y up, z to the front: turned into the patient frame (z to the head)",))
