@@ -12,7 +12,10 @@ _AS_TEXT = ("ascii", "text", "txt")  # ITK dies of one that breaks off
 
 
 def check_nrrd_header(path: Path) -> tuple[Path, ...]:
-    """The files of voxels beside a NRRD; raises UserError where one isn't in its folder, holds text, or the header has no end."""
+    """The files of voxels beside a NRRD.
+
+    Raises UserError where one isn't in its folder or holds text, and where the header has no end.
+    """
     found: list[Path] = []
     left = LONGEST_HEADER
     with path.open("rb") as file:

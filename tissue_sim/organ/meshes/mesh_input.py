@@ -24,6 +24,7 @@ ORGAN_SIZE = (0.005, 1.0)  # m, longest side
 _METRES = (".glb", ".gltf")  # the format fixes the unit
 _LONGEST_AXIS = 128  # voxels along the longest side
 _MOST_VOXELS = 3e5  # inside
+_SHORTEST = 1e-12  # of the longest side in the file's unit
 _FARTHEST = 1e12  # of a coordinate in the file's unit: volumes of larger ones are no numbers
 _THIN = 0.1  # relative volume that voxels may miss
 _FEW_TRIANGLES = 2000  # of about 1000 points: walls thinner than their edges are more than such a model can follow
@@ -71,7 +72,10 @@ def read_mesh(
     name = str(source)
     if scale is None:
         assert longest is not None
-        scale = longest / longest_side(np.concatenate([piece.positions for piece in found.pieces]))
+        side = longest_side(np.concatenate([piece.positions for piece in found.pieces]))
+        if side < _SHORTEST:
+            raise UserError(f"surface {name} holds no triangles with an area")
+        scale = longest / side
     parts = split(found.pieces, scale)
     if not parts:
         raise UserError(f"surface {name} holds no triangles with an area")

@@ -27,7 +27,6 @@ from tissue_sim.ros.bags.journal import check_journal
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
-
 # What comes of messages that say anything at all.
 _DAMAGED = (
     *(ValueError, LookupError, TypeError, AttributeError),
