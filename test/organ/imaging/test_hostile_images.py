@@ -1,5 +1,6 @@
 """Images whose headers lie: refused with one line, before a file elsewhere is opened or room is asked for."""
 
+import gzip
 import re
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import SimpleITK as sitk
 from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.dicom import _room
-from tissue_sim.organ.imaging.image import read_image, read_mask
+from tissue_sim.organ.imaging.image import AIR, read_image, read_mask
 from tissue_sim.organ.imaging.memory import limited
 from tissue_sim.organ.imaging.voxel_files import MOST_VOXELS, check_room
 
@@ -38,8 +39,13 @@ def altered(path, pattern, line):
 
 @pytest.mark.parametrize(
     ("name", "field"),
-    [("ct.nhdr", "data file: "), ("ct.nhdr", "Data  File:"), ("ct.nhdr", "datafile: "), ("ct.mhd", "ElementDataFile = ")]
-    + [("ct.mhd", "ElementDataFile : ")],
+    [
+        ("ct.nhdr", "data file: "),
+        ("ct.nhdr", "Data  File:"),
+        ("ct.nhdr", "datafile: "),
+        ("ct.mhd", "ElementDataFile = "),
+        ("ct.mhd", "ElementDataFile : "),
+    ],
 )
 @pytest.mark.parametrize("other", ELSEWHERE + SEVERAL)
 def test_voxels_elsewhere_are_not_opened(tmp_path, name, field, other):
@@ -176,7 +182,7 @@ def test_a_dicom_element_of_a_gigabyte_asks_for_no_room(tmp_path):
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode < 200  # MB
     found = read_image(tmp_path / "series")
     assert found.size[2] == small_volume().size[2] - 1
-    with pytest.raises(UserError, match="labels|over 200 different values"):
+    with pytest.raises(UserError, match=r"labels|over 200 different values"):
         read_mask(tmp_path / "series")
 
 
@@ -185,3 +191,28 @@ def test_the_limit_holds_and_is_lifted(tmp_path):
     with limited(_room(str(tmp_path / "a.dcm"))), pytest.raises(MemoryError):
         np.ones(1 << 27)
     assert np.ones(1 << 25).size == 1 << 25
+
+
+@pytest.mark.parametrize("name", ["ct.nii", "ct.nii.gz", "ct.hdr", "ct.img"])
+@pytest.mark.parametrize(("at", "form"), [(300, "sform"), (320, "sform"), (256, "qform")])
+def test_a_transform_that_is_not_finite_is_refused(tmp_path, name, at, form):
+    """ITK would look for its axes without end."""
+    path = written(tmp_path / "ct", name)
+    head = path.with_suffix(".hdr") if name == "ct.img" else path
+    data = bytearray(gzip.decompress(head.read_bytes()) if name.endswith(".gz") else head.read_bytes())
+    data[280:284] = bytes(4)
+    data[at : at + 4] = np.float32(np.inf).tobytes()
+    head.write_bytes(gzip.compress(data) if name.endswith(".gz") else data)
+    with pytest.raises(UserError, match=f"its {form} holds numbers that are not finite"):
+        read_image(path)
+
+
+def test_values_beyond_single_precision_are_read_as_air(tmp_path, recwarn):
+    volume = small_volume()
+    array = volume.array.astype(np.float64)
+    array[0, 0, 0] = 1e300
+    sitk.WriteImage(sitk.GetImageFromArray(array), str(tmp_path / "ct.nrrd"))
+    found = read_image(tmp_path / "ct.nrrd")
+    assert found.array[0, 0, 0] == AIR
+    assert found.notes == ("read 1 voxels without a value (NaN or infinite) as air",)
+    assert not recwarn.list

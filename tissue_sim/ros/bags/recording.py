@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import tempfile
 from collections import defaultdict
@@ -23,6 +22,7 @@ from tissue_sim.model.state_check import check_settings, contact_set_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.bags.config import check_config, read_config
 from tissue_sim.ros.bags.journal import check_journal
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
@@ -71,12 +71,13 @@ class Recording:
         def data(topic: str) -> list[NDArray[np.uint8]]:
             return [parse_octets(raw) for raw in messages[f"{name}/{topic}"]]
 
-        config = json.loads(parse_text(messages[f"{name}/config"][0]))
+        config = read_config(parse_text(messages[f"{name}/config"][0]))
         if config["format"] != bag.FORMAT:
             raise UserError(
-                f"bag {path} has format {config['format']} (tissue_sim {config['package_version']}), this package reads"
-                f" {bag.FORMAT}: replay it with that version, or record it again"
+                f"bag {path} has format {config['format']} (tissue_sim {shown(config['package_version'])}), this package"
+                f" reads {bag.FORMAT}: replay it with that version, or record it again"
             )
+        check_config(config)
         if not data("state"):
             raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
         if not messages[f"{name}/settings"]:
