@@ -160,3 +160,15 @@ def test_an_organ_that_trembles_far_from_rest_for_good_is_led_back():
     assert abs(tick - longest) <= 3
     assert state.count.faults == 0
     settles(simulation)
+
+
+def test_an_undamped_organ_swings_on():
+    simulation = awake(changed(SLACK, damping=0.0))
+    state, model, settings = simulation.state, simulation.model, simulation.settings
+    settings.damping_scale = 0.0
+    for tick in range(round(1.2 * LONGEST_WAY / (pace(model, settings) * settings.tick_time))):
+        state.position[model.moving] = model.rest[model.moving]
+        state.position[model.moving, 2] += 1e-3
+        state.velocity[model.moving] = [0.0, 0.0, 0.1 * (-1.0) ** tick]
+        simulation.step()
+    assert state.count.snaps == 0

@@ -34,7 +34,8 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
         return
     speed, away = largest_motion(model, state, scratch)
     rate = pace(model, settings)
-    if away > SNAPPED_DISPLACEMENT and rate * status.alone * settings.tick_time > LONGEST_WAY:
+    lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # what isn't damped swings on
+    if away > SNAPPED_DISPLACEMENT and lasted > LONGEST_WAY:
         snap(model, state, settings, scratch)
         return
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.

@@ -58,6 +58,7 @@ class Trial:
             kind.warm_up(self.folder / INPUT)
             self._warm.add(case.kind)
             self._clear()
+            gc.freeze()  # what is loaded now stays: no collection looks through it again
         (self.folder / OUTSIDE).write_bytes(b"secret " * 1000)
         ready = kind.prepare(case, self.folder / INPUT)
         (self.folder / WHAT).write_text(ready.what, encoding="utf-8")

@@ -11,7 +11,8 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.dicom import read_stack
 from tissue_sim.organ.imaging.meta_header import check_meta_header
+from tissue_sim.organ.imaging.nifti_header import check_nifti_header
 from tissue_sim.organ.imaging.nrrd_header import check_nrrd_header
 from tissue_sim.organ.imaging.silence import silenced
 from tissue_sim.organ.imaging.voxel_files import check_count, check_room
@@ -126,8 +128,10 @@ class Volume:
 def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volume:
     """Volume of a 3-D SimpleITK image: float32, or bool (non-zero) for a mask."""
     view = sitk.GetArrayViewFromImage(image)  # one copy less than an array of its own
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity and NaN, which are looked for
+        array = view != 0 if mask else view.astype(np.float32)
     return Volume(
-        array=view != 0 if mask else view.astype(np.float32),
+        array=array,
         spacing=np.array(image.GetSpacing()),
         origin=np.array(image.GetOrigin()),
         direction=np.array(image.GetDirection()).reshape(3, 3),
@@ -203,21 +207,30 @@ def _read_folder(folder: Path, series: str | None) -> Volume:
 def _read_file(path: Path) -> sitk.Image:
     """Read a 3-D image file; its axes are at right angles, to within a thousandth."""
     try:
-        image = _read_strictly(path)
-    except _SkewedError:
-        # ITK takes a NIfTI header with rounding errors past 1e-5 only when asked to; how skewed it is, is checked here.
-        before = os.environ.get(_PERMISSIVE)
-        os.environ[_PERMISSIVE] = "ON"
         try:
             image = _read_strictly(path)
-        finally:
-            if before is None:
-                del os.environ[_PERMISSIVE]
-            else:
-                os.environ[_PERMISSIVE] = before
-    if _skew(image) > _LARGEST_SKEW:
-        raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
-    return image
+        except _SkewedError:
+            with _permissive():
+                image = _read_strictly(path)
+        if _skew(image) <= _LARGEST_SKEW:
+            return image
+    except _SkewedError:  # axes that can't be straightened
+        pass
+    raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
+
+
+@contextmanager
+def _permissive() -> Iterator[None]:
+    """ITK takes a NIfTI header with rounding errors past 1e-5 only when asked to; how skewed it is, is checked here."""
+    before = os.environ.get(_PERMISSIVE)
+    os.environ[_PERMISSIVE] = "ON"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_PERMISSIVE]
+        else:
+            os.environ[_PERMISSIVE] = before
 
 
 class _SkewedError(Exception):
@@ -280,9 +293,16 @@ def _checked_header(path: Path) -> tuple[Path, ...] | None:
     if name.endswith((".nrrd", ".nhdr")):
         return check_nrrd_header(path)
     if name.endswith((".nii", ".nii.gz")):
+        check_nifti_header(path)
         return ()
+    if not _PAIR.search(name):
+        return None
     stem = _PAIR.sub("", str(path))
-    return None if stem == str(path) else tuple(Path(f"{stem}{suffix}") for suffix in (".img", ".img.gz"))
+    pair = [Path(f"{stem}{suffix}") for suffix in (".hdr", ".hdr.gz", ".img", ".img.gz")]
+    for header in pair[:2]:
+        if header.is_file():
+            check_nifti_header(header)
+    return tuple(pair[2:])
 
 
 def _reason(error: BaseException) -> str:

@@ -6,9 +6,11 @@ weighs 100 MB.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints what it puts up with
 
 _TRIMESH = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 # glTF 2.0, 3.4: +Y up, +Z forward, -X right; so these rows take it to LPS (x left, y back, z up).
@@ -52,7 +56,21 @@ def read_pieces(source: Path) -> MeshFile:
 
 
 def _read_trimesh(source: Path) -> MeshFile:
-    loaded: Any = trimesh.load(source, process=False, maintain_order=True)
+    # Numbers that are none are looked for later.
+    with np.errstate(all="ignore"):
+        return _pieces(_load_trimesh(source), source.suffix.lower())
+
+
+def _load_trimesh(source: Path) -> Any:
+    options: dict[str, Any] = {"process": False, "maintain_order": True}
+    if source.suffix.lower() != ".glb":
+        return trimesh.load(source, **options)
+    # From memory: of a file it would ask for room for as much as a chunk says that it is long.
+    resolver = trimesh.resolvers.FilePathResolver(str(source))
+    return trimesh.load(BytesIO(source.read_bytes()), file_type="glb", resolver=resolver, **options)
+
+
+def _pieces(loaded: Any, suffix: str) -> MeshFile:
     if not isinstance(loaded, trimesh.Scene):
         return MeshFile((_piece(loaded, "", np.eye(4)),))
     pieces = []
@@ -61,7 +79,7 @@ def _read_trimesh(source: Path) -> MeshFile:
         mesh = loaded.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             pieces.append(_piece(mesh, str(node), transform))
-    if source.suffix.lower() not in (".glb", ".gltf"):
+    if suffix not in (".glb", ".gltf"):
         return MeshFile(tuple(pieces))
     turned = tuple(Piece(p.name, p.positions @ _GLTF_TO_LPS.T, p.triangles) for p in pieces)
     return MeshFile(turned, ("glTF is y up, z to the front: turned into the patient frame (z to the head)",))
@@ -120,7 +138,17 @@ class _Words:
         if len(parts) < count:
             raise ValueError("the file ends early")
         self.at = len(self.data) - (len(parts[count]) if len(parts) > count else 0)
-        return np.array(parts[:count], dtype="f8").astype(kind)
+        return _cast(np.array(parts[:count], dtype="f8"), kind)
+
+
+def _cast(values: Floats, kind: str) -> NDArray[Any]:
+    """Numbers as a numpy type; raises ValueError where they are none of it, and makes infinity of what is too large."""
+    if np.dtype(kind).kind in "iu":
+        limits = np.iinfo(kind)
+        if not np.all((values >= float(limits.min)) & (values < float(limits.max) + 1.0)):
+            raise ValueError("a number that can't be, where counts and indices are")
+    with np.errstate(over="ignore"):
+        return values.astype(kind)
 
 
 _WORD = re.compile(rb"\s*(\S+)")
@@ -178,7 +206,7 @@ def _read_gmsh(source: Path) -> MeshFile:
 def _gmsh_nodes(section: bytes) -> tuple[Longs, Floats]:
     words = section.split()
     table = np.array(words[1 : 1 + 4 * int(words[0])], dtype=np.float64).reshape(int(words[0]), 4)
-    return table[:, 0].astype(np.int64), np.ascontiguousarray(table[:, 1:])
+    return _cast(table[:, 0], "i8"), np.ascontiguousarray(table[:, 1:])
 
 
 def _gmsh_elements(section: bytes, version: int) -> dict[int, list[int]]:
@@ -293,6 +321,8 @@ def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
         words.word()  # CONNECTIVITY
         return offsets, words.numbers(second, _VTK_TYPES[words.word().lower()]).astype(np.int64)
     words.at = start
+    if first > second:
+        raise ValueError("more polygons than numbers that describe them")
     flat = words.numbers(second, "i4").astype(np.int64)
     offsets = np.zeros(first + 1, dtype=np.int64)
     marks = np.zeros(first, dtype=np.int64)

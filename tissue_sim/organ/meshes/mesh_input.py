@@ -24,6 +24,8 @@ ORGAN_SIZE = (0.005, 1.0)  # m, longest side
 _METRES = (".glb", ".gltf")  # the format fixes the unit
 _LONGEST_AXIS = 128  # voxels along the longest side
 _MOST_VOXELS = 3e5  # inside
+_SHORTEST = 1e-12  # of the longest side in the file's unit
+_FARTHEST = 1e12  # of a coordinate in the file's unit: volumes of larger ones are no numbers
 _THIN = 0.1  # relative volume that voxels may miss
 _FEW_TRIANGLES = 2000  # of about 1000 points: walls thinner than their edges are more than such a model can follow
 
@@ -70,7 +72,10 @@ def read_mesh(
     name = str(source)
     if scale is None:
         assert longest is not None
-        scale = longest / longest_side(np.concatenate([piece.positions for piece in found.pieces]))
+        side = longest_side(np.concatenate([piece.positions for piece in found.pieces]))
+        if side < _SHORTEST:
+            raise UserError(f"surface {name} holds no triangles with an area")
+        scale = longest / side
     parts = split(found.pieces, scale)
     if not parts:
         raise UserError(f"surface {name} holds no triangles with an area")
@@ -132,8 +137,10 @@ def _load(source: Path) -> MeshFile:
     if not any(len(piece.triangles) for piece in found.pieces):
         raise UserError(f"surface {source} holds no triangles")
     for piece in found.pieces:
-        if not np.all(np.isfinite(piece.positions)):
-            raise UserError(f"surface {source} has points that are not finite")
+        if piece.positions.shape[1:] != (3,):
+            raise UserError(f"surface {source} is damaged: its points don't have three coordinates")
+        if not np.all(np.abs(piece.positions) <= _FARTHEST):
+            raise UserError(f"surface {source} has points that are not finite, or beyond {_FARTHEST:g}")
         if piece.triangles.size and not 0 <= piece.triangles.min() <= piece.triangles.max() < len(piece.positions):
             raise UserError(f"surface {source} is damaged: a triangle names a point that isn't there")
     return found

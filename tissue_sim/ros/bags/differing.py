@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import tissue_sim
+from tissue_sim.errors import shown
 from tissue_sim.organ.organ import Organ
 
 # Where and whether a bag is written changes nothing; an organ is told by its digest, not by its path.
 BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file"})
+_LONGEST = 200  # characters of a value in a line
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ def differences(first: Described, second: Described) -> list[str]:
 
     def tell(what: str, one: Any, other: Any) -> None:
         if one != other:
-            lines.append(f"{what}: {first.how} {one}, {second.how} {other}")
+            lines.append(f"{what}: {first.how} {shown(str(one), _LONGEST)}, {second.how} {shown(str(other), _LONGEST)}")
 
     if first.digest != second.digest:
         tell("organ", f"{first.organ} ({first.digest[:12]})", f"{second.organ} ({second.digest[:12]})")

@@ -15,6 +15,7 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.mailboxes import BodyInputs, JournalRow
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparing import Shown
@@ -46,7 +47,7 @@ class Player:
 
     def __init__(self, recording: Recording, organ: Organ) -> None:
         parameters = recording.config["parameters"]
-        self.recording = recording
+        self.recording, self.n_surface = recording, organ.n_surface
         self.tools = ToolSet(tools_of(recording.config))
         self.simulation = Simulation(
             organ,
@@ -135,7 +136,9 @@ class Player:
         surface_at: dict[int, list[int]] = defaultdict(list)  # a slow loop may be shown twice in a tick
         for index, tick in enumerate(wanted.surface_ticks.tolist()):
             surface_at[tick].append(index)
-        n_surface = wanted.surfaces.shape[1]
+        n_surface, n_points = self.n_surface, wanted.surfaces.shape[1]
+        if len(wanted.surfaces) and n_points != n_surface:
+            raise UserError(f"the bag's surfaces have {n_points} points, the organ has {n_surface}: another organ")
         result = Replayed(wanted, shown)
         settings = self.recording.settings
         start = max((number for number in settings if number <= self.taken[0]["settings"]), default=min(settings))
@@ -164,7 +167,7 @@ class Player:
         if row["resets"] != last["resets"]:
             simulation.reset()
         if row["settings"] != last["settings"]:
-            simulation.take_settings(self.recording.settings[int(row["settings"])])
+            simulation.take_settings(self._settings(int(row["settings"])))
         for body in range(len(self.poses)):
             pose, force = int(bodies["pose"][body]), int(bodies["force"][body])
             if pose != last_bodies["pose"][body]:
@@ -177,6 +180,11 @@ class Player:
             result.contact_sets += 1
             simulation.take_contacts(self._contact_set(contacts), contacts)
         self.taken = row, bodies
+
+    def _settings(self, sequence: int) -> Settings:
+        if sequence not in self.recording.settings:
+            raise UserError(f"the bag lacks settings number {sequence}; its recording lost messages")
+        return self.recording.settings[sequence]
 
     def _input(self, values: dict[int, Floats], sequence: int, what: str) -> Floats:
         if sequence not in values:

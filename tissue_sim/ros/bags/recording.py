@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 import tempfile
 from collections import defaultdict
@@ -23,8 +22,16 @@ from tissue_sim.model.state_check import check_settings, contact_set_of
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
+from tissue_sim.ros.bags.config import check_config, read_config
+from tissue_sim.ros.bags.journal import check_journal
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
+
+# What comes of messages that say anything at all.
+_DAMAGED = (
+    *(ValueError, LookupError, TypeError, AttributeError),
+    *(ArithmeticError, RecursionError, struct.error),
+)
 
 
 @dataclass
@@ -52,7 +59,7 @@ class Recording:
         messages = _read_messages(path)
         try:
             return cls._parsed(path, messages)
-        except (ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as error:
+        except _DAMAGED as error:
             raise UserError(f"bag {path} is damaged: {shown(str(error), 200) or type(error).__name__}") from None
 
     @classmethod
@@ -64,14 +71,17 @@ class Recording:
         def data(topic: str) -> list[NDArray[np.uint8]]:
             return [parse_octets(raw) for raw in messages[f"{name}/{topic}"]]
 
-        config = json.loads(parse_text(messages[f"{name}/config"][0]))
+        config = read_config(parse_text(messages[f"{name}/config"][0]))
         if config["format"] != bag.FORMAT:
             raise UserError(
-                f"bag {path} has format {config['format']} (tissue_sim {config['package_version']}), this package reads"
-                f" {bag.FORMAT}: replay it with that version, or record it again"
+                f"bag {path} has format {config['format']} (tissue_sim {shown(config['package_version'])}), this package"
+                f" reads {bag.FORMAT}: replay it with that version, or record it again"
             )
+        check_config(config)
         if not data("state"):
             raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
+        if not messages[f"{name}/settings"]:
+            raise UserError(f"bag {path} holds no settings: the recording was too short or broken off")
         if not data("journal"):
             raise UserError(f"bag {path} holds nothing that happened: the recording was too short or broken off")
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
@@ -105,6 +115,9 @@ class Recording:
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
         for raw in messages[f"{name}/surface"]:
             recording.surfaces.append(parse_cloud(raw))
+        if len({len(surface) for surface in recording.surfaces}) > 1:
+            raise ValueError("its surfaces have different numbers of points")
+        check_journal(recording.journal, n_bodies, recording.first_tick, float(config["parameters"]["rate"]))
         return recording
 
     @property
@@ -165,7 +178,7 @@ def recorded_organ(recording: Recording) -> Organ:
 
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
-    try:
+    with recovery.rubbish_told(path):
         if recovery.is_broken_off(path):
             for connection, _, raw in recovery.messages(path):
                 messages[connection.topic].append(bytes(raw))
@@ -175,8 +188,4 @@ def _read_messages(path: Path) -> dict[str, list[bytes]]:
         with Reader(path) as reader:
             for connection, _, raw in reader.messages():
                 messages[connection.topic].append(bytes(raw))
-    except MemoryError:
-        raise UserError(f"bag {path} can't be read: a length in it goes beyond its file") from None
-    except recovery.OF_RUBBISH as error:
-        raise UserError(f"bag {path} can't be read: {shown(str(error), 200)}") from None
     return messages

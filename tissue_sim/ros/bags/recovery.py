@@ -13,28 +13,44 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_sized, read_string
+from rosbags.rosbag2.storage_mcap import McapReader, decompress, read_sized, read_string, zstd
 from rosbags.typesys import Stores, get_typestore
 
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, shown
 from tissue_sim.ros.bags import metadata
 from tissue_sim.ros.bags.writer import BagWriter, Topic, lock
 
 MAGIC = b"\x89MCAP0\r\n"
-# What rosbags makes of metadata and records that say anything at all.
-OF_RUBBISH = (
-    *(ReaderError, OSError, ValueError, KeyError, IndexError, OverflowError),
-    *(AssertionError, TypeError, AttributeError, struct.error),
-)
+# What rosbags makes of metadata and records that say anything at all: its own errors, and those of YAML, zstd, lz4,
+# sqlite and Python.
+OF_RUBBISH = (Exception,)
 HEADER, CHUNK, DATA_END = 0x01, 0x06, 0x0F  # opcodes of records
+LARGEST_CHUNK = 1 << 28  # bytes, unpacked; a recorder closes a chunk after some MB
+_UNPACKERS = {"zstd": zstd.ZstdDecompressor, "lz4": LZ4FrameDecompressor}
 ANEW = ".recovered"  # folder in a bag where a file is written anew
 
 
 def is_broken_off(folder: Path) -> bool:
     """Whether a folder holds a bag without its end."""
     return folder.is_dir() and not (folder / metadata.NAME).exists() and any(folder.glob("*.mcap"))
+
+
+@contextmanager
+def rubbish_told(folder: Path) -> Iterator[None]:
+    """Raise UserError naming a bag where reading it raises anything."""
+    try:
+        yield
+    except UserError:
+        raise
+    except MemoryError:
+        raise UserError(f"bag {folder} can't be read: a length in it goes beyond its file") from None
+    except KeyError as error:
+        raise UserError(f"bag {folder} can't be read: {shown(str(error), 200)} is missing or unknown") from None
+    except OF_RUBBISH as error:
+        raise UserError(f"bag {folder} can't be read: {shown(str(error), 200) or type(error).__name__}") from None
 
 
 def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
@@ -47,9 +63,9 @@ def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
 def complete(folder: Path) -> str:
     """Give a bag what it lacks at its end; returns a line about it.
 
-    Raises UserError when there is nothing in it, when it is still recorded, or when it can't be written.
+    Raises UserError when there is nothing in it, when it is still recorded, or when what is in it is damaged.
     """
-    with ExitStack() as stack:
+    with ExitStack() as stack, rubbish_told(folder):
         for path in folder.glob("*.mcap"):
             if not lock(stack.enter_context(path.open("rb")).fileno()):
                 raise UserError(f"bag {folder} is still being recorded; stop that first")
@@ -105,10 +121,10 @@ def _opened(folder: Path) -> Iterator[list[McapReader]]:
     readers = []
     with ExitStack() as stack:
         for path in folder.glob("*.mcap"):
-            for reader in (McapReader(path), _BrokenOff(path)):
+            for reader in (_Whole(path), _BrokenOff(path)):
                 try:
                     reader.open()
-                except (ReaderError, TypeError, struct.error):  # no end, or not even a beginning
+                except OF_RUBBISH:  # no end, or not even a beginning
                     continue
                 stack.callback(reader.close)
                 if reader.statistics is not None and reader.statistics.message_count:
@@ -121,6 +137,14 @@ def _opened(folder: Path) -> Iterator[list[McapReader]]:
                 f"bag {folder} was broken off, and not recorded by a tissue_sim node: `ros2 bag reindex` it"
             )
         yield sorted(readers, key=lambda reader: reader.statistics.start_time if reader.statistics else 0)
+
+
+class _Whole(McapReader):
+    """Reads a file that has its end."""
+
+    def _open(self) -> None:
+        check_lengths(Path(str(self.path)))
+        super()._open()
 
 
 class _BrokenOff(McapReader):
@@ -137,8 +161,13 @@ def _whole_records(bio: BinaryIO) -> tuple[int, int]:
     size, start, end = bio.seek(0, 2), 0, len(MAGIC)
     for opcode, length, after in _records(bio):
         # After a power cut a file may go on with zeros.
-        if opcode in (0, DATA_END) or after > size or (opcode == CHUNK and not _is_whole(bio.read(length))):
+        if opcode in (0, DATA_END) or after > size:
             break
+        if opcode == CHUNK:
+            try:
+                _check_chunk(bio.read(length))
+            except OF_RUBBISH:
+                break
         if opcode == HEADER:
             start = after
         end = after
@@ -148,12 +177,17 @@ def _whole_records(bio: BinaryIO) -> tuple[int, int]:
 
 
 def check_lengths(file: Path) -> None:
-    """Raise ReaderError where a record says that it is longer than its file: a reader would ask for the room."""
+    """Raise where a record is longer than its file, or unpacks to more than it says: a reader would ask for the room.
+
+    What it raises of chunks that don't unpack at all is one of OF_RUBBISH.
+    """
     size = file.stat().st_size
     with file.open("rb") as bio:
-        for _, length, after in _records(bio):
+        for opcode, length, after in _records(bio):
             if after > size:
                 raise ReaderError(f"a record of {length} bytes, in a file of {size}")
+            if opcode == CHUNK:
+                _check_chunk(bio.read(length))
 
 
 def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
@@ -172,13 +206,18 @@ def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
         bio.seek(at)
 
 
-def _is_whole(chunk: bytes) -> bool:
+def _check_chunk(chunk: bytes) -> None:
+    """Raise where a chunk's content isn't what it says, or more than a chunk has, which is never unpacked."""
     _, _, length, crc = struct.unpack_from("<QQQI", chunk)
     stream = BytesIO(chunk)
     stream.seek(28)
-    try:
-        compression = read_string(stream)
-        decompress(read_sized(stream), compression, length, crc)
-    except Exception:  # whatever it is that the libraries make of rubbish
-        return False
-    return True
+    compression = read_string(stream)
+    packed = read_sized(stream)
+    if length > LARGEST_CHUNK:
+        raise ReaderError(f"a chunk of {length} bytes")
+    if compression in _UNPACKERS:
+        unpacker = _UNPACKERS[compression]()
+        packed = unpacker.decompress(packed, max_length=length + 1)
+        if not unpacker.eof or unpacker.unused_data:
+            raise ReaderError(f"a chunk that doesn't unpack to the {length} bytes that it says")
+    decompress(packed, "", length, crc)

@@ -137,7 +137,8 @@ def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     Node and replay share it, so that a pose is the same number in both. Raises ValueError for a quaternion of zero, or
     of a length that is no number.
     """
-    norm = math.sqrt(float(pose[3:] @ pose[3:]))
+    with np.errstate(over="ignore"):  # too large, which is told
+        norm = math.sqrt(float(pose[3:] @ pose[3:]))
     if not 1e-6 <= norm < math.inf:
         raise ValueError(f"its quaternion is {'zero' if norm < 1e-6 else 'too large'}; send a unit quaternion")
     pose[3:] /= norm

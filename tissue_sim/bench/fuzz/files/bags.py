@@ -38,7 +38,7 @@ def prepare(case: Case, folder: Path) -> Input:
     rng, path = case.rng(), folder / "bag"
     way: Callable[[Rng, Path], str] = some(rng, _WAYS)
     what = way(rng, path)
-    if rng.random() < 0.1 and (path / metadata.NAME).exists():
+    if rng.random() < 0.1 and (path / metadata.NAME).is_file():
         (path / metadata.NAME).unlink()
         what = f"{what}; broken off"
     return Input(what, lambda: use(path))
@@ -306,7 +306,7 @@ def _fields(rng: Rng, arrays: dict[str, np.ndarray]) -> tuple[bytes, str]:
             arrays[key] = flat.reshape(array.shape)
             told.append(f"{key}'s {field}")
         elif names:
-            arrays[key] = some(rng, (array[:0], array.reshape(-1)[:1], np.zeros(3), array[names[0]]))
+            arrays[key] = some(rng, (array.reshape(-1)[:0], array.reshape(-1)[:1], np.zeros(3), array[names[0]]))
             told.append(f"another {key}")
         else:
             arrays[key], how = of_array(rng, array)

@@ -1,0 +1,73 @@
+"""What a bag's configuration has to say: a replay builds its simulation and tools from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+_LARGEST = 1e15
+_LONGEST = 4096  # characters of a name or path
+
+Fits = Callable[[Any], bool]
+
+
+def read_config(text: str) -> dict[str, Any]:
+    """A bag's configuration from its JSON, as far as every format has it; raises ValueError."""
+    config = json.loads(text)
+    if not isinstance(config, dict):
+        raise ValueError("its configuration is no object")
+    _check(config, "", {"format": _is_whole, "package_version": _is_name})
+    return config
+
+
+def check_config(config: Mapping[str, Any]) -> None:
+    """Raise ValueError naming what a configuration of the present format lacks, or has of another type."""
+    wanted: dict[str, Fits] = {"organ": _is_object, "parameters": _is_object, "shape_gravity": _is_vector}
+    wanted |= {"tools": _is_names, "topics": _is_object, "first": _is_object}
+    _check(config, "", wanted)
+    _check(config["organ"], "organ.", {"name": _is_name, "digest": _is_name})
+    _check(config["topics"], "topics.", dict.fromkeys(config["topics"], _is_name))
+    _check(config["first"], "first.", dict.fromkeys(config["first"], _is_whole))
+    parameters, of_tool = config["parameters"], {"shape": _is_name, "radius": _is_number, "length": _is_number}
+    chosen: dict[str, Fits] = {"rate": _is_rate, "model": _is_name, "local_region": _is_name}
+    chosen |= {name: _is_name for name in ("return_target", "integrator") if name in parameters}
+    for tool in config["tools"]:
+        chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
+    _check(parameters, "parameters.", chosen)
+
+
+def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) -> None:
+    for name, fits in wanted.items():
+        if name not in values:
+            raise ValueError(f"its configuration lacks '{where}{name}'")
+        if not fits(values[name]):
+            raise ValueError(f"its configuration has a '{where}{name}' of another type")
+
+
+def _is_object(value: Any) -> bool:
+    return isinstance(value, dict)
+
+
+def _is_name(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= _LONGEST
+
+
+def _is_whole(value: Any) -> bool:
+    return type(value) is int and abs(value) < 2**62
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= _LARGEST
+
+
+def _is_rate(value: Any) -> bool:
+    return _is_number(value) and value > 0
+
+
+def _is_vector(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
+
+
+def _is_names(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_name, value)) and len(set(value)) == len(value)

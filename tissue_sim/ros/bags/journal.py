@@ -1,0 +1,64 @@
+"""What a bag's journal may not say: a replay follows its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.model.mailboxes import BodyInputs, JournalRow
+from tissue_sim.model.records import Record
+from tissue_sim.model.state_check import MOST
+from tissue_sim.ros.bags.bag import BodyContactRow, ContactRow, SurfaceRow, WrenchRow
+
+MOST_TICKS = 2**62
+LONGEST_STILL = 24 * 3600.0  # s in which nothing at all happens: a replay would go through all their ticks
+
+_ROWS: dict[str, type[Record]] = {
+    "inputs": JournalRow,
+    "contacts": ContactRow,
+    "wrenches": WrenchRow,
+    "surfaces": SurfaceRow,
+}
+_BODIES: dict[str, tuple[str, type[Record]]] = {
+    "body_inputs": ("inputs", BodyInputs),
+    "body_contacts": ("contacts", BodyContactRow),
+}
+_SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay comes by
+
+
+def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: int, rate: float) -> None:
+    """Raise ValueError naming rows that lack a field, don't fit together, or tell of ticks that can't be.
+
+    rows: by kind, see recorder; first_tick: that of the state; rate: ticks a second.
+    """
+    for kind, record in _ROWS.items():
+        _check_rows(rows, kind, record, (len(rows[kind]) if kind in rows and rows[kind].ndim else 0,))
+    for kind, (owner, record) in _BODIES.items():
+        _check_rows(rows, kind, record, (len(rows[owner]), n_bodies))
+    told = [rows[kind]["tick"].astype(np.int64) for kind in _SHOWING]
+    ticks = np.unique(np.concatenate([np.array([first_tick]), *told]))
+    if ticks[0] < -1 or ticks[-1] > MOST_TICKS:
+        raise ValueError(f"its journal tells of tick {ticks[0] if ticks[0] < -1 else ticks[-1]}")
+    ticks = ticks[ticks >= first_tick]
+    still = np.diff(ticks).max(initial=0) / rate
+    if not still <= LONGEST_STILL:
+        raise ValueError(f"its journal tells of nothing for {still / 3600.0:.3g} hours")
+
+
+def _check_rows(rows: Mapping[str, NDArray[Any]], kind: str, record: type[Record], shape: tuple[int, ...]) -> None:
+    found = rows.get(kind)
+    if found is None:
+        raise ValueError(f"its journal has no {kind}")
+    if found.shape != shape:
+        raise ValueError(f"its journal's {kind} are of shape {found.shape}, wanted {shape}")
+    for name in record.dtype.names or ():
+        if name not in (found.dtype.names or ()):
+            raise ValueError(f"its journal's {kind} lack the field '{name}'")
+        values, wanted = found[name], record.dtype[name].kind
+        if values.shape != shape or values.dtype.kind not in ("fiub" if wanted == "f" else "iub"):
+            raise ValueError(f"its journal's {kind} have a field '{name}' of another type")
+        if wanted == "f" and values.size and not np.abs(values).max() <= MOST:
+            raise ValueError(f"its journal's {kind} have a '{name}' that is not finite, or beyond {MOST:g}")
