@@ -250,12 +250,7 @@ def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) 
 
 
 def _room(file: str, voxels: int = 0) -> int:
-<<<<<<< HEAD
-    """Bytes that GDCM may need for a file, and for voxels that it decodes: in doubles, and again as they are
-    handed over.
-=======
     """Bytes that GDCM may need for a file, and for voxels that it decodes, in doubles and as they are handed over.
->>>>>>> 98d79f1f4fb93d9a6a3535dcdddeccc49894fdc7
 
     A damaged element may say that it is 4 GB long.
     """

@@ -12,14 +12,10 @@ _AS_TEXT = ("ascii", "text", "txt")  # ITK dies of one that breaks off
 
 
 def check_nrrd_header(path: Path) -> tuple[Path, ...]:
-<<<<<<< HEAD
-    """The files of voxels beside a NRRD; raises UserError where one isn't in its folder, or the header has no end."""
-=======
     """The files of voxels beside a NRRD.
 
     Raises UserError where one isn't in its folder or holds text, and where the header has no end.
     """
->>>>>>> 98d79f1f4fb93d9a6a3535dcdddeccc49894fdc7
     found: list[Path] = []
     left = LONGEST_HEADER
     with path.open("rb") as file:
