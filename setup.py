@@ -45,10 +45,10 @@ setup(
     # False: Numba writes its cache beside the kernels, and the organs are opened as files.
     zip_safe=False,
     # No ROS package here: with an apt installation they come from rosdep, with PyPI alone from the extra "ros".
-    # Least versions: package.xml has the same.
+    # Least versions: package.xml has the same. lz4 comes with rosbags, and so has no entry there.
     install_requires=[
         *("numpy>=1.26.4", "scipy>=1.11.4", "numba>=0.59.1"),
-        *("trimesh", "python-fcl", "rosbags", "ruamel.yaml", "tqdm"),
+        *("trimesh", "python-fcl", "rosbags", "lz4", "ruamel.yaml", "tqdm"),
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],

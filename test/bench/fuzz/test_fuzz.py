@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -18,6 +20,16 @@ def test_files_are_used_or_refused(tmp_path, capsys):
     assert all(case["verdict"] in ("used", "refused") for case in found["cases"])
     assert any(case["verdict"] == "refused" for case in found["cases"])
     assert all("\n" not in case["line"] for case in found["cases"])
+
+
+@pytest.mark.skipif(FILES["bag"].missing, reason="no bag to mutate")
+def test_workers_that_are_ended_leave_nothing_behind():
+    """Of a case that replays, with a bar that would share a lock between processes."""
+    words = ["bench", "fuzz", "--seed", "11", "--kinds", "bag", "--case", "1", "--jobs", "1"]
+    done = subprocess.run([sys.executable, "-m", "tissue_sim", *words], capture_output=True, text=True, check=False)
+    assert " used: " in done.stdout
+    assert "leaked" not in done.stderr
+    assert "Warning" not in done.stderr
 
 
 def test_organ_is_as_before_after_hostile_ticks():

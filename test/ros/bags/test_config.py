@@ -57,7 +57,7 @@ def test_what_is_of_another_type_is_named(whole, name, value):
     if isinstance(owner.get(key), dict) and isinstance(value, dict):
         return
     owner[key] = value
-    with pytest.raises(ValueError, match=f"its configuration (has|lacks).*'{name.partition('.')[0]}") as caught:
+    with pytest.raises(ValueError, match=f"its configuration('s| lacks) '{name.partition('.')[0]}") as caught:
         check(config)
     assert len(str(caught.value)) < 200
 
@@ -66,7 +66,7 @@ def test_what_is_of_another_type_is_named(whole, name, value):
 def test_a_rate_that_is_none_is_named(whole, rate):
     config, owner, key = placed(whole, "parameters.rate")
     owner[key] = rate
-    with pytest.raises(ValueError, match=r"'parameters\.rate' of another type"):
+    with pytest.raises(ValueError, match=r"'parameters\.rate' is of another type"):
         check(config)
 
 
@@ -77,7 +77,7 @@ def test_what_is_no_configuration_is_refused(text):
 
 
 def test_the_same_tool_twice_is_refused(whole):
-    with pytest.raises(ValueError, match="'tools' of another type"):
+    with pytest.raises(ValueError, match="'tools' is of another type"):
         check({**whole, "tools": ["left", "left"]})
 
 

@@ -42,7 +42,7 @@ def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) ->
         if name not in values:
             raise ValueError(f"its configuration lacks '{where}{name}'")
         if not fits(values[name]):
-            raise ValueError(f"its configuration has a '{where}{name}' of another type")
+            raise ValueError(f"its configuration's '{where}{name}' is of another type")
 
 
 def _is_object(value: Any) -> bool:

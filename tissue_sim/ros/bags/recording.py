@@ -74,8 +74,8 @@ class Recording:
         config = read_config(parse_text(messages[f"{name}/config"][0]))
         if config["format"] != bag.FORMAT:
             raise UserError(
-                f"bag {path} has format {config['format']} (tissue_sim {shown(config['package_version'])}), this package"
-                f" reads {bag.FORMAT}: replay it with that version, or record it again"
+                f"bag {path} has format {config['format']} (tissue_sim {shown(config['package_version'])}), this"
+                f" package reads {bag.FORMAT}: replay it with that version, or record it again"
             )
         check_config(config)
         if not data("state"):
