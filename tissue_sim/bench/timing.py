@@ -7,7 +7,6 @@ program interrupts takes no longer for it.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -23,6 +22,7 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.child import end_with_parent
+from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import load_nodes, take_pose
@@ -84,20 +84,15 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
 
     They read their number of threads when they are loaded, so it takes a process of its own.
     """
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    context = multiprocessing.get_context("spawn")
     try:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
+        with (
+            environment(dict.fromkeys(ONE_THREAD, "1")),
+            ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool,
+        ):
             return pool.submit(function, *arguments).result()
     except BrokenProcessPool:
         raise UserError("the process that measures was ended from outside; was there enough memory?") from None
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 # the clock ---------------------------------------------------------------------------------------

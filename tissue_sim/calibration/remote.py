@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.managers import BaseManager
 from typing import Any
 
 from tissue_sim.child import end_with_parent
+from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
+
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # each of BLAS, which reads it when it is loaded
 
 
 class Remote:
@@ -22,7 +23,7 @@ class Remote:
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         self._manager = _Process(ctx=get_context("spawn"))
-        with _one_thread():
+        with environment(_ONE_THREAD):
             self._manager.start(end_with_parent)
         self._object = self._manager.make(make, *arguments)  # type: ignore[attr-defined]
 
@@ -52,18 +53,3 @@ def _make(make: Callable[..., Any], *arguments: Any) -> Any:
 
 
 _Process.register("make", _make)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes begun here have one thread of BLAS each, which reads this when it is loaded."""
-    name = "OPENBLAS_NUM_THREADS"
-    before = os.environ.get(name)
-    os.environ[name] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before

@@ -20,6 +20,7 @@ from typing import NamedTuple
 from tissue_sim.bench.fuzz.cases import KINDS, Broken, Case, Input, Kind, Outcome, Verdict
 from tissue_sim.bench.fuzz.watching import Watch
 from tissue_sim.errors import UserError, shown
+from tissue_sim.memory import limited
 from tissue_sim.unexpected import told
 
 INPUT, SCRATCH, PRINTED, CRASH, WHAT = "input", "scratch", "printed", "crash", "what"  # in a worker's folder
@@ -76,7 +77,7 @@ class Trial:
         os.ftruncate(self._printed, 0)
         self._watch.seen(frozenset())
         before, started = _start_of_memory(), time.perf_counter()
-        with _limited(kind.megabytes + SPARE):
+        with limited(round((kind.megabytes + SPARE) * _MB)):
             self._watch.armed = True
             verdict, line = _verdict(ready.use)
             self._watch.armed = False
@@ -144,21 +145,6 @@ def _lines(path: Path) -> list[str]:
 
 
 # memory -------------------------------------------------------------------------------------------
-
-
-class _limited:
-    """Lets the process reserve so many MB more than it has."""
-
-    def __init__(self, megabytes: float) -> None:
-        self._more = int(megabytes * _MB)
-
-    def __enter__(self) -> None:
-        has = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        self._before = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (has + self._more, self._before[1]))
-
-    def __exit__(self, *_: object) -> None:
-        resource.setrlimit(resource.RLIMIT_AS, self._before)
 
 
 def _start_of_memory() -> float:

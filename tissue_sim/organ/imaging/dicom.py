@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.memory import limited
+from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.silence import silenced
 from tissue_sim.organ.imaging.voxel_files import check_count
 

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ import SimpleITK as sitk
 from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.array_types import Floats
+from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.dicom import read_stack
 from tissue_sim.organ.imaging.meta_header import check_meta_header
@@ -210,27 +209,14 @@ def _read_file(path: Path) -> sitk.Image:
         try:
             image = _read_strictly(path)
         except _SkewedError:
-            with _permissive():
+            # ITK takes rounding errors past 1e-5 in a NIfTI header only then; how skewed it is, is checked here.
+            with environment({_PERMISSIVE: "ON"}):
                 image = _read_strictly(path)
         if _skew(image) <= _LARGEST_SKEW:
             return image
     except _SkewedError:  # axes that can't be straightened
         pass
     raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
-
-
-@contextmanager
-def _permissive() -> Iterator[None]:
-    """ITK takes a NIfTI header with rounding errors past 1e-5 only when asked to; how skewed it is, is checked here."""
-    before = os.environ.get(_PERMISSIVE)
-    os.environ[_PERMISSIVE] = "ON"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_PERMISSIVE]
-        else:
-            os.environ[_PERMISSIVE] = before
 
 
 class _SkewedError(Exception):

@@ -26,7 +26,7 @@ _BODIES: dict[str, tuple[str, type[Record]]] = {
     "body_inputs": ("inputs", BodyInputs),
     "body_contacts": ("contacts", BodyContactRow),
 }
-_SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay comes by
+SHOWING = ("inputs", "wrenches", "surfaces")  # whose ticks a replay comes by
 
 
 def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: int, rate: float) -> None:
@@ -38,7 +38,7 @@ def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: i
         _check_rows(rows, kind, record, (len(rows[kind]) if kind in rows and rows[kind].ndim else 0,))
     for kind, (owner, record) in _BODIES.items():
         _check_rows(rows, kind, record, (len(rows[owner]), n_bodies))
-    told = [rows[kind]["tick"].astype(np.int64) for kind in _SHOWING]
+    told = [rows[kind]["tick"].astype(np.int64) for kind in SHOWING]
     ticks = np.unique(np.concatenate([np.array([first_tick]), *told]))
     if ticks[0] < -1 or ticks[-1] > MOST_TICKS:
         raise ValueError(f"its journal tells of tick {ticks[0] if ticks[0] < -1 else ticks[-1]}")

@@ -23,7 +23,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.config import check_config, read_config
-from tissue_sim.ros.bags.journal import check_journal
+from tissue_sim.ros.bags.journal import SHOWING, check_journal
 from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
@@ -129,7 +129,7 @@ class Recording:
     def last_tick(self) -> int:
         """The last one that the journal knows."""
         rows = self.journal
-        ticks = [rows[kind]["tick"] for kind in ("inputs", "wrenches", "surfaces")]
+        ticks = [rows[kind]["tick"] for kind in SHOWING]
         return int(max([np.max(found) for found in ticks if len(found)], default=0))
 
     def shown(self) -> Shown:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Self
 
+from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared.children import Child
 from tissue_sim.ros.shared.domains import claim_domain
@@ -49,10 +50,7 @@ class Graph(ExitStack):
         self._place = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": reach}
 
     def __enter__(self) -> Self:
-        for name, value in self._place.items():
-            before = os.environ.get(name)
-            self.callback(os.environ.pop, name) if before is None else self.callback(os.environ.update, {name: before})
-            os.environ[name] = value
+        self.enter_context(environment(self._place))
         return super().__enter__()
 
     def start(
