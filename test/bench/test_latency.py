@@ -5,10 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from tissue_sim.bench import latency
-from tissue_sim.bench.latency import TRIPS, as_json, bare
+from tissue_sim.bench import latency, latency_busy
+from tissue_sim.bench.bare_loop import bare
+from tissue_sim.bench.latency import TRIPS, as_json
+from tissue_sim.bench.latency_busy import AFTER, BUSY, PHASES, QUIET
 from tissue_sim.cli import main
+from tissue_sim.ros.probes.pokes import DEPTH, Poked, Told, depth_after
 from tissue_sim.ros.probes.probe import Trip, together
+from tissue_sim.ros.shared.priority import is_allowed
 
 
 def test_bare_loop_sleeps_to_its_deadlines_and_is_busy_in_between():
@@ -60,3 +64,61 @@ def test_a_priority_that_is_not_allowed_is_refused_in_one_line(monkeypatch, caps
     error = capsys.readouterr().err
     assert "real-time priority 20" in error
     assert error.count("\n") == 1
+
+
+def told(seconds, tick, late=0, dropped=0, pace=1.0, degraded="none"):
+    return Told(seconds, tick, late, dropped, pace, 1e-4, degraded)
+
+
+def test_a_hand_comes_from_outside_and_is_deepest_in_the_middle_of_a_poke():
+    assert [depth_after(seconds) for seconds in (0.0, 0.25, 0.5, 1.0)] == pytest.approx([-DEPTH, 0.0, DEPTH, -DEPTH])
+
+
+def test_a_phase_is_what_the_node_did_between_its_first_report_and_its_last():
+    reports = [told(10.0, 5000, 7, 2), told(11.0, 5900, 17, 52, 0.95, "markers"), told(13.0, 7700, 26, 52, 0.8)]
+    phase = latency_busy.phase_json(Poked(np.array([0.2, 0.3]), 0.004, reports), 1.5)
+    assert phase["ticks_per_second"] == pytest.approx(900.0)
+    assert phase["late_percent"] == pytest.approx(100.0 * 19 / 2700)
+    assert phase["dropped"] == 50
+    assert phase["simulated_share"] == pytest.approx((0.95 + 2 * 0.8) / 3.0)
+    assert (phase["degraded"], phase["longest_gap_ms"], phase["bare_late_percent"]) == (["markers"], 4.0, 1.5)
+
+
+def busy_bounds(priority, *, peaks=(0.2, 0.2), rate=1000.0, late=0.0, back=0.0):
+    def phase(name):
+        hit = name == BUSY
+        ticks = [told(0.0, 0), told(10.0, round(10.0 * (rate if hit else 1000.0)), round(late if hit else 0.0))]
+        return latency_busy.phase_json(Poked(np.array(peaks if hit else (0.2, 0.2)), 0.0, ticks), 0.0)
+
+    nodes = [
+        {"realtime_priority": priority, "seconds_until_back": back, "phases": {name: phase(name) for name in PHASES}}
+    ]
+    found = latency_busy.as_json(10.0, 20, nodes)
+    assert latency_busy.text(found)
+    return {bound["name"].partition(": ")[2]: bound["met"] for bound in found["bounds"]}
+
+
+def test_bounds_beside_busy_programs():
+    assert all(busy_bounds(20).values())
+    assert busy_bounds(20, peaks=(0.2, 0.225))["worst poke, busy"] is False
+    assert busy_bounds(0, peaks=(0.175, 0.2))["worst poke, busy"] is False
+    assert busy_bounds(20, rate=980.0)["ticks lacking, busy"] is False
+    assert busy_bounds(20, late=100.0)["late ticks, busy"] is False
+    assert busy_bounds(20, back=91.0)["until nothing is given up"] is False
+    assert busy_bounds(0, rate=500.0, late=900.0)["ticks lacking, busy"] is None  # that of the priority: not measured
+
+
+def test_short_run_beside_busy_programs(tmp_path):
+    file = tmp_path / "busy.json"
+    assert main(["bench", "latency", "--busy", "--seconds", "4", "--json", str(file)]) == 0
+    found = json.loads(file.read_text())
+    assert [node["realtime_priority"] for node in found["nodes"]] == [0, 20][: 1 + is_allowed(20)]
+    for node in found["nodes"]:
+        assert len(node["phases"][QUIET]["peaks_n"]) == 4
+        assert np.median(node["phases"][QUIET]["peaks_n"]) > 0.05
+        assert node["phases"][AFTER]["ticks_per_second"] > 0.0
+
+
+def test_too_short_a_time_beside_busy_programs_is_refused(capsys):
+    assert main(["bench", "latency", "--busy", "--seconds", "2"]) == 2
+    assert "--seconds 2 with --busy" in capsys.readouterr().err

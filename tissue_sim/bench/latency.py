@@ -8,30 +8,29 @@ what else the machine does falls on all of them.
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import latency_busy
 from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
-from tissue_sim.jit import kernel
-from tissue_sim.model.realtime import now, sleep_until
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
-from tissue_sim.ros.shared.priority import HIGHEST, below, is_allowed, preferred
+from tissue_sim.ros.shared.priority import HIGHEST, below, is_allowed
 
 if TYPE_CHECKING:
     from tissue_sim.ros.probes.probe import Trip
 
 TURN = 5.0  # s that each of them is measured for before the next one's turn
-RATE = 1000.0  # Hz, of ticks and poses
 TRIPS = "node", "echo", "node, napping", "echo after as long a pause"
 MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the node's trips: so many times the echo's, and so many ticks
-MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and percentage points
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0,
         help="of the node and of what it is held against, 1 to 99, where the system allows it (default: 0, none)",
     )
+    parser.add_argument(
+        "--busy",
+        action="store_true",
+        help="beside a program on each core that never rests: what a hand feels and what the node gives up, without a"
+        f" real-time priority and with one ({latency_busy.PRIORITY} unless another is given)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,8 +55,9 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     if not 0 <= args.realtime_priority <= HIGHEST:
         raise UserError(f"--realtime-priority {args.realtime_priority} is outside 0..{HIGHEST}")
-    found = measure(args.organ, args.seconds, args.realtime_priority)
-    emit(found, text(found), args.json)
+    mode = latency_busy if args.busy else sys.modules[__name__]
+    found = mode.measure(args.organ, args.seconds, args.realtime_priority)
+    emit(found, mode.text(found), args.json)
     return exit_code(found, check=args.check)
 
 
@@ -103,27 +109,6 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
         return {"realtime_priority": priority, **found}
 
 
-def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
-    """How late, s, the ticks of a loop at RATE are that does nothing but be busy for so many s of each."""
-    late = np.zeros(round(seconds * RATE), dtype=np.int64)
-    with preferred(priority):
-        bare_loop(round(1e9 / RATE), round(1e9 * busy), late, np.zeros(4, dtype=np.int64))
-    return np.multiply(1e-9, late, dtype=np.float64)
-
-
-@kernel
-def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
-    """Sleep to each deadline, `period` ns apart, and be busy for `busy` ns; late (n,) ns."""
-    deadline = now(clock)
-    for tick in range(len(late)):
-        deadline += period
-        sleep_until(deadline, clock)
-        start = now(clock)
-        late[tick] = start - deadline
-        while now(clock) - start < busy:
-            pass
-
-
 # telling -------------------------------------------------------------------------------------------
 
 
@@ -136,13 +121,13 @@ def as_json(
     the bare loop's ticks, s; busy: us of each.
     """
     period, (done, late) = 1.0 / RATE, ticks
-    shares = 100.0 * late / max(1.0, done), 100.0 * float(np.mean(bare_late > period))
+    shares = 100.0 * late / max(1.0, done), late_percent(bare_late)
     ticks_beyond = TICKS_BEYOND * 1e6 * period
     node, echo, woken, echo_woken = (trips[name] for name in TRIPS)
     bounds = [
         Bound("round trip of the node, p99", node["p99_us"], MOST_OF_ECHO * echo["p99_us"] + ticks_beyond, "us"),
         Bound("that ends a nap, p50", woken["p50_us"], MOST_OF_ECHO * echo_woken["p50_us"] + ticks_beyond, "us"),
-        Bound("ticks late by more than a period", shares[0], MOST_OF_BARE * shares[1] + POINTS_BEYOND, "%"),
+        late_bound("ticks late by more than a period", *shares),
     ]
     return {
         "seconds": seconds,

@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.latency import MOST_OF_BARE, POINTS_BEYOND, RATE, bare
+from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
 from tissue_sim.bench.soak_bag import BagFound, read_bag
 from tissue_sim.errors import UserError
@@ -204,11 +204,11 @@ def as_json(
     turns: of the bare loop, when each began, s, and how late its ticks were, s; drift: m, of the shape at rest; clamp:
     N; problems: counters of the diagnostics that are not 0; failures: what they called an error.
     """
-    period, first, last = 1.0 / RATE, samples[0], samples[-1]
+    first, last = samples[0], samples[-1]
     done, late = last.ticks - first.ticks, last.late - first.late
     bare_late: Floats = np.concatenate([own for _, own in turns]) if turns else np.zeros(0)
     node_share = 100.0 * late / max(1, done)
-    bare_share = 100.0 * float(np.mean(bare_late > period)) if turns else None
+    bare_share = late_percent(bare_late) if turns else None
     memory = memory_of([one.seconds for one in samples], [one.megabytes for one in samples])
     dropped = last.dropped - first.dropped
     bounds = [
@@ -221,8 +221,7 @@ def as_json(
         Bound("ticks given up", dropped, 0.0, ""),
     ]
     if bare_share is not None:
-        limit = MOST_OF_BARE * bare_share + POINTS_BEYOND
-        bounds.append(Bound("ticks late by more than a period", node_share, limit, "%"))
+        bounds.append(late_bound("ticks late by more than a period", node_share, bare_share))
     if repeats is not None:
         bounds.append(Bound("replay that does not repeat", float(not repeats), 0.0, ""))
     return {

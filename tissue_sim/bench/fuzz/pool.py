@@ -18,14 +18,14 @@ from tissue_sim.bench.fuzz.cases import KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.trial import Trial, remains_of
 from tissue_sim.child import end_with_parent
 
-WARM_UP = 300.0  # s that a worker's first case of a kind may take beside its own: imports, kernels
+PREPARING = 600.0  # s that a case may take until its input is ready: imports, and kernels the first time
 _LOOK_EVERY = 0.5  # s
 
 _CONTEXT = multiprocessing.get_context("spawn")  # a fork would begin with this process's threads and memory
 
 
 def _serve(pipe: Connection, folder: str) -> None:
-    """A worker: a case comes in, its outcome goes out."""
+    """A worker: a case comes in; None goes out when its input is ready, and then its outcome."""
     end_with_parent()
     tqdm.set_lock(threading.RLock())  # its own holds a semaphore, which a process that is killed would leave behind
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the command, which ends the workers
@@ -35,7 +35,7 @@ def _serve(pipe: Connection, folder: str) -> None:
             case = pipe.recv()
         except EOFError:
             return
-        pipe.send(trial.run(case))
+        pipe.send(trial.run(case, lambda: pipe.send(None)))
 
 
 class _Worker:
@@ -45,7 +45,6 @@ class _Worker:
         self._start()
 
     def _start(self) -> None:
-        self._warm: set[str] = set()
         self._own = tempfile.TemporaryDirectory(dir=self._folder)
         self.pipe, other = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(target=_serve, args=(other, self._own.name), daemon=True)
@@ -54,10 +53,7 @@ class _Worker:
 
     def give(self, case: Case) -> None:
         """Let it run a case."""
-        kind = KINDS[case.kind]
-        self.case, self._started = case, time.monotonic()
-        self._patience = kind.seconds + (0.0 if case.kind in self._warm else WARM_UP)
-        self._warm.add(case.kind)
+        self.case, self._started, self._patience = case, time.monotonic(), PREPARING
         self.pipe.send(case)
 
     def outcome(self) -> Outcome | None:
@@ -66,13 +62,16 @@ class _Worker:
         assert case is not None
         if self.pipe.poll():
             try:
-                found: Outcome = self.pipe.recv()
-                self.case = None
+                found: Outcome | None = self.pipe.recv()
+                if found is None:
+                    self._started, self._patience = time.monotonic(), KINDS[case.kind].seconds
+                else:
+                    self.case = None
                 return found
             except (EOFError, ConnectionError):
                 return self._anew(case, "")
         if time.monotonic() - self._started > self._patience:
-            return self._anew(case, f"hung: not done after {KINDS[case.kind].seconds:.0f} s")
+            return self._anew(case, f"hung: not done after {self._patience:.0f} s")
         return None
 
     def _anew(self, case: Case, reason: str) -> Outcome:

@@ -50,8 +50,8 @@ class Trial:
         self._warm: set[str] = set()
         self._watch = Watch(folder)
 
-    def run(self, case: Case) -> Outcome:
-        """Make the input of a case, use it, judge."""
+    def run(self, case: Case, when_ready: Callable[[], object] = lambda: None) -> Outcome:
+        """Make the input of a case, say so, use it, judge."""
         kind = KINDS[case.kind]
         (self.folder / WHAT).unlink(missing_ok=True)
         self._clear()
@@ -64,6 +64,7 @@ class Trial:
         ready = kind.prepare(case, self.folder / INPUT)
         (self.folder / WHAT).write_text(ready.what, encoding="utf-8")
         gc.collect()
+        when_ready()
         verdict, line, seconds, megabytes = self._used(ready, kind)
         (self.folder / OUTSIDE).unlink()
         return Outcome(case, verdict, line, ready.what, seconds, megabytes)

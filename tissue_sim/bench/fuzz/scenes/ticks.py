@@ -80,8 +80,11 @@ def made(variant: str) -> tuple[Scene, Settings]:
     """The scene of a variant, which all its cases use, and the settings that it has by default."""
     _, name, chosen = VARIANTS[variant]
     scene = Scene(_organ(name), list(TOOLS), ticks_a_set=TICKS_A_SET, **chosen)
-    for _ in range(3):
+    for tick in range(1, 4):  # all that compiles does so now
         scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
+        for tool in range(len(TOOLS)):
+            scene.move(tool, scene.simulation.model.rest[0], np.array([0.0, 0.0, 0.0, 1.0]), 0.3, 1_000_000 * tick)
+            scene.push(tool, np.full(3, 1e-3))
         scene.step()
     return scene, copy_of(scene.simulation.settings)
 

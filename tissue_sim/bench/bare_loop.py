@@ -1,0 +1,47 @@
+"""A loop that keeps the node's rate and is as busy, and does nothing else: what this machine allows at that moment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.bench.printing import Bound
+from tissue_sim.jit import kernel
+from tissue_sim.model.realtime import now, sleep_until
+from tissue_sim.ros.shared.priority import preferred
+
+RATE = 1000.0  # Hz, of ticks and poses
+MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and percentage points
+
+
+def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
+    """How late, s, the ticks of a loop at RATE are that does nothing but be busy for so many s of each."""
+    late = np.zeros(round(seconds * RATE), dtype=np.int64)
+    with preferred(priority):
+        bare_loop(round(1e9 / RATE), round(1e9 * busy), late, np.zeros(4, dtype=np.int64))
+    return np.multiply(1e-9, late, dtype=np.float64)
+
+
+def late_percent(late: Floats) -> float:
+    """Share of ticks, so many s late each, that were late by more than a period."""
+    return 100.0 * float(np.mean(late > 1.0 / RATE))
+
+
+def late_bound(name: str, node_percent: float, bare_percent: float) -> Bound:
+    """What the node's share of late ticks is held against."""
+    return Bound(name, node_percent, MOST_OF_BARE * bare_percent + POINTS_BEYOND, "%")
+
+
+@kernel
+def bare_loop(period: int, busy: int, late: Any, clock: Any) -> None:
+    """Sleep to each deadline, `period` ns apart, and be busy for `busy` ns; late (n,) ns."""
+    deadline = now(clock)
+    for tick in range(len(late)):
+        deadline += period
+        sleep_until(deadline, clock)
+        start = now(clock)
+        late[tick] = start - deadline
+        while now(clock) - start < busy:
+            pass

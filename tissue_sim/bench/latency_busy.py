@@ -1,0 +1,198 @@
+"""`tissue_sim bench latency --busy`: what a hand feels, and what the node gives up, beside a program on each core.
+
+A hand pokes the organ once a second, poses at the full rate: on a quiet machine, beside one program on each core that
+never rests, and after that. A bare loop has its turn at the end of each, under the same load. All of it without a
+real-time priority, and with one, which then the hand has too.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
+from tissue_sim.bench.printing import Bound, aligned, bound_lines
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.probes.graph import NODE, Graph, ticks
+from tissue_sim.ros.shared.children import Child
+from tissue_sim.ros.shared.priority import below, is_allowed
+
+if TYPE_CHECKING:
+    from tissue_sim.ros.probes.pokes import Poked, Pokes
+
+PRIORITY = 20  # where none is asked for
+PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
+SHORTEST = 4.0  # s of a phase
+WARMING_UP = 3.0  # s of poking that don't count
+BARE_SHARE = 0.25  # of a phase's time, that the bare loop has after it
+LONGEST_BACK = 90.0  # s for the node to take back what it gave up
+MOST_FELT = 10.0  # %, by how much the highest force of a poke may differ from the undisturbed ones'
+MOST_LACKING = 1.0  # % of the ticks
+SPINNING = "while True: pass"
+
+
+def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[str, Any]:
+    """Figures of a node without a real-time priority and of one with it, each phase so many s long.
+
+    priority: of the second node's loop; 0 for PRIORITY. Where the system doesn't allow it, the first stands alone.
+    Raises UserError when rclpy is not installed, a node does not start or tells nothing, or the time is too short.
+    """
+    if seconds < SHORTEST:
+        raise UserError(f"--seconds {seconds:g} with --busy is less than {SHORTEST:g}")
+    priority = priority or PRIORITY
+    path = organ_file or str(shipped_organ())
+    wanted = [0, priority] if is_allowed(priority) else [0]
+    with tqdm(total=len(wanted) * len(PHASES), disable=None, unit="phase") as bar:
+        nodes = [_node(path, seconds, one, bar) for one in wanted]
+    return as_json(seconds, priority, nodes)
+
+
+def _node(path: str, seconds: float, priority: int, bar: tqdm[Any]) -> dict[str, Any]:
+    """The phases of one node."""
+    with Graph() as graph:
+        from tissue_sim.ros.probes.pokes import Pokes
+        from tissue_sim.ros.shared.client import client_node
+
+        settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", "left.radius:=0.005"
+        served = graph.start_node(path, *settings)
+        graph.start("probes.listener", NODE)
+        ticks(served)
+        own = graph.enter_context(client_node("busy_probe", NODE))
+        hand = Pokes(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))
+        hand.meet()
+        hand.poke(WARMING_UP)
+        phases = {QUIET: _phase(hand, seconds, priority, bar)}
+        with spinning():
+            phases[BUSY] = _phase(hand, seconds, priority, bar)
+        back = hand.poke_until_whole(LONGEST_BACK)
+        phases[AFTER] = _phase(hand, seconds, priority, bar)
+    return {"realtime_priority": priority, "seconds_until_back": back, "phases": phases}
+
+
+@contextmanager
+def spinning() -> Iterator[None]:
+    """A program on each core that never rests, for a while."""
+    cores = len(os.sched_getaffinity(0))
+    programs = [Child("spinning", [sys.executable, "-c", SPINNING], os.environ) for _ in range(cores)]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.stop()
+
+
+def _phase(hand: Pokes, seconds: float, priority: int, bar: tqdm[Any]) -> dict[str, Any]:
+    found = hand.poke(seconds)
+    bare_late = late_percent(bare(BARE_SHARE * seconds, found.told[-1].busy, priority))
+    bar.update()
+    return phase_json(found, bare_late)
+
+
+# telling -------------------------------------------------------------------------------------------
+
+
+def phase_json(found: Poked, bare_percent: float) -> dict[str, Any]:
+    """Figures of one phase: the node's between its first report and its last, and what was felt."""
+    first, last = found.told[0], found.told[-1]
+    done, wall = last.tick - first.tick, last.seconds - first.seconds
+    between = np.diff([told.seconds for told in found.told])
+    return {
+        "peaks_n": found.peaks.tolist(),
+        "longest_gap_ms": 1e3 * found.gap,
+        "ticks_per_second": done / wall,
+        "late_percent": 100.0 * (last.late - first.late) / max(1, done),
+        "bare_late_percent": bare_percent,
+        "dropped": last.dropped - first.dropped,
+        "simulated_share": float(np.average([told.pace for told in found.told[1:]], weights=between)),
+        "degraded": sorted({told.degraded for told in found.told} - {"none"}),
+    }
+
+
+def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """All figures, and the bounds that they are held against.
+
+    nodes: of the one without a priority, and of the one with it if there was one; each with its phases.
+    """
+    bounds = []
+    for node in nodes:
+        phases, whose = node["phases"], _whose(node)
+        undisturbed = float(np.median(phases[QUIET]["peaks_n"]))
+        for phase in phases.values():
+            off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / max(undisturbed, 1e-9)
+            phase["felt_off_percent"] = 100.0 * float(off.max())
+        busy, after = phases[BUSY], phases[AFTER]
+        bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))
+        bounds += [
+            Bound(
+                f"{whose}: ticks lacking, {name}", 100.0 * (1.0 - phase["ticks_per_second"] / RATE), MOST_LACKING, "%"
+            )
+            for name, phase in ((BUSY, busy), (AFTER, after))
+            if name == AFTER or node["realtime_priority"]
+        ]
+        bounds.append(Bound(f"{whose}: until nothing is given up", node["seconds_until_back"], LONGEST_BACK, "s"))
+        bounds.append(late_bound(f"{whose}: late ticks, {AFTER}", after["late_percent"], after["bare_late_percent"]))
+        if node["realtime_priority"]:
+            bounds.append(late_bound(f"{whose}: late ticks, {BUSY}", busy["late_percent"], busy["bare_late_percent"]))
+    if not any(node["realtime_priority"] for node in nodes):
+        bounds.append(
+            Bound(f"{_whose({'realtime_priority': priority})}: ticks lacking, {BUSY}", None, MOST_LACKING, "%")
+        )
+    return {
+        "seconds": seconds,
+        "rate_hz": RATE,
+        "realtime_priority": priority,
+        "programs": len(os.sched_getaffinity(0)),
+        "nodes": nodes,
+        "bounds": [bound.as_json() for bound in bounds],
+    }
+
+
+def text(found: dict[str, Any]) -> str:
+    """The figures as tables."""
+    rows = [["node", "ticks/s", "late", "bare loop", "given up", "simulated", "highest force", "worst", "longest gap"]]
+    remarks = []
+    for node in found["nodes"]:
+        for name, phase in node["phases"].items():
+            rows.append(
+                [
+                    f"{_whose(node)}, {name}",
+                    f"{phase['ticks_per_second']:.1f}",
+                    f"{phase['late_percent']:.2f} %",
+                    f"{phase['bare_late_percent']:.2f} %",
+                    f"{phase['dropped']}",
+                    f"{100.0 * phase['simulated_share']:.2f} %",
+                    f"{np.median(phase['peaks_n']):.3f} N",
+                    f"{phase['felt_off_percent']:.1f} %",
+                    f"{phase['longest_gap_ms']:.1f} ms",
+                ]
+            )
+        given_up = sorted({what for phase in node["phases"].values() for what in phase["degraded"]})
+        if given_up:
+            back = node["seconds_until_back"]
+            remarks.append(f"{_whose(node)}: gave up {', '.join(given_up)}; all back {back:.0f} s after the load")
+    if not any(node["realtime_priority"] for node in found["nodes"]):
+        remarks.append(f"priority {found['realtime_priority']} was not measured: this user may not ask for it, see"
+                       " 'ulimit -r'")  # fmt: skip
+    lines = [
+        f"{found['seconds']:g} s each; a poke a second, poses at {found['rate_hz']:g} Hz, one subscriber of markers at"
+        f" 60 Hz; busy: {found['programs']} programs that never rest",
+        *aligned(rows),
+        *remarks,
+        "late: by more than a period; worst: of the pokes, how far from the quiet ones; longest gap: between poses",
+        "",
+        *bound_lines(found["bounds"]),
+    ]
+    return "\n".join(lines)
+
+
+def _whose(node: dict[str, Any]) -> str:
+    priority = node["realtime_priority"]
+    return f"priority {priority}" if priority else "no priority"

@@ -1,0 +1,110 @@
+"""Pokes an organ once a second by the clock, as a hand does, and takes what that hand feels."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.probes.hand import DEPTH, Hand
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.priority import preferred
+
+POKES = 1.0  # Hz
+SHORTEST = 3.0  # s of poking in which the node has told something twice
+
+
+class Told(NamedTuple):
+    """One report of the node."""
+
+    seconds: float  # s, its stamp
+    tick: int  # so far
+    late: int  # ticks late by more than a period, so far
+    dropped: int  # ticks given up, so far
+    pace: float  # simulated time over that of the clock, since the report before
+    busy: float  # s, median time of a tick
+    degraded: str  # what is given up
+
+
+class Poked(NamedTuple):
+    """What was felt and told during pokes."""
+
+    peaks: Floats  # N, the highest force of each whole poke
+    gap: float  # s, the longest between two poses: what the hand itself was kept waiting
+    told: list[Told]
+
+
+def depth_after(seconds: float) -> float:
+    """How deep the tool is, m, after so many s: as far out as it comes in, and out at first."""
+    return -DEPTH * float(np.cos(2.0 * np.pi * POKES * seconds))
+
+
+class Pokes(Hand):
+    """A hand that pokes; like a haptic bridge it sends the pose of the moment, and none for a moment that it missed.
+
+    target: the node that is poked; priority: real-time priority of the hand.
+    """
+
+    def __init__(self, node: Node, target: str, organ: Organ, *, rate: float = 1000.0, priority: int = 0) -> None:
+        super().__init__(node, organ, rate)
+        self._target, self._priority = target, priority
+        self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
+        self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
+
+    def poke(self, seconds: float) -> Poked:
+        """Poke for so many s, SHORTEST at least. Raises UserError when the node tells nothing meanwhile."""
+        pokes = int(seconds * POKES)
+        peaks, told, gap = np.zeros(pokes + 1), [], 0.0
+        self._wrenches.take()
+        self._reports.take_all()
+        with preferred(self._priority):
+            began = sent = time.monotonic()
+            while (elapsed := time.monotonic() - began) < pokes / POKES:
+                gap = max(gap, began + elapsed - sent)
+                sent = began + elapsed
+                self.send(depth_after(elapsed))
+                wrench = self._wrenches.take()
+                if wrench is not None:
+                    force = wrench.wrench.force
+                    poke = int(elapsed * POKES)
+                    peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
+                told += self._told()
+                time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
+        if len(told) < 2:
+            raise UserError(f"the node sent no diagnostics for {seconds:g} s")
+        return Poked(peaks[:pokes], gap, told)
+
+    def poke_until_whole(self, seconds: float) -> float:
+        """Poke until the node gives nothing up, but not much longer than `seconds`; returns how long that took, s."""
+        began = time.monotonic()
+        while (took := time.monotonic() - began) < seconds:
+            if self.poke(SHORTEST).told[-1].degraded == "none":
+                break
+        return took
+
+    def _told(self) -> list[Told]:
+        found = []
+        for report in self._reports.take_all():
+            values = client.physics_status([report], self._target)
+            if values is not None:
+                found.append(_as_told(report.header.stamp, values))
+        return found
+
+
+def _as_told(stamp: Any, values: dict[str, str]) -> Told:
+    return Told(
+        stamp.sec + 1e-9 * stamp.nanosec,
+        int(values["tick"]),
+        int(values["overruns"]),
+        int(values["dropped_ticks"]),
+        float(values["real_time_factor"]),
+        1e-6 * float(values["tick_p50_us"]),
+        values["degraded"],
+    )
