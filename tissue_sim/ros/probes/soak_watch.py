@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
 PATIENCE = 30.0  # s for the node to answer, or for the organ to come to rest
 # Counters in the diagnostics that stay at 0 while nothing is wrong; so do all with these ends and parts.
-PROBLEMS = (
-    *("faults", "false_rest_shapes", "steps_found_too_long", "clamped_ticks"),
-    *("dropped_contacts", "lost_bag_messages"),
-)
+PROBLEMS = "faults", "false_rest_shapes", "clamped_ticks", "dropped_contacts", "lost_bag_messages"
 PROBLEM_PARTS = "_failures", ".refused."
 
 
