@@ -85,6 +85,34 @@ def test_full_disk_or_closed_stream_takes_one_line(stream):
         assert done.returncode == 0
 
 
+def test_a_pipe_that_breaks_elsewhere_is_no_success(monkeypatch, capsys):
+    """Only who closes the standard output, as `head` does, wants no more."""
+
+    def broken(*_):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(Organ, "digest", broken)
+    monkeypatch.setattr(cli, "output_is_gone", lambda: False)
+    assert cli.main(["info", "config/organs/kidney.npz", "--json"]) == 1
+    assert "Broken pipe" in capsys.readouterr().err
+
+
+def test_output_is_gone_when_its_reader_is():
+    code = "import sys; from tissue_sim.errors import output_is_gone; sys.stderr.write(str(output_is_gone()))"
+    assert run(code).stderr == "False"
+    gone = f"{sys.executable} -c 'import time; time.sleep(0.3); {code}' | true"
+    assert subprocess.run(gone, shell=True, capture_output=True, text=True).stderr == "True"
+
+
+def test_what_a_terminal_obeys_is_told_and_not_sent(capsys):
+    assert cli.main(["info", "no\x1b[2Jorgan\n.npz"]) == 2
+    told_line = capsys.readouterr().err
+    assert "\x1b" not in told_line
+    assert told_line.count("\n") == 1
+    assert "no\\x1b[2Jorgan\\n.npz" in told_line
+    assert len(told(ValueError("x" * 10_000))) < 700
+
+
 def test_caller_of_main_keeps_its_hooks():
     before = sys.excepthook
     assert cli.main(["info", "nowhere.npz"]) == 2

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import tissue_sim
 from tissue_sim.commands import COMMANDS
-from tissue_sim.errors import UserError, give_up_output
+from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
 from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
 
 UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should
@@ -55,9 +55,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()  # what fails there is to be told here
         return code
     except UserError as error:
-        sys.stderr.write(f"tissue_sim: error: {error}\n")
+        sys.stderr.write(f"tissue_sim: error: {printable(str(error))}\n")
         return 2
-    except BrokenPipeError:
+    except BrokenPipeError as error:
+        if not output_is_gone():
+            tell(error, "tissue_sim")
+            return 1
         give_up_output()
         return 0
     except KeyboardInterrupt:  # before the command listens for it

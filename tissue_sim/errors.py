@@ -1,6 +1,7 @@
 """Errors that reach a user: one line that names the thing and the remedy."""
 
 import os
+import select
 import sys
 
 
@@ -13,8 +14,23 @@ class UserError(Exception):
 
 def shown(text: str, longest: int = 60) -> str:
     """What comes from outside as a line may have it: short, and without what a terminal would obey."""
-    short = text if len(text) <= longest else f"{text[:longest]}..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in short)
+    return printable(text if len(text) <= longest else f"{text[:longest]}...")
+
+
+def printable(text: str) -> str:
+    """Text in one line, without what a terminal would obey."""
+    return (
+        text
+        if text.isprintable()
+        else "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    )
+
+
+def output_is_gone() -> bool:
+    """Whether who read the standard output has closed it, as `head` does."""
+    looked = select.poll()
+    looked.register(sys.stdout.fileno(), select.POLLERR)
+    return bool(looked.poll(0))
 
 
 def give_up_output() -> None:

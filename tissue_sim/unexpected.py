@@ -9,9 +9,10 @@ import traceback
 from pathlib import Path
 from types import TracebackType
 
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, printable, shown
 
 TRACEBACK = "TISSUE_SIM_TRACEBACK"  # set to anything but nothing: the traceback is shown, too
+LONGEST = 500  # characters of what an error says
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -31,7 +32,7 @@ def place_of(error: BaseException) -> str:
 
 def told(error: BaseException) -> str:
     """An error in one line: its type, what it says, and its place."""
-    said = " ".join(str(error).split())
+    said = shown(" ".join(str(error).split()), LONGEST)
     place = place_of(error)
     return f"{type(error).__name__}{': ' if said else ''}{said}{f' ({place})' if place else ''}"
 
@@ -41,7 +42,7 @@ def tell(error: BaseException, program: str) -> None:
     if os.environ.get(TRACEBACK):
         _write("".join(traceback.format_exception(error)))
     if isinstance(error, UserError):
-        _write(f"{program}: error: {error}\n")
+        _write(f"{program}: error: {printable(str(error))}\n")
     elif isinstance(error, OSError) and error.strerror:  # of the machine, and mostly plain
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         _write(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")

@@ -13,6 +13,7 @@ from tissue_sim.model.diagonal import diagonal
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.implicit import bounding_stiffness, make_factor, write_factor
 from tissue_sim.model.integrators import implicit_euler
+from tissue_sim.model.records import copy_of, words_of
 from tissue_sim.model.simulation import Simulation
 
 
@@ -112,6 +113,28 @@ each_organ = pytest.mark.parametrize(
     [ball(2), ball_of_cells(), pytest.param(kidney(), marks=pytest.mark.slow)],
     ids=["ball", "cells", "kidney"],
 )
+
+
+def test_each_slot_knows_what_it_was_made_for():
+    """Going back to a slot whose factor is another one makes that anew."""
+    simulation = Simulation(ball(1), integrator="implicit")
+    first = copy_of(simulation.settings)
+    before = solved(simulation)
+    for scale in (4.0, 9.0):
+        simulation.settings.stiffness_scale = scale
+        simulation.set_substeps()
+    assert simulation.settings.factor_slot == first.factor_slot
+    words_of(simulation.settings)[:] = words_of(first)
+    simulation.set_substeps()
+    np.testing.assert_array_equal(solved(simulation), before)
+
+
+def solved(simulation):
+    """What a force does in one step."""
+    simulation.reset()
+    simulation.apply_force([0], [[0.0, 0.0, 0.01]])
+    simulation.step()
+    return simulation.positions.copy()
 
 
 # whole ticks -----------------------------------------------------------------------------------

@@ -58,10 +58,11 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
 def _node(path: str, seconds: float, priority: int, bar: tqdm[Any]) -> dict[str, Any]:
     """The phases of one node."""
     with Graph() as graph:
+        from tissue_sim.ros.probes.hand import RADIUS
         from tissue_sim.ros.probes.pokes import Pokes
         from tissue_sim.ros.shared.client import client_node
 
-        settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", "left.radius:=0.005"
+        settings = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0", f"left.radius:={RADIUS}"
         served = graph.start_node(path, *settings)
         graph.start("probes.listener", NODE)
         ticks(served)
@@ -124,9 +125,10 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
     bounds = []
     for node in nodes:
         phases, whose = node["phases"], _whose(node)
-        undisturbed = float(np.median(phases[QUIET]["peaks_n"]))
+        if not (undisturbed := float(np.median(phases[QUIET]["peaks_n"]))) > 0.0:
+            raise UserError("no poke was felt on the quiet machine; an organ wider than 12 mm along x is wanted")
         for phase in phases.values():
-            off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / max(undisturbed, 1e-9)
+            off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / undisturbed
             phase["felt_off_percent"] = 100.0 * float(off.max())
         busy, after = phases[BUSY], phases[AFTER]
         bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))

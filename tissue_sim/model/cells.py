@@ -16,6 +16,7 @@ from tissue_sim.model.blocks import BLOCK, aligned, pack
 from tissue_sim.model.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
 from tissue_sim.model.fans import ROOM, Fans, fans_of, set_penalty
 from tissue_sim.model.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
+from tissue_sim.model.volumes import triple_product
 
 if TYPE_CHECKING:
     from tissue_sim.model.assembly import Model
@@ -75,9 +76,10 @@ def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:
 def shapes_of(rest: Floats, cells: Ints | Longs) -> tuple[Floats, Floats]:
     """Slopes of the nodes' shape functions (c, 4, 3) 1/m of cells (c, 4) at rest (n, 3) m, and volumes (c,) m^3."""
     corner = rest[cells]
-    edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
-    inverse = np.linalg.inv(edges)
-    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), np.linalg.det(edges) / 6.0
+    a, b, c = (corner[:, k] - corner[:, 0] for k in (1, 2, 3))
+    six = triple_product(a, b, c)
+    first, second, third = (np.cross(*pair) / six[:, None] for pair in ((b, c), (c, a), (a, b)))
+    return np.stack([-(first + second + third), first, second, third], axis=1), six / 6.0
 
 
 def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float) -> Floats:

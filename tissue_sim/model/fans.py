@@ -16,6 +16,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, pack
 from tissue_sim.model.cell_law import SQUEEZED, STIFF, minor, pressure_of
 from tissue_sim.model.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
+from tissue_sim.model.volumes import triple_product
 
 CELLS = 3  # in a fan
 ARMS = 5  # from its first node to the others
@@ -47,7 +48,7 @@ def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: F
     constants = np.zeros((len(members), CONSTANTS))
     for which, arms in enumerate(CORNERS):
         corner = np.concatenate([nodes[:, :1], nodes[:, [1 + arm for arm in arms]]], axis=1)
-        volume = np.linalg.det(rest[corner[:, 1:]] - rest[corner[:, :1]]) / 6.0
+        volume = triple_product(*(rest[corner[:, k]] - rest[corner[:, 0]] for k in (1, 2, 3))) / 6.0
         own, some = member[:, which], there[:, which].astype(np.float64)
         place = np.argmax(quads[own][:, None, :] == corner[:, :, None], axis=2)
         slopes = np.take_along_axis(slope[own], place[:, :, None], axis=1)
@@ -184,7 +185,7 @@ def _nodes_of(rest: Floats, cells: Longs, members: Longs) -> Longs:
     first = np.where(members[:, 0] >= 0, apex[0], fourth)
     last = np.where(members[:, 2] >= 0, apex[1], third)
     edges = rest[np.stack([ends[:, 1], third, fourth], axis=1)] - rest[ends[:, :1]]
-    inward = np.linalg.det(edges) < 0.0
+    inward = triple_product(edges[:, 0], edges[:, 1], edges[:, 2]) < 0.0
     ends[inward] = ends[inward][:, ::-1]
     return np.concatenate([ends, np.stack([first, third, fourth, last], axis=1)], axis=1)
 

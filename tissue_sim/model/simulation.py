@@ -119,7 +119,7 @@ class Simulation:
         self.implied = return_target == "implied"
         self._tick = tick_implied_world if self.implied else tick_world
         self._fixed_substeps = substeps
-        self._made_for = (0.0, 0.0, 0.0)  # step, stiffness and damping of the implicit factor in use
+        self._made_for = [(0.0, 0.0, 0.0)] * 2  # step, stiffness and damping of the implicit factor in each slot
         self.settings = Settings.new()
         self.settings.tick_time = 1.0 / rate
         self.settings.friction = 0.6
@@ -314,10 +314,10 @@ class Simulation:
         """Use settings that were worked out before, by a run that is repeated."""
         words_of(self.settings)[:] = words_of(settings)
         if self.integrator == "implicit":
-            made_for = self._step_settings()
-            if made_for != self._made_for:
-                write_factor(self.model, int(settings.factor_slot), *made_for)
-                self._made_for = made_for
+            made_for, slot = self._step_settings(), int(self.settings.factor_slot)
+            if made_for != self._made_for[slot]:
+                write_factor(self.model, slot, *made_for)
+                self._made_for[slot] = made_for
 
     def _longest_step(self, integrator: str) -> float:
         scale, damping = float(self.settings.stiffness_scale), float(self.settings.damping_scale)
@@ -332,13 +332,14 @@ class Simulation:
     def _set_factor(self) -> None:
         """Factor the implicit matrix for the present settings, into the slot that is not in use."""
         settings, made_for = self.settings, self._step_settings()
+        slot = int(settings.factor_slot)
         if self.model.factor is None:
             self.model = self.model._replace(factor=make_factor(self.model, *made_for))
-        elif made_for != self._made_for:
-            slot = 1 - int(settings.factor_slot)
+        elif made_for != self._made_for[slot]:
+            slot = 1 - slot
             write_factor(self.model, slot, *made_for)
             settings.factor_slot = slot
-        self._made_for = made_for
+        self._made_for[slot] = made_for
 
     def restore(self, fields: Mapping[str, NDArray[Any]]) -> None:
         """Continue from the fields of a state (state.fields_of); raises UserError when they don't fit."""

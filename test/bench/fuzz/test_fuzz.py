@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from tissue_sim.bench.fuzz import pool
 from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case
 from tissue_sim.bench.fuzz.pool import run_cases
 from tissue_sim.cli import main
@@ -30,6 +31,18 @@ def test_workers_that_are_ended_leave_nothing_behind():
     assert " used: " in done.stdout
     assert "leaked" not in done.stderr
     assert "Warning" not in done.stderr
+
+
+def test_a_worker_that_dies_between_two_cases_is_begun_anew(tmp_path):
+    worker = pool._Worker(tmp_path)
+    worker._process.kill()
+    worker._process.join()
+    worker.give(Case("organ", 5, 0))
+    outcome = None
+    while outcome is None:
+        outcome = worker.outcome()
+    worker.stop()
+    assert outcome.verdict in ("used", "refused")
 
 
 def test_organ_is_as_before_after_hostile_ticks():

@@ -12,6 +12,23 @@ from helpers.paths import ROOT
 BAGS = [str(ROOT / "bags" / name) for name in ("nip", "gripper", "local_force")]
 
 
+KERNELS_OF_BLAS = "Nehalem", "Haswell"  # of OpenBLAS, which has others for other processors; each runs on AVX2
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
+@pytest.mark.parametrize("kernels", KERNELS_OF_BLAS)
+def test_another_processors_linear_algebra_repeats_to_the_last_bit(kernels):
+    """What a replay computes beside its compiled kernels: cells' shapes, poses."""
+    words = ["--force-tolerance", "0", "--position-tolerance", "0", "--torque-tolerance", "0"]
+    done = subprocess.run(
+        [sys.executable, "-m", "tissue_sim", "replay", *BAGS[:1], *words],
+        env=os.environ | {"OPENBLAS_CORETYPE": kernels},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 def test_another_instruction_set_repeats_to_the_last_bit(tmp_path):

@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from lz4.frame import compress as lz4
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.storage_mcap import zstd
@@ -17,6 +18,7 @@ from tissue_sim.ros.bags import metadata, recovery
 from tissue_sim.ros.bags.player import replay
 from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.bags.writer import BagWriter, Topic
+from tissue_sim.ros.shared.messages import NumbersTemplate
 
 BAG = ROOT / "bags" / "poke"
 LARGE = recovery.LARGEST_CHUNK
@@ -151,23 +153,71 @@ def test_metadata_of_another_storage_is_refused(bag, capsys):
     path, _, _ = bag
     told = path / metadata.NAME
     told.write_text(told.read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3"))
-    assert "can't be read" in refused(capsys, path)
+    assert "is of storage sqlite3" in refused(capsys, path)
 
 
-def test_a_bag_without_settings_is_refused(bag, capsys):
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_what_is_packed_without_a_length_is_refused(bag, capsys, monkeypatch, mode):
+    """Files and messages, which rosbags would unpack to whatever comes."""
     path, _, _ = bag
-    (topic,) = {name for name, *_ in contents() if name.endswith("/settings")}
-    shutil.rmtree(path)
+    told = path / metadata.NAME
+    text = told.read_text().replace("compression_mode: ''", f"compression_mode: {mode}")
+    told.write_text(text.replace("compression_format: ''", "compression_format: zstd"))
+    for name in ("decompress", "open"):
+        monkeypatch.setattr(zstd, name, lambda *_: pytest.fail("unpacked without a bound"))
+    assert f"compression {mode.lower()}" in refused(capsys, path)
+
+
+def test_a_file_of_any_name_is_looked_through_before_it_is_read(bag, capsys, monkeypatch):
+    path, file, data = bag
+    file.unlink()
+    (path / "bag.dat").write_bytes(with_chunk(data, 1000, "zstd", BOMB))
+    told = path / metadata.NAME
+    told.write_text(told.read_text().replace(file.name, "bag.dat"))
+    monkeypatch.setattr(zstd, "decompress", lambda *_: pytest.fail("unpacked without a bound"))
+    assert "unpack" in refused(capsys, path)
+
+
+@pytest.mark.parametrize(
+    ("topic", "values", "told"),
+    [
+        ("measured_cp", (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "metres"),
+        ("measured_cp", (1e300, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "metres"),
+        ("measured_cf", (np.inf, 0.0, 0.0, 0.0, 0.0, 0.0), "newtons"),
+    ],
+)
+def test_poses_and_forces_that_no_node_takes_up_are_refused(tmp_path, capsys, topic, values, told):
+    kind = {"measured_cp": PoseStamped, "measured_cf": WrenchStamped}[topic]
+    odd = NumbersTemplate(kind(), len(values), "organ").message(1, values)
+    path = rewritten(
+        tmp_path / "bag",
+        lambda name, raw: odd if name.endswith(f"left/{topic}") else raw,
+        odd if topic == "measured_cf" else b"",
+    )
+    assert told in refused(capsys, path)
+
+
+def test_a_bag_without_settings_is_refused(tmp_path, capsys):
+    path = rewritten(tmp_path / "bag", lambda name, raw: b"" if name.endswith("/settings") else raw)
+    assert "holds no settings" in refused(capsys, path)
+
+
+def rewritten(path, changed, added=b""):
+    """The bag with other bytes, or without messages that become none; `added` comes as left/measured_cf, too."""
     writer = BagWriter(path)
     writer.open()
     with Reader(BAG) as reader:
         topics = {one.topic: Topic(one.msgtype, metadata.qos_of(one)) for one in reader.connections}
-    added = writer.add_topics(topics)
-    for name, stamp, raw in contents():
-        if name != topic:
-            writer.write(added[name], stamp, raw)
+    places = writer.add_topics(topics)
+    messages = contents()
+    if added:
+        (force,) = (name for name in topics if name.endswith("left/measured_cf"))
+        messages.append((force, messages[-1][1], added))
+    for name, stamp, raw in messages:
+        if found := changed(name, raw):
+            writer.write(places[name], stamp, found)
     writer.close()
-    assert "holds no settings" in refused(capsys, path)
+    return path
 
 
 def contents():

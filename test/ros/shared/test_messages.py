@@ -11,6 +11,8 @@ from std_msgs.msg import Float64MultiArray, String, UInt8MultiArray
 from helpers.ros.processes import shipped
 from tissue_sim.ros.shared.cdr import (
     UNSTAMPED,
+    check_force,
+    check_position,
     parse_cloud,
     parse_number,
     parse_octets,
@@ -156,3 +158,14 @@ def test_rest_mesh_is_the_organ():
     read = deserialize_message(rest_mesh(organ), Mesh)
     assert np.array_equal([t.vertex_indices for t in read.triangles], organ.surface_triangles)
     assert np.array_equal([(v.x, v.y, v.z) for v in read.vertices], organ.surface_positions)
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e300, 101.0])
+def test_positions_and_forces_of_another_unit_are_refused(odd):
+    """What is no number, too: turning a pose of large ones into another frame may make that of it."""
+    check_position(np.array([99.0, -99.0, 0.0]))
+    check_force(np.array([1e5, 0.0, -1e5]))
+    with pytest.raises(ValueError, match="metres"):
+        check_position(np.array([0.0, odd, 0.0]))
+    with pytest.raises(ValueError, match="newtons"):
+        check_force(np.array([0.0, 1e5 * odd, 0.0]))

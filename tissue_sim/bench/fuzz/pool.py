@@ -53,8 +53,13 @@ class _Worker:
 
     def give(self, case: Case) -> None:
         """Let it run a case."""
+        try:
+            self.pipe.send(case)
+        except OSError:  # it has died since its last case
+            self.stop()
+            self._start()
+            self.pipe.send(case)
         self.case, self._started, self._patience = case, time.monotonic(), PREPARING
-        self.pipe.send(case)
 
     def outcome(self) -> Outcome | None:
         """That of its case, if there is one by now; a worker that has died or hangs is begun anew."""

@@ -50,7 +50,7 @@ def _is_object(value: Any) -> bool:
 
 
 def _is_name(value: Any) -> bool:
-    return isinstance(value, str) and len(value) <= _LONGEST
+    return isinstance(value, str) and len(value) <= _LONGEST and (not value or value.isprintable())
 
 
 def _is_whole(value: Any) -> bool:

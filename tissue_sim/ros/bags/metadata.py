@@ -45,6 +45,12 @@ def information(files: Sequence[File], connections: Sequence[Connection]) -> dic
     }
 
 
+def read(folder: Path) -> dict[str, Any]:
+    """What a bag's metadata says."""
+    said: dict[str, Any] = YAML(typ="safe").load((folder / NAME).read_text(encoding="utf-8"))
+    return said["rosbag2_bagfile_information"]  # type: ignore[no-any-return]
+
+
 def qos_of(topic: Connection) -> list[Qos]:
     """The profiles that a topic is offered with."""
     return topic.ext.offered_qos_profiles if isinstance(topic.ext, ConnectionExtRosbag2) else []

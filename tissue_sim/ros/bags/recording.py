@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import tempfile
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,16 @@ from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.config import check_config, read_config
 from tissue_sim.ros.bags.journal import SHOWING, check_journal
-from tissue_sim.ros.shared.cdr import parse_cloud, parse_number, parse_octets, parse_stamped, parse_text, unit_pose
+from tissue_sim.ros.shared.cdr import (
+    check_force,
+    check_position,
+    parse_cloud,
+    parse_number,
+    parse_octets,
+    parse_stamped,
+    parse_text,
+    unit_pose,
+)
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 # What comes of messages that say anything at all.
@@ -103,13 +114,13 @@ class Recording:
             topics = {topic: config["topics"][f"{tool}/{topic}"] for topic in TOOL_TOPICS}
             first = {topic: int(config["first"].get(name, 1)) for topic, name in topics.items()}
             came = [parse_stamped(raw, 7) for raw in messages[topics["measured_cp"]]]
-            poses = [unit_pose(np.array(message.values)) for message in came]
-            forces = [np.array(parse_stamped(raw, 6).values[:3]) for raw in messages[topics["measured_cf"]]]
+            poses = [_pose_of(message.values) for message in came]
+            forces = [_force_of(parse_stamped(raw, 6).values) for raw in messages[topics["measured_cf"]]]
             recording.poses.append(dict(enumerate(poses, start=first["measured_cp"])))
             stamps = [message.stamp for message in came]
             recording.stamps.append(dict(enumerate(stamps, start=first["measured_cp"])))
             angles = messages[config["topics"].get(f"{tool}/measured_js", "")]
-            values = [parse_number(raw) for raw in angles]
+            values = [_finite(parse_number(raw)) for raw in angles]
             recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))
             recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
@@ -176,6 +187,26 @@ def recorded_organ(recording: Recording) -> Organ:
         return Organ.load(path)
 
 
+def _pose_of(values: Sequence[float]) -> Floats:
+    """A pose (7,) as a node takes it up; raises ValueError for one that no node does."""
+    pose = unit_pose(np.array(values))
+    check_position(pose[:3])
+    return pose
+
+
+def _force_of(values: Sequence[float]) -> Floats:
+    """The force (3,) N of a wrench, likewise."""
+    force = np.array(values[:3])
+    check_force(force)
+    return force
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError("it holds a jaws' angle that is not finite")
+    return value
+
+
 def _read_messages(path: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = defaultdict(list)
     with recovery.rubbish_told(path):
@@ -183,7 +214,7 @@ def _read_messages(path: Path) -> dict[str, list[bytes]]:
             for connection, _, raw in recovery.messages(path):
                 messages[connection.topic].append(bytes(raw))
             return messages
-        for file in path.glob("*.mcap"):
+        for file in recovery.listed(path):
             recovery.check_lengths(file)
         with Reader(path) as reader:
             for connection, _, raw in reader.messages():

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import BinaryIO
 
 from lz4.frame import LZ4FrameDecompressor
@@ -51,6 +51,23 @@ def rubbish_told(folder: Path) -> Iterator[None]:
         raise UserError(f"bag {folder} can't be read: {shown(str(error), 200)} is missing or unknown") from None
     except OF_RUBBISH as error:
         raise UserError(f"bag {folder} can't be read: {shown(str(error), 200) or type(error).__name__}") from None
+
+
+def listed(folder: Path) -> list[Path]:
+    """The files that a bag's metadata lists, as a reader would open them.
+
+    Raises UserError for another storage, and for files or messages that are packed beyond the storage's own chunks:
+    nothing says how large they become.
+    """
+    said = metadata.read(folder)
+    packed = str(said.get("compression_mode") or "none").lower()
+    if said["storage_identifier"] != "mcap" or packed != "none":
+        raise UserError(
+            f"bag {folder} is of storage {shown(str(said['storage_identifier']))}, compression {shown(packed)}; wanted:"
+            " mcap, none. `ros2 bag convert` makes one"
+        )
+    files = [folder / PurePath(str(name)).name for name in said["relative_file_paths"]]
+    return [file for file in files if file.is_file()]  # rosbags tells those that are missing
 
 
 def messages(folder: Path) -> Iterator[tuple[Connection, int, bytes]]:

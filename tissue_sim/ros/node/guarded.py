@@ -62,7 +62,8 @@ def failed(response: Any, request: Any, line: str) -> Any:
     if hasattr(response, "success"):
         response.success, response.message = False, line
     elif hasattr(response, "results") and hasattr(request, "parameters"):  # one for each parameter
-        response.results = [SetParametersResult(successful=False, reason=line) for _ in request.parameters]
+        reason = f"{line}; parameters may have been set all the same"
+        response.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=line)
     elif hasattr(response, "failure_reason"):

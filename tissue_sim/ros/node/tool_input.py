@@ -18,14 +18,13 @@ from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
-from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, unit_pose
+from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
 from tissue_sim.ros.shared.frames import Transform, UnknownFrame, rotate
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming
 
-FARTHEST = 100.0  # m: a pose beyond it is in another unit
 WARN_EVERY = 5.0  # s between two lines about the same kind of bad input
 
 
@@ -102,12 +101,10 @@ class ToolInput:
             message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
-            try:
+            with self._as("zero_quaternion"):
                 pose = unit_pose(np.array(message.values))
-            except ValueError as error:
-                raise Refused("zero_quaternion", str(error)) from None
-            if (farthest := np.abs(pose[:3]).max()) > FARTHEST:
-                raise Refused("far_pose", f"it lies {farthest:.3g} m away; positions are in metres")
+            with self._as("far_pose"):
+                check_position(pose[:3])
             stamp = self._stamp(message)
             if not self._is_as_bagged(message, to_organ) or self._pose_type is not POSE_TYPES["PoseStamped"]:
                 raw = self._bag_pose.message(stamp, message.values)
@@ -139,8 +136,11 @@ class ToolInput:
             if not self._is_as_bagged(message, to_organ) or self._force_type is not FORCE_TYPES["WrenchStamped"]:
                 message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
                 raw = self._bag_force.message(self._stamp(message), message.values)
+            force = np.array(message.values[:3])
+            with self._as("hard_force"):
+                check_force(force)
             self._recorder.received(self._bagged_force, raw)
-            self._newest_force = (self._physics.post_force(self._tool.bodies[0], np.array(message.values[:3])), raw)
+            self._newest_force = (self._physics.post_force(self._tool.bodies[0], force), raw)
             self._force_came()
 
     def _read(
@@ -148,10 +148,8 @@ class ToolInput:
     ) -> tuple[Stamped, Transform]:
         """A message whose values can be used, and the transform from its frame to the organ's."""
         tool = self._tool
-        try:
+        with self._as("malformed"):
             message = kind.parse(raw, n_values)
-        except ValueError as error:
-            raise Refused("malformed", f"{error}") from None
         if not all(map(math.isfinite, message.values)):
             raise Refused(f"nan_{what}", "it holds a value that is not finite")
         if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
@@ -178,6 +176,15 @@ class ToolInput:
 
     def _stamp(self, message: Stamped) -> int:
         return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)
+
+    @staticmethod
+    @contextmanager
+    def _as(name: str) -> Iterator[None]:
+        """What a check raises in here is refused by this name."""
+        try:
+            yield
+        except ValueError as error:
+            raise Refused(name, str(error)) from None
 
     @contextmanager
     def _refusing(self, what: str) -> Iterator[None]:

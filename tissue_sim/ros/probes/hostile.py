@@ -135,15 +135,8 @@ class Hostile:
 
     def look(self) -> None:
         """All wrenches that came are finite and within the clamp; surfaces, finite and near."""
-        for tool, inbox in self._wrenches.items():
-            for raw in inbox.take_all():
-                wrench = np.array(parse_stamped(bytes(raw), 6).values)
-                if not np.all(np.isfinite(wrench)):
-                    raise Fault(f"a wrench of '{tool}' that is not finite")
-                felt, self.wrenches = float(np.linalg.norm(wrench[:3])), self.wrenches + 1
-                self.felt = max(self.felt, felt)
-                if felt > self.clamp * (1.0 + 1e-9):
-                    raise Fault(f"a wrench of '{tool}' of {felt:.3g} N")
+        for tool in TOOLS:
+            self._take(tool)
         for cloud in self._surfaces.take_all():
             points = client.cloud_array(cloud)[:, :3]
             if not np.all(np.isfinite(points)):
@@ -151,14 +144,27 @@ class Hostile:
             if np.abs(points - self.rest).max() > 1.0:
                 raise Fault("a surface more than 1 m away")
 
+    def _take(self, tool: str) -> Floats | None:
+        """The newest of a tool's wrenches (6,) that came, None where none has. Raises Fault for what none may be."""
+        wrench = None
+        for raw in self._wrenches[tool].take_all():
+            wrench = np.array(parse_stamped(bytes(raw), 6).values)
+            if not np.all(np.isfinite(wrench)):
+                raise Fault(f"a wrench of '{tool}' that is not finite")
+            felt, self.wrenches = float(np.linalg.norm(wrench[:3])), self.wrenches + 1
+            self.felt = max(self.felt, felt)
+            if felt > self.clamp * (1.0 + 1e-9):
+                raise Fault(f"a wrench of '{tool}' of {felt:.3g} N")
+        return wrench
+
     def _faded(self) -> None:
         """Tools that send nothing feel nothing: no wrench comes any more, and the last one was zero."""
         last = dict.fromkeys(TOOLS, 0.0)
         quiet = begun = time.monotonic()
         while time.monotonic() - quiet < (STARVED_QUIET if any(last.values()) else QUIET):
-            for tool, inbox in self._wrenches.items():
-                if raws := inbox.take_all():
-                    last[tool] = float(np.abs(parse_stamped(bytes(raws[-1]), 6).values).max())
+            for tool in TOOLS:
+                if (wrench := self._take(tool)) is not None:
+                    last[tool] = float(np.abs(wrench).max())
                     quiet = time.monotonic()
             if time.monotonic() - begun > PATIENCE:
                 raise Fault(f"wrenches {PATIENCE:g} s after the last pose")
@@ -172,8 +178,8 @@ class Hostile:
         while time.monotonic() - begun < PATIENCE:
             self.poses["left"].publish(self.pose(self.middle + 1.0, (0, 0, 0, 1)))
             time.sleep(0.005)
-            if raws := self._wrenches["left"].take_all():
-                if np.abs(parse_stamped(bytes(raws[-1]), 6).values).max() > 0.0:
+            if (wrench := self._take("left")) is not None:
+                if wrench.any():
                     raise Fault("a tool a metre away feels a force")
                 return
         raise Fault(f"no pose was answered for {PATIENCE:g} s")

@@ -25,7 +25,7 @@ SETTLING, PAUSE = 2.0, 0.25  # s until the organ rests, and between poses that a
 
 
 class Trip(NamedTuple):
-    """Round trips: their times in s, and how many were not answered."""
+    """Round trips: their times in s, and how many were not answered, which count as PATIENCE."""
 
     seconds: Floats
     lost: int
@@ -112,9 +112,10 @@ class Probe(Hand):
             if self._answered:
                 took.append(self._answer_clock - sent)
             else:
+                took.append(PATIENCE)
                 lost += 1
             deadline = max(deadline, time.monotonic() - period)
-        return Trip(np.array(took if took else [PATIENCE]), lost)
+        return Trip(np.array(took), lost)
 
     def _spin(self, seconds: float) -> None:
         end = time.monotonic() + seconds

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CDR_HEADER = 4  # bytes before the body; alignment counts from the body
+FARTHEST, HARDEST = 100.0, 1e6  # m and N: what lies beyond is in another unit
 
 
 UNSTAMPED = -1  # the stamp of a message that has none
@@ -131,6 +132,18 @@ def _doubles(raw: bytes, at: int, count: int) -> tuple[float, ...]:
     return struct.unpack_from(f"<{count}d", raw, body)
 
 
+def check_position(position: NDArray[np.float64]) -> None:
+    """Raise ValueError for a position (3,) m that is in another unit, or none."""
+    if not (farthest := float(np.abs(position).max())) <= FARTHEST:
+        raise ValueError(f"it lies {farthest:.3g} m away; positions are in metres")
+
+
+def check_force(force: NDArray[np.float64]) -> None:
+    """Raise ValueError for a force (3,) N that is in another unit, or none."""
+    if not (hardest := float(np.abs(force).max())) <= HARDEST:
+        raise ValueError(f"it is {hardest:.3g} N; forces are in newtons")
+
+
 def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """The pose (7,) with its quaternion scaled to length 1, in place.
 
@@ -138,7 +151,7 @@ def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     of a length that is no number.
     """
     with np.errstate(over="ignore"):  # too large, which is told
-        norm = math.sqrt(float(pose[3:] @ pose[3:]))
+        norm = math.sqrt(sum((pose[3:] ** 2).tolist()))  # in this order: BLAS has one for each processor
     if not 1e-6 <= norm < math.inf:
         raise ValueError(f"its quaternion is {'zero' if norm < 1e-6 else 'too large'}; send a unit quaternion")
     pose[3:] /= norm

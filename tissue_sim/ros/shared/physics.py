@@ -23,7 +23,7 @@ from tissue_sim.model.state import Region, Results, results_in
 from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.priority import prefer
 
-LONGEST = 60.0  # s that a wrench may go out without a new one
+LONGEST = 0.1  # s that a wrench may go out without a new one, however late a tool's poses may come
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
 
@@ -126,8 +126,8 @@ class Physics:
     def post_settings(self, settings: Settings) -> int:
         """New settings; returns their sequence number."""
         with self._settings_lock:
-            lasts = max(settings.stale_time + settings.ramp_time, 2.0 * settings.tick_time)
-            self._oldest = round(1e9 * min(lasts, LONGEST))
+            lasts = min(settings.stale_time + settings.ramp_time, LONGEST)
+            self._oldest = round(1e9 * max(lasts, 2.0 * settings.tick_time))
             return int(mb.put(self._settings, 0, words_of(settings)))
 
     def settings(self) -> Settings:

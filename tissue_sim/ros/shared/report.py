@@ -83,19 +83,23 @@ class Trouble(Mishaps):
 
     def __init__(self, part: str, warn: Callable[[str], object]) -> None:
         super().__init__(part, warn)
-        self._lines: tuple[str, ...] = ()  # what went wrong since it last worked; replaced as a whole
+        self._lines: dict[str, str] = {}  # what goes wrong, by place
+        self._lately: set[str] = set()  # places where something did since the part last went through its work
 
     def succeeded(self) -> None:
-        """It works."""
-        self._lines = ()
+        """It went through its work: what has not failed since it last did is over."""
+        with self._lock:
+            self._lines = {place: line for place, line in self._lines.items() if place in self._lately}
+            self._lately.clear()
 
     def report(self, report: Report) -> None:
         """Add the counts, and what is wrong at present."""
         super().report(report)
-        report.failures += self._lines
+        with self._lock:
+            report.failures += list(self._lines.values())[-MOST_LINES:]
 
     def _is_new(self, place: str, line: str) -> bool:
-        if line in self._lines:  # not one for every turn
-            return False
-        self._lines = (*self._lines, line)[-MOST_LINES:]
-        return True
+        self._lately.add(place)
+        is_new = place not in self._lines  # not one for every turn
+        self._lines[place] = line
+        return is_new
