@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.quaternions import multiply, rotate
 
 WIDEST = 2.5  # rad; an angle beyond it is in another unit
 
@@ -38,15 +39,14 @@ def jaw_poses(pose: Floats, angle: float, radius: float, length: float) -> Float
     points away from the other one, and its origin lies `radius` m from the middle when closed: 0 for jaws of a mesh,
     whose pads lie in x = 0. Negative angles count as closed.
     """
-    half = 0.5 * min(max(angle, 0.0), WIDEST)
-    turn = Rotation.from_quat(pose[3:])
+    half, turn = 0.5 * min(max(angle, 0.0), WIDEST), tuple(pose[3:].tolist())
+    sine, cosine = math.sin(half), math.cos(half)
+    out, along = cosine * radius + sine * length, cosine * length - sine * radius - length  # of the tips
     poses = np.empty((2, 7))
     for jaw, side in enumerate((1.0, -1.0)):
-        opened = Rotation.from_rotvec([0.0, side * half, 0.0])
-        tip = opened.apply([side * radius, 0.0, length]) - [0.0, 0.0, length]
-        poses[jaw, :3] = pose[:3] + turn.apply(tip)
-        mirrored = Rotation.from_rotvec([0.0, 0.0, 0.0 if side > 0.0 else np.pi])
-        poses[jaw, 3:] = (turn * opened * mirrored).as_quat()
+        poses[jaw, :3] = pose[:3] + rotate(turn, (side * out, 0.0, along))
+        opened = multiply(turn, (0.0, side * math.sin(0.5 * half), 0.0, math.cos(0.5 * half)))
+        poses[jaw, 3:] = opened if side > 0.0 else multiply(opened, (0.0, 0.0, 1.0, 0.0))  # half a turn about z
     return poses
 
 

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from tissue_sim.bench.fuzz import pool
-from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case
+from tissue_sim.bench.fuzz import command, pool
+from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.pool import run_cases
 from tissue_sim.cli import main
 
@@ -43,6 +43,16 @@ def test_a_worker_that_dies_between_two_cases_is_begun_anew(tmp_path):
         outcome = worker.outcome()
     worker.stop()
     assert outcome.verdict in ("used", "refused")
+
+
+def test_who_stops_it_is_told_what_was_found_so_far(monkeypatch, capsys):
+    def stopped(cases, jobs):
+        yield Outcome(cases[0], "failed", "no")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "run_cases", stopped)
+    assert main(["bench", "fuzz", "--scenes", "3", "--kinds", "tick", "--check"]) == 130
+    assert "1 cases in 0 s, 1 failed" in capsys.readouterr().out
 
 
 def test_organ_is_as_before_after_hostile_ticks():

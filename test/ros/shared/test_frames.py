@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.turns import random_turns
-from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame, rotate, rotate_back, unit_quaternion
+from tissue_sim.contact.quaternions import rotate, rotate_back, unit_quaternion
+from tissue_sim.ros.shared.frames import Frames, Transform, UnknownFrame
 
 RANDOM = np.random.default_rng(1)
 

@@ -16,6 +16,7 @@ from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.pool import run_cases
 from tissue_sim.bench.printing import aligned, emit
 from tissue_sim.errors import UserError
+from tissue_sim.unexpected import INTERRUPTED
 
 MOST = 10_000_000  # cases of a kind
 USUAL = 200
@@ -40,25 +41,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the cases, print what failed with the command that repeats it; 1 with --check when any did."""
+    """Run the cases, print what failed with the command that repeats it; 1 with --check when any did.
+
+    Ctrl-C ends it with what was found so far.
+    """
     cases = cases_of(args)
     if args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     started = time.perf_counter()
     outcomes = []
     counted: Counter[str] = Counter()
+    stopped = False
     with tqdm(total=len(cases), disable=None, desc="fuzz", unit="case", dynamic_ncols=True) as bar:
-        for outcome in run_cases(cases, args.jobs):
-            outcomes.append(outcome)
-            counted[outcome.verdict] += 1
-            if outcome.verdict == "failed":
-                tqdm.write("\n".join(failure(outcome)), file=sys.stderr if args.json == "-" else sys.stdout)
-            bar.set_postfix_str(", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
-            bar.update(1)
+        try:
+            for outcome in run_cases(cases, args.jobs):
+                outcomes.append(outcome)
+                counted[outcome.verdict] += 1
+                if outcome.verdict == "failed":
+                    tqdm.write("\n".join(failure(outcome)), file=sys.stderr if args.json == "-" else sys.stdout)
+                bar.set_postfix_str(", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
+                bar.update(1)
+        except KeyboardInterrupt:  # a long run tells what it has found so far
+            stopped = True
     outcomes.sort(key=lambda outcome: (list(KINDS).index(outcome.case.kind), outcome.case.number))
     found = report(outcomes, args.seed, time.perf_counter() - started)
     emit(found, summary(outcomes, args, found["seconds"]), args.json)
-    return int(bool(args.check and counted["failed"]))
+    return INTERRUPTED if stopped else int(bool(args.check and counted["failed"]))
 
 
 def cases_of(args: argparse.Namespace) -> list[Case]:

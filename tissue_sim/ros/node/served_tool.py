@@ -10,8 +10,9 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import about
+from tissue_sim.contact.quaternions import Vector
 from tissue_sim.contact.tools import ToolSet
-from tissue_sim.ros.shared.frames import Frames, Transform, Vector
+from tissue_sim.ros.shared.frames import Frames, Transform
 from tissue_sim.ros.shared.tool_messages import ToolTopics
 
 

@@ -14,12 +14,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
-from tissue_sim.ros.shared.frames import Transform, UnknownFrame, rotate
+from tissue_sim.ros.shared.frames import Transform, UnknownFrame
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.quaternions import Vector
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.ros.node.markers import MarkerBytes, empty_marker, force_arrow
-from tissue_sim.ros.shared.frames import Vector
 
 TOOL_COLOUR = (0.60, 0.63, 0.70, 0.8)
 

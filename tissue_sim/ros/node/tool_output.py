@@ -12,9 +12,9 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.quaternions import rotate_back
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
-from tissue_sim.ros.shared.frames import rotate_back
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM

@@ -15,13 +15,14 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from tissue_sim.contact.quaternions import unit_quaternion
 from tissue_sim.contact.tools import SHAPE_NAMES, Tool
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Settings
 from tissue_sim.model.simulation import acceleration_of
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
-from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform, unit_quaternion
+from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform
 from tissue_sim.ros.shared.priority import HIGHEST
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS

@@ -10,8 +10,8 @@ from geometry_msgs.msg import Pose, PoseStamped, TransformStamped, Wrench, Wrenc
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Float64MultiArray
 
+from tissue_sim.contact.quaternions import Quaternion
 from tissue_sim.ros.shared.cdr import Stamped, parse_moving, parse_plain, parse_stamped
-from tissue_sim.ros.shared.frames import Quaternion
 
 N_POSE, N_WRENCH = 7, 6  # numbers in a pose (m, quaternion xyzw) and in a wrench (N, N m)
 
