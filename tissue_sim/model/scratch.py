@@ -12,12 +12,26 @@ from tissue_sim.model.cells import CONSTANTS
 from tissue_sim.model.contact_constraint import MOST_NEAR
 from tissue_sim.model.contact_set import MOST_POINTS
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model.records import Record
 from tissue_sim.model.squeezed import MOST_SQUEEZED
+
+
+class Plan(Record):
+    """How a tick is to be made."""
+
+    substeps: int
+    forced: bool  # something pulls or leads nodes
+    whole: bool  # the whole organ moves
+    implicit: bool  # implicitly
+    regional: bool  # a region of cells moves
+    looking: bool  # its last substep is looked at for nodes that shiver
+    eased: bool  # its substeps are longer than the last tick's
 
 
 class Scratch(NamedTuple):
     """Working arrays of a tick; nothing in them outlives it except the region's lists."""
 
+    plan: Plan
     force: Any  # (n, 3) N
     impulse: Any  # (T, 6) N s on the tissue
     mobility: Any  # (n,) 1/kg
@@ -109,6 +123,7 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         return np.zeros(size, dtype=np.int64)
 
     return Scratch(
+        plan=Plan.new(),
         force=empty(n, 3),
         impulse=empty(n_bodies, 6),
         mobility=empty(n),

@@ -55,7 +55,18 @@ CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four tim
 @part
 def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Advance the organ by one tick of settings.tick_time seconds."""
-    status, count = state.status, state.count
+    if not plan_tick(model, state, shapes, settings, scratch):
+        return
+    begin_tick(model, state, shapes, settings, scratch)
+    for substep in range(scratch.plan.substeps):
+        take_substep(model, state, shapes, settings, scratch, substep)
+    end_tick(model, state, shapes, settings, scratch)
+
+
+@kernel
+def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
+    """Whether there is anything to advance, and in scratch.plan how."""
+    status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
     advance_held(state, settings, scratch)
     forced = status.loaded > 0 or has_tip_force(state, settings)
@@ -66,7 +77,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
             follow_held(state)
             count.asleep_ticks += 1
             status.active = 0
-            return
+            return False
         status.asleep = False
         status.quiet = 0
         choose_region(model, state, settings, scratch)
@@ -75,7 +86,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
             find_back(model, state, settings)
             check_cells(model, state, scratch)
             follow_held(state)
-            return
+            return False
         status.snapped = False
     prepare_region(model, state, settings, scratch)
     if status.region == Region.WHOLE:
@@ -83,30 +94,49 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
 
     scratch.impulse[:] = 0.0
     # The first forces tell how stiff the cells are.
-    whole = status.region == Region.WHOLE
-    implicit = steps_implicitly(model, state, settings, scratch)
-    if whole and not implicit:
+    plan.forced = forced
+    plan.whole = status.region == Region.WHOLE
+    plan.implicit = steps_implicitly(model, state, settings, scratch)
+    if plan.whole and not plan.implicit:
         whole_forces(model, state.position, settings, scratch)
-    regional = is_region_of_cells(model, state)
-    if regional:
+    plan.regional = is_region_of_cells(model, state)
+    if plan.regional:
         region_forces(model, state, settings, scratch, False)
-    by_itself = settings.integrator == Integrator.IMPLICIT and not implicit
-    wanted = settings.region_substeps if by_itself or not whole else settings.substeps
-    factor = caution(model, state, whole or regional)
-    substeps = wanted * status.backoff * factor
-    looking = whole and is_looked_at(model, state, substeps) and factor == 1
-    eased = substeps < status.substeps
-    status.substeps = substeps
-    set_mobility(model, state, settings, settings.tick_time / substeps, scratch, implicit)
+    by_itself = settings.integrator == Integrator.IMPLICIT and not plan.implicit
+    wanted = settings.region_substeps if by_itself or not plan.whole else settings.substeps
+    factor = caution(model, state, plan.whole or plan.regional)
+    plan.substeps = wanted * status.backoff * factor
+    plan.looking = plan.whole and is_looked_at(model, state, plan.substeps) and factor == 1
+    return True
+
+
+@kernel
+def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """Make ready for the substeps of the plan."""
+    status, plan = state.status, scratch.plan
+    plan.eased = plan.substeps < status.substeps
+    status.substeps = plan.substeps
+    set_mobility(model, state, settings, settings.tick_time / plan.substeps, scratch, plan.implicit)
     watch_contacts(state, shapes, settings, scratch)
-    for substep in range(substeps):
-        first = substep == 0
-        if looking and substep == substeps - 1:
-            begin_look(state, scratch)
-        # The last one of a region tells more, and one that takes up momentum needs the forces where it is.
-        known = first and (whole or (regional and substeps > 1)) and not (implicit and eased)
-        advance_substep(model, state, shapes, settings, scratch, substep, substeps, implicit, known, eased and first)
-    if looking:
+
+
+@kernel
+def take_substep(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int) -> None:
+    """Advance by one substep of the plan."""
+    plan, first = scratch.plan, substep == 0
+    substeps, implicit = plan.substeps, plan.implicit
+    if plan.looking and substep == substeps - 1:
+        begin_look(state, scratch)
+    # The last one of a region tells more, and one that takes up momentum needs the forces where it is.
+    known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
+    advance_substep(model, state, shapes, settings, scratch, substep, substeps, implicit, known, plan.eased and first)
+
+
+@kernel
+def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+    """Look at what the substeps made, hand out what is felt, and come to rest where nothing acts."""
+    status, plan = state.status, scratch.plan
+    if plan.looking:
         end_look(state, scratch)
     absorb_load(model, state, settings, scratch)
     guard(model, state, settings, scratch)
@@ -115,7 +145,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     report_wrenches(state, shapes, settings, scratch)
     change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
-    status.alone = 0 if forced or status.touching > 0 else status.alone + 1
+    status.alone = 0 if plan.forced or status.touching > 0 else status.alone + 1
     if status.alone > 0:
         rest_if_quiet(model, state, settings, scratch)
 
