@@ -1,0 +1,190 @@
+"""Several organs in one tick: links that pull, breath that carries, and each otherwise as it is alone."""
+
+import numpy as np
+import pytest
+
+from helpers.scenes import ball, changed, free_ball
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.jit import handle
+from tissue_sim.model.breathing import Breath, breathed_in
+from tissue_sim.model.links import fit_step, make_links
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Together, carried_with, tick_together
+
+TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
+
+
+class Organs:
+    """Simulations that are joined. links: rows of two ends, a slack, a stiffness and a damping; an end is an organ and
+    its node, or a point."""
+
+    def __init__(self, simulations, links=(), breath=None, moves=None, unfelt=1e9):
+        self.simulations = simulations
+        self.links = make_links(len(links), len(simulations))
+        for row, (ends, slack, stiffness, damping) in enumerate(links):
+            for side, end in enumerate(ends):
+                if len(end) == 2:
+                    self.links.organ[row, side], self.links.node[row, side] = end
+                else:
+                    self.links.point[row, side] = end
+            self.links.slack[row], self.links.stiffness[row], self.links.damping[row] = slack, stiffness, damping
+        light = [one.model.inverse_mass for one in simulations]
+        fit_step(self.links, light, max(one.frequency for one in simulations), 1e-3)
+        moves = [0.0] * len(simulations) if moves is None else moves
+        gravity = np.zeros((len(simulations), 3))
+        self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
+        self._worlds = tuple(one.world for one in simulations)
+        self._joined = handle(Together(self.carried, self.links))
+
+    def step(self, ticks=1):
+        for _ in range(ticks):
+            tick_together(self._worlds, self._joined)
+
+    @property
+    def momentum(self):
+        return sum(one.organ.mass @ one.velocities for one in self.simulations)
+
+
+def a_breath(period=4.0, way=(0.0, 0.0, 0.015)):
+    breath = Breath.new()
+    breath.period = period
+    breath.x, breath.y, breath.z = way
+    return breath
+
+
+def poked(simulation, step):
+    """Shapes under a load that comes and goes."""
+    shapes = []
+    for tick in range(120):
+        if 10 <= tick < 60:
+            simulation.apply_force([TOP], [[0.01, 0.0, -0.05]])
+        step()
+        shapes.append(simulation.positions.copy())
+    return np.array(shapes)
+
+
+def test_organs_that_nothing_joins_are_each_as_alone():
+    alone = Simulation(ball())
+    organs = Organs([Simulation(ball()), Simulation(ball())])
+    first, second = organs.simulations
+    np.testing.assert_array_equal(poked(first, organs.step), poked(alone, alone.step))
+    assert second.state.count.asleep_ticks == 120, "nobody has touched the other one"
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.02, 50.0])
+def test_links_leave_momentum_as_it_was(damping):
+    """Of two free balls, of which one flies away from the other."""
+    pair = [Simulation(free_ball(), integrator="symplectic") for _ in range(2)]
+    links = [(((0, node), (1, node)), 0.0, 5.0, damping) for node in range(4)]
+    organs = Organs(pair, links)
+    pair[0].apply_force([TOP], [[0.3, 0.1, 0.0]])
+    organs.step()
+    before = organs.momentum
+    assert np.linalg.norm(before) > 1e-5
+    organs.step(400)
+    np.testing.assert_allclose(organs.momentum, before, atol=1e-9 * np.linalg.norm(before))
+    speeds = [np.linalg.norm(one.organ.mass @ one.velocities) for one in pair]
+    assert min(speeds) > 0.2 * max(speeds), "the other one was taken along"
+
+
+def test_a_taut_link_pulls_by_its_stretch_and_a_slack_one_not_at_all():
+    at = ball().surface_positions[TOP]
+    up = at + [0.0, 0.0, 0.05]
+    organs = Organs([Simulation(ball())], [(((0, TOP), up), 0.04, 2.0, 0.0)])
+    organs.step(3000)
+    organ = organs.simulations[0]
+    length = np.linalg.norm(up - organ.positions[TOP])
+    tension = np.linalg.norm(organs.links.force[0])
+    assert 0.001 < tension < 0.02
+    assert tension == pytest.approx(2.0 * (length - 0.04), rel=1e-9)
+    by_force = Simulation(ball())
+    settled, _ = by_force.settle(np.eye(1, by_force.organ.n_surface, TOP).T * organs.links.force[0])
+    moved = organ.positions[: organ.organ.n_surface] - organ.model.rest[: organ.organ.n_surface]
+    np.testing.assert_allclose(moved, settled, atol=0.01 * np.abs(settled).max())
+
+    slack = Organs([Simulation(ball())], [(((0, TOP), up), 0.06, 2.0, 0.0)])
+    slack.step(10)
+    assert slack.simulations[0].asleep
+    assert not slack.links.force.any()
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 30.0, 1000.0])
+def test_stiff_links_take_shorter_steps_and_come_to_rest(stiffness):
+    at = ball().surface_positions[TOP]
+    organs = Organs([Simulation(ball())], [(((0, TOP), at + [0.0, 0.0, 0.004]), 0.0, stiffness, 0.01)])
+    organ = organs.simulations[0]
+    organs.step(1500)
+    before = organ.positions.copy()
+    organs.step(50)
+    assert organ.state.count.faults == 0
+    assert np.abs(organ.positions - before).max() < 1e-6
+    assert organ.state.status.substeps >= organs.links.substeps[0]
+
+
+def test_organs_that_links_join_take_as_many_substeps():
+    soft, stiff = Simulation(ball()), Simulation(ball())
+    stiff.settings.stiffness_scale = 40.0
+    stiff.set_substeps()
+    assert stiff.settings.substeps > soft.settings.substeps
+    organs = Organs([soft, stiff], [(((0, TOP), (1, TOP)), 0.0, 1.0, 0.0)])
+    soft.apply_force([TOP], [[0.0, 0.0, -0.02]])
+    organs.step(3)  # then they are apart, and the other one is awake
+    assert soft.state.status.substeps == stiff.state.status.substeps == stiff.settings.substeps
+
+
+# breath ------------------------------------------------------------------------------------------
+def test_a_breath_is_out_at_first_and_in_after_half_its_period():
+    for time, share in ((0.0, 0.0), (1.0, 0.25), (2.0, 1.0), (3.0, 0.25), (4.0, 0.0)):
+        assert breathed_in(time, 4.0)[0] == pytest.approx(share, abs=1e-12)
+    step = 1e-5
+    for time in (0.3, 1.1, 2.0, 3.7):
+        before, (_, speed, change), after = (breathed_in(time + d, 4.0) for d in (-step, 0.0, step))
+        assert speed == pytest.approx((after[0] - before[0]) / (2.0 * step), abs=1e-6)
+        assert change == pytest.approx((after[1] - before[1]) / (2.0 * step), abs=1e-6)
+
+
+def test_an_organ_that_sleeps_is_carried_asleep():
+    organs = Organs([Simulation(ball()), Simulation(ball())], breath=a_breath(), moves=[1.0, 0.5])
+    organs.step(2000)
+    np.testing.assert_allclose(organs.carried.offset[:, 2], [0.015, 0.0075], rtol=1e-9)
+    assert all(one.asleep for one in organs.simulations)
+
+
+def test_an_organ_in_its_moving_frame_is_as_one_whose_clamp_is_led():
+    """A breath of half a second, which bends it. Without what holds nodes to the room: damping and return springs."""
+    organ, way = changed(ball(), damping=0.0, return_stiffness=0.0), np.array([0.004, 0.0, 0.002])
+    framed = Organs([Simulation(organ)], breath=a_breath(0.5, way), moves=[1.0], unfelt=0.0)
+    led, held = Simulation(organ), np.asarray(organ.fixed)
+    off = most = 0.0
+    for tick in range(1, 400):
+        framed.step()
+        share, _, _ = breathed_in(1e-3 * tick, 0.5)
+        led.prescribe(held, led.model.rest[held] + share * way)
+        led.step()
+        bent = framed.simulations[0].positions - framed.simulations[0].model.rest
+        there = led.positions - led.model.rest - share * way
+        most, off = max(most, np.abs(there).max()), max(off, np.abs(bent - there).max())
+    assert most > 1e-4
+    assert off < 0.05 * most
+
+
+def test_a_tool_that_stands_still_is_pressed_by_an_organ_that_comes():
+    """As one that goes to the organ by the same way: the force that it feels."""
+    tool = [Tool("ball", "sphere", radius=0.005)]
+    felt = []
+    for breathes in (False, True):
+        scene = Scene(ball(2), tool)
+        top = scene.simulation.organ.surface_positions[TOP_OF_FINE]
+        start = top + [0.0, 0.0, 0.0055]
+        organs = Organs([scene.simulation], breath=a_breath(1.0, (0.0, 0.0, 0.003)), moves=[float(breathes)])
+        scene.simulation.step = organs.step
+        forces = []
+        for tick in range(500):
+            share = 0.0 if breathes else breathed_in(1e-3 * tick, 1.0)[0]
+            scene.move(0, start - [0.0, 0.0, 0.003 * share] - organs.carried.offset[0])
+            scene.step()
+            forces.append(scene.wrenches[0, :3].copy())
+        felt.append(np.array(forces))
+    assert np.abs(felt[0]).max() > 0.02
+    np.testing.assert_allclose(felt[1], felt[0], atol=0.05 * np.abs(felt[0]).max())

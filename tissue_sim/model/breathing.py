@@ -1,0 +1,69 @@
+"""Breath: how far it moves what hangs on it, and what organs feel of that.
+
+An organ that breathes is simulated in the frame of its clamp, where that stands still. Tools come towards it as the
+frame goes the other way, and the frame's acceleration is a weight on its nodes: an organ that is moved so softly that
+this weight bends it by less than a hand could tell sleeps on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissue_sim.jit import kernel
+from tissue_sim.model.records import Record
+
+
+class Breath(Record):
+    """How a breath goes: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2)."""
+
+    period: float  # s; 0: none
+    x: float  # m, the way from breathed out to breathed in
+    y: float
+    z: float
+    time: float  # s
+
+
+@kernel
+def breathed_in(time: float, period: float) -> tuple[float, float, float]:
+    """Share of the way after so many s, sin^4(pi t / T), its speed, 1/s, and its acceleration, 1/s^2."""
+    if period <= 0.0:
+        return 0.0, 0.0, 0.0
+    turn = math.pi / period
+    s, c = math.sin(turn * time), math.cos(turn * time)
+    return s**4, 4.0 * turn * s**3 * c, turn * turn * s * s * (12.0 * c * c - 4.0 * s * s)
+
+
+@kernel
+def breathe(worlds: Any, carried: Any, step: float) -> None:
+    """Carry organs on by one tick of `step` s; carried: see `carried_with`."""
+    breath = carried.breath
+    breath.time += step
+    share, speed, change = breathed_in(breath.time, breath.period)
+    carried.share[0], carried.share[1] = share, speed
+    for organ in range(len(worlds)):
+        state, settings, moves = worlds[organ].state, worlds[organ].settings, carried.moves[organ]
+        if moves == 0.0:
+            continue
+        for axis in range(3):
+            way = moves * (breath.x if axis == 0 else breath.y if axis == 1 else breath.z)
+            shift = share * way - carried.offset[organ, axis]
+            carried.offset[organ, axis] += shift
+            carried.speed[organ, axis] = speed * way
+            carried.change[organ, axis] = change * way
+            for body in range(len(state.bodies)):
+                if state.bodies[body].age >= 0:
+                    state.held_pose[body, axis] -= shift
+                    state.body_goal[body, axis] -= shift
+        weigh(settings, carried, organ)
+
+
+@kernel
+def weigh(settings: Any, carried: Any, organ: int) -> None:
+    """Set an organ's gravity, less its frame's acceleration where that can be felt."""
+    change, gravity = carried.change[organ], carried.gravity[organ]
+    size = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
+    felt = 1.0 if size > carried.unfelt[organ] else 0.0
+    settings.gravity_x = gravity[0] - felt * change[0]
+    settings.gravity_y = gravity[1] - felt * change[1]
+    settings.gravity_z = gravity[2] - felt * change[2]

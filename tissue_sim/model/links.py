@@ -1,0 +1,157 @@
+"""Links: springs that pull and never push, between two organs, or an organ and a point; of many a ligament is made.
+
+Organs that links join take their substeps together, and each link pulls anew in every one, as springs in an organ do.
+What it does to one end it does to the other, reversed. `frequency_of` says what they ask of the step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.critical_step import substeps_for
+from tissue_sim.model.inputs import load_nodes
+
+POINT = -1  # in place of an organ
+
+
+class Links(NamedTuple):
+    """l links; an end is a node of an organ, or, where the organ is POINT, a point that may move with the breath."""
+
+    organ: Longs  # (l, 2)
+    node: Longs  # (l, 2)
+    point: Floats  # (l, 2, 3) m, breathed out
+    moves: Floats  # (l, 2) how far points go with the breath
+    slack: Floats  # (l,) m, up to which they don't pull
+    stiffness: Floats  # (l,) N/m
+    damping: Floats  # (l,) N s/m
+    lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
+    substeps: Longs  # (1,) in a tick at the least
+    force: Floats  # (l, 3) N on the first end, in this substep
+    awake: Longs  # (k,) 1 for organs that this tick advances
+    one_node: Longs  # (1,) room
+    one_force: Floats  # (1, 3) room
+
+
+def make_links(count: int, organs: int) -> Links:
+    """So many links that do nothing yet, between so many organs."""
+    return Links(
+        organ=np.full((count, 2), POINT, dtype=np.int64),
+        node=np.zeros((count, 2), dtype=np.int64),
+        point=np.zeros((count, 2, 3)),
+        moves=np.zeros((count, 2)),
+        slack=np.zeros(count),
+        stiffness=np.zeros(count),
+        damping=np.zeros(count),
+        lightness=np.zeros(count),
+        substeps=np.ones(1, dtype=np.int64),
+        force=np.zeros((count, 3)),
+        awake=np.zeros(organs, dtype=np.int64),
+        one_node=np.zeros(1, dtype=np.int64),
+        one_force=np.zeros((1, 3)),
+    )
+
+
+def fit_step(links: Links, lightness: Sequence[Floats], frequency: float, tick_time: float) -> None:
+    """Work out from organs and links what these ask of the step, once both are known.
+
+    lightness: 1/kg of every organ's nodes (n,), 0 where they are held; frequency: the organs' largest, rad/s. That of
+    organs and links together is no larger than the root of the sum of the squares (Weyl); that which links add is taken
+    from Gershgorin's circles.
+    """
+    light, load = np.zeros(links.organ.shape), np.zeros(links.organ.shape)
+    for organ, inverse in enumerate(lightness):
+        of_it = links.organ == organ
+        nodes = links.node[of_it]
+        light[of_it] = inverse[nodes]
+        load[of_it] = np.bincount(nodes, minlength=len(inverse))[nodes]
+    links.lightness[:] = (light * load).sum(axis=1)
+    row = links.stiffness[:, None] * np.sqrt(light) * np.sqrt(light).sum(axis=1, keepdims=True)  # of each end's circle
+    most = 0.0
+    for organ, inverse in enumerate(lightness):
+        of_it = links.organ == organ
+        most = max(most, float(np.bincount(links.node[of_it], row[of_it], len(inverse)).max(initial=0.0)))
+    links.substeps[0] = substeps_for(tick_time, 2.0 / math.sqrt(frequency**2 + most))
+
+
+@kernel
+def wake_linked(worlds: Any, carried: Any, links: Any, step: float) -> None:
+    """Load the nodes of links that are taut, so that the coming tick advances their organs."""
+    links.force[:] = 0.0
+    links.awake[:] = 1
+    pull_links(worlds, carried, links, step)
+
+
+@kernel
+def pull_links(worlds: Any, carried: Any, links: Any, step: float) -> None:
+    """Let every link whose organs are awake pull as it does in a substep of `step` s."""
+    for link in range(len(links.slack)):
+        if not (is_awake(links, link, 0) and is_awake(links, link, 1)):
+            continue
+        x0, y0, z0 = end_position(worlds, carried, links, link, 0)
+        x1, y1, z1 = end_position(worlds, carried, links, link, 1)
+        x, y, z = x1 - x0, y1 - y0, z1 - z0
+        length = math.sqrt(x * x + y * y + z * z)
+        stretch, tension = length - links.slack[link], 0.0
+        if stretch > 0.0 and length > 0.0:
+            x, y, z = x / length, y / length, z / length
+            vx0, vy0, vz0 = end_speed(worlds, carried, links, link, 0)
+            vx1, vy1, vz1 = end_speed(worlds, carried, links, link, 1)
+            rate = x * (vx1 - vx0) + y * (vy1 - vy0) + z * (vz1 - vz0)
+            damping = links.damping[link]
+            # Implicitly, as far as it slows its own nodes down: it must not turn them around.
+            damping /= 1.0 + step * damping * links.lightness[link]
+            tension = max(0.0, links.stiffness[link] * stretch + damping * rate)
+        force = links.force[link]
+        x, y, z = tension * x - force[0], tension * y - force[1], tension * z - force[2]
+        if x != 0.0 or y != 0.0 or z != 0.0:
+            force[0] += x
+            force[1] += y
+            force[2] += z
+            load_end(worlds, links, link, 0, x, y, z)
+            load_end(worlds, links, link, 1, -x, -y, -z)
+
+
+@kernel
+def is_awake(links: Any, link: int, end: int) -> bool:
+    """True for a point, and for an organ that this tick advances."""
+    organ = links.organ[link, end]
+    return organ < 0 or links.awake[organ] == 1
+
+
+@kernel
+def end_position(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tuple[float, float, float]:
+    """Where an end is, m."""
+    organ, node = links.organ[link, end], links.node[link, end]
+    if organ >= 0:
+        position, offset = worlds[organ].state.position, carried.offset[organ]
+        return position[node, 0] + offset[0], position[node, 1] + offset[1], position[node, 2] + offset[2]
+    share = links.moves[link, end] * carried.share[0]
+    point, breath = links.point[link, end], carried.breath
+    return point[0] + share * breath.x, point[1] + share * breath.y, point[2] + share * breath.z
+
+
+@kernel
+def end_speed(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tuple[float, float, float]:
+    """How fast an end is, m/s."""
+    organ, node = links.organ[link, end], links.node[link, end]
+    if organ >= 0:
+        velocity, speed = worlds[organ].state.velocity, carried.speed[organ]
+        return velocity[node, 0] + speed[0], velocity[node, 1] + speed[1], velocity[node, 2] + speed[2]
+    share, breath = links.moves[link, end] * carried.share[1], carried.breath
+    return share * breath.x, share * breath.y, share * breath.z
+
+
+@kernel
+def load_end(worlds: Any, links: Any, link: int, end: int, x: float, y: float, z: float) -> None:
+    """Add a force, N, to an end's node for the coming tick."""
+    organ = links.organ[link, end]
+    if organ >= 0:
+        links.one_node[0] = links.node[link, end]
+        links.one_force[0, 0], links.one_force[0, 1], links.one_force[0, 2] = x, y, z
+        load_nodes(worlds[organ].state, links.one_node, links.one_force)
