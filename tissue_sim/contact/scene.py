@@ -1,55 +1,105 @@
-"""An organ and its tools in one thread: poses in, ticks, wrenches out. For tests, benches and scripts."""
+"""Organs and tools in one thread: poses in, ticks, wrenches out. For tests, benches and scripts."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.finder import ContactFinder, reach_margins
+from tissue_sim.contact.attachments import Attachment, Breathing, links_of
+from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.contact.touched import TouchedOrgan
+from tissue_sim.model.breathing import Breath
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
 
 
 class Scene:
-    """A simulation whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
+    """Organs whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
 
-    organ, model, rate, local_region, integrator as in Simulation; tools the rigid tools; ticks_a_set: ticks for each
-    contact set.
+    organ: one, or several, where they lie; tools the rigid tools; model, rate, local_region, integrator as in
+    Simulation, of every organ; ticks_a_set: ticks for each contact set. attachments between organs, or to points;
+    breathing, and how far each organ's clamp goes with it, `breathes` (k,).
+
+    A tool moves in the room, and touches all organs; each gives way to it by itself, and what a hand feels is the sum.
+    Raises UserError where organs and attachments don't fit together.
     """
 
     def __init__(
         self,
-        organ: Organ,
+        organ: Organ | Sequence[Organ],
         tools: list[Tool],
         model: str = "auto",
         rate: float = 1000.0,
         local_region: str = "off",
         ticks_a_set: int = 1,
         integrator: str = "symplectic",
+        attachments: Sequence[Attachment] = (),
+        breathing: Breathing | None = None,
+        breathes: Sequence[float] = (),
     ) -> None:
         self.tools = ToolSet(tools)
-        self.simulation = Simulation(
-            organ,
-            model=model,
-            rate=rate,
-            local_region=local_region,
-            shapes=self.tools.shapes,
-            integrator=integrator,
-        )
-        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, self.tools)
-        self.contacts: ContactSet | None = None
+        organs = [organ] if isinstance(organ, Organ) else list(organ)
+        self.organs = [
+            TouchedOrgan(
+                Simulation(
+                    one,
+                    model=model,
+                    rate=rate,
+                    local_region=local_region,
+                    shapes=self.tools.shapes,
+                    integrator=integrator,
+                ),
+                self.tools,
+                ticks_a_set,
+            )
+            for one in organs
+        ]
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
-        self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
+        self._joined: Joined | None = None
+        if len(organs) > 1 or attachments or breathing is not None:
+            breath = Breath.new() if breathing is None else breathing.breath()
+            self._joined = Joined(self.simulations, links_of(attachments, self.simulations), breath, breathes)
+
+    @property
+    def simulations(self) -> list[Simulation]:
+        """Of each organ."""
+        return [one.simulation for one in self.organs]
+
+    @property
+    def simulation(self) -> Simulation:
+        """Of the first organ."""
+        return self.organs[0].simulation
+
+    @property
+    def finder(self) -> ContactFinder:
+        """Of the first organ."""
+        return self.organs[0].finder
+
+    @property
+    def contacts(self) -> ContactSet | None:
+        """The first organ's newest contact set."""
+        return self.organs[0].contacts
+
+    @property
+    def offsets(self) -> Floats:
+        """(k, 3) m by which the breath has carried each organ; its positions are those without it."""
+        return np.zeros((len(self.organs), 3)) if self._joined is None else self._joined.carried.offset
 
     def reset(self) -> None:
-        """Back to rest, without tools; the settings stay."""
-        self.simulation.reset()
-        self.contacts, self._set_goal, self._ticks = None, None, 0
+        """Back to rest, breathed out, without tools; the settings stay."""
+        for one in self.organs:
+            one.reset()
+        if self._joined is not None:
+            self._joined.reset()
+        self._ticks = 0
         self._origin[:] = 0.0
 
     @property
@@ -58,11 +108,22 @@ class Scene:
 
         The live array, unless a tool has more than one body.
         """
-        wrench, poses = self.simulation.state.wrench, self.simulation.state.body_pose[:, :3]
+        felt = [self._felt(one.simulation, offset) for one, offset in zip(self.organs, self.offsets, strict=True)]
+        if len(felt) == 1:
+            return felt[0]
+        total = np.sum(felt, axis=0)
+        size = np.linalg.norm(total[:, :3], axis=1)
+        most = self.simulation.settings.force_clamp
+        total[size > most] *= most / size[size > most, None]
+        return np.asarray(total)
+
+    def _felt(self, simulation: Simulation, offset: Floats) -> Floats:
+        wrench, poses = simulation.state.wrench, simulation.state.body_pose[:, :3]
         if len(wrench) == len(self.tools.tools):
             return wrench
+        origins = self._origin - offset
         bodies = self.tools.bodies
-        return np.array([about(self._origin[tool], wrench[own], poses[own]) for tool, own in enumerate(bodies)])
+        return np.array([about(origins[tool], wrench[own], poses[own]) for tool, own in enumerate(bodies)])
 
     def move(
         self,
@@ -80,32 +141,26 @@ class Scene:
         self._origin[tool] = pose[:3]
         self._sequence += 1
         for body, at in zip(self.tools.bodies[tool], self.tools.poses(tool, pose, angle), strict=True):
-            self.simulation.take_pose(body, at, self._sequence, stamp)
+            for simulation, offset in zip(self.simulations, self.offsets, strict=True):
+                carried = at.copy()
+                carried[:3] -= offset
+                simulation.take_pose(body, carried, self._sequence, stamp)
 
     def push(self, tool: int, force: ArrayLike) -> None:
         """A new external force (3,) N on the tissue at a tool's tip."""
         self._sequence += 1
         body = self.tools.bodies[tool][0]
-        self.simulation.take_force(body, np.asarray(force, dtype=np.float64), self._sequence)
+        for simulation in self.simulations:
+            simulation.take_force(body, np.asarray(force, dtype=np.float64), self._sequence)
 
     def step(self) -> None:
         """Find the contacts when it is time, and advance by one tick."""
         if self._ticks % self._ticks_a_set == 0:
-            self._find()
+            self._sequence += 1
+            for one in self.organs:
+                one.find(self._sequence)
         self._ticks += 1
-        self.simulation.step()
-
-    def _find(self) -> None:
-        state = self.simulation.state
-        fresh = ((state.bodies.age >= 0) & ~state.bodies.lapsed.astype(bool)).astype(np.int64)
-        pushing = (state.bodies.force_age >= 0).astype(np.int64)
-        goal = state.body_goal.copy()
-        margins = np.zeros(len(fresh))
-        if self._ticks_a_set > 1 and self._set_goal is not None:
-            behind = state.bodies.speed * state.bodies.remaining
-            margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0, behind)
-        self._set_goal = goal
-        found = self.finder.find(self.simulation.positions, goal, margins, fresh, pushing)
-        self._sequence += 1
-        self.simulation.take_contacts(found, self._sequence)
-        self.contacts = found
+        if self._joined is None:
+            self.simulation.step()
+        else:
+            self._joined.step()

@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import kernel
+from tissue_sim.errors import UserError
+from tissue_sim.jit import handle, kernel
 from tissue_sim.model.breathing import Breath, breathe
 from tissue_sim.model.links import Links, pull_links, wake_linked
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
 
 UNFELT = 1e-4  # m by which the acceleration of its frame bends an organ that sleeps on
@@ -34,6 +37,60 @@ class Together(NamedTuple):
 
     carried: Carried
     links: Links
+
+
+class Joined:
+    """Simulations that are advanced together.
+
+    links between them; breath, and how far each goes with it, (k,), or nothing where none does. unfelt: m by which the
+    acceleration of its frame may bend an organ that sleeps on. Raises UserError where simulations don't fit together.
+    """
+
+    def __init__(
+        self,
+        simulations: Sequence[Simulation],
+        links: Links,
+        breath: Breath,
+        moves: Sequence[float] = (),
+        unfelt: float = UNFELT,
+    ) -> None:
+        self.simulations, self.links = list(simulations), links
+        if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
+            raise UserError("organs of one scene have one rate, model, local region, integrator and return target")
+        if self.simulations[0].implied:
+            raise UserError("organs of one scene have return target rest, not implied")
+        moves = list(moves) or [0.0] * len(self.simulations)
+        if len(moves) != len(self.simulations):
+            raise UserError(
+                f"how far organs go with the breath: {len(moves)} numbers for {len(self.simulations)} organs"
+            )
+        gravity = np.array([gravity_of(one.settings) for one in self.simulations])
+        self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
+        self._worlds = tuple(one.world for one in self.simulations)
+        self._joined = handle(Together(self.carried, links))
+
+    def step(self) -> None:
+        """Advance all by one tick."""
+        tick_together(self._worlds, self._joined)
+
+    def reset(self) -> None:
+        """Breathed out, without what the breath has done to gravity; the simulations are reset by themselves."""
+        carried = self.carried
+        carried.breath.time = 0.0
+        for field in (carried.share, carried.offset, carried.speed, carried.change):
+            field[:] = 0.0
+        for simulation, gravity in zip(self.simulations, carried.gravity, strict=True):
+            simulation.set_gravity(gravity)
+
+
+def gravity_of(settings: Settings) -> tuple[float, float, float]:
+    """Gravity, m/s^2."""
+    return settings.gravity_x, settings.gravity_y, settings.gravity_z
+
+
+def slowest(simulation: Simulation) -> float:
+    """About the lowest angular frequency of an organ, rad/s: its damping rate is twice that."""
+    return 0.5 * float(simulation.model.damping_rate)
 
 
 def carried_with(breath: Breath, moves: Sequence[float], unfelt: Sequence[float], gravity: Floats) -> Carried:

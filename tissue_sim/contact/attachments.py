@@ -1,0 +1,126 @@
+"""What organs hang on: attachments to each other or to points, each of many links, and the breath that carries them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.errors import UserError
+from tissue_sim.model.breathing import Breath
+from tissue_sim.model.links import POINT, Links, fit_step, make_links
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.topology import node_area
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A ligament: links that pull and never push, from surface nodes of one organ to those of another, or to a point.
+
+    organs: which two of a scene, or which one and None. stiffness: N/m of all its links together, which share it by
+    the area around their nodes; damping: N s/m likewise. within: m, up to which nodes are joined with the nearest one
+    of the other organ; or else nodes: (k, 2) of both, or (k,) of the one that hangs on `point`, (3,) m. slack: m, the
+    length up to which links don't pull; None: that at rest. moves: how far a point goes with the breath.
+    """
+
+    organs: tuple[int, int | None]
+    stiffness: float
+    damping: float = 0.0
+    within: float = 0.0
+    nodes: ArrayLike | None = None
+    point: ArrayLike | None = None
+    slack: float | None = None
+    moves: float = 0.0
+
+
+@dataclass(frozen=True)
+class Breathing:
+    """A breath of so many a minute that leads what goes with it by `way` (3,) m, from breathed out to breathed in."""
+
+    rate: float
+    way: ArrayLike
+
+    def breath(self) -> Breath:
+        """As the kernels take it. Raises UserError for numbers out of range."""
+        way = np.asarray(self.way, dtype=np.float64)
+        if not 1.0 <= self.rate <= 120.0:
+            raise UserError(f"a breathing rate of {self.rate:g} a minute is outside 1..120")
+        if way.shape != (3,) or not np.all(np.abs(way) <= 0.2):
+            raise UserError(f"breathing moves by {self.way!r}; wanted: three numbers of up to 0.2 m")
+        breath = Breath.new()
+        breath.period = 60.0 / self.rate
+        breath.x, breath.y, breath.z = way
+        return breath
+
+
+def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation]) -> Links:
+    """The links of all attachments. Raises UserError, with its number, for one that joins nothing, or can't be."""
+    for simulation in simulations:
+        if attachments and simulation.local_region != "off":
+            raise UserError(
+                f"organ '{simulation.organ.name}' has a local region, and attachments move it as a whole;"
+                " use local region off"
+            )
+        if attachments and simulation.integrator != "symplectic":
+            raise UserError(f"attachments need integrator symplectic, not {simulation.integrator}")
+    organs = [simulation.organ for simulation in simulations]
+    parts = [_nodes_of(one, organs, number) for number, one in enumerate(attachments)]
+    links, first = make_links(sum(map(len, parts)), len(organs)), 0
+    for one, nodes in zip(attachments, parts, strict=True):
+        rows = slice(first, first + len(nodes))
+        first = rows.stop
+        near, far = one.organs
+        links.organ[rows], links.node[rows] = (near, POINT if far is None else far), nodes
+        ends = np.stack([organs[near].surface_positions[nodes[:, 0]], _far_ends(one, organs, nodes)])
+        if far is None:
+            links.point[rows, 1], links.moves[rows, 1] = ends[1], one.moves
+        area = node_area(organs[near].surface_positions, organs[near].surface_triangles)[nodes[:, 0]]
+        links.stiffness[rows] = one.stiffness * area / area.sum()
+        links.damping[rows] = one.damping * area / area.sum()
+        links.slack[rows] = np.linalg.norm(ends[1] - ends[0], axis=1) if one.slack is None else one.slack
+    if len(links.slack):
+        lightness = [simulation.model.inverse_mass for simulation in simulations]
+        fit_step(links, lightness, max(one.frequency for one in simulations), 1.0 / simulations[0].rate)
+    return links
+
+
+def _far_ends(one: Attachment, organs: Sequence[Organ], nodes: Longs) -> Floats:
+    if one.organs[1] is None:
+        return np.broadcast_to(np.asarray(one.point, dtype=np.float64), (len(nodes), 3))
+    return organs[one.organs[1]].surface_positions[nodes[:, 1]]
+
+
+def _nodes_of(one: Attachment, organs: Sequence[Organ], number: int) -> Longs:
+    """Nodes (l, 2) of an attachment's links."""
+    near, far = one.organs
+    name = f"attachment {number}"
+    if not 0 <= near < len(organs) or (far is not None and (not 0 <= far < len(organs) or far == near)):
+        raise UserError(f"{name} is between organs {near} and {far}; there are {len(organs)}, from 0")
+    if not (0.0 < one.stiffness <= 1e6 and 0.0 <= one.damping <= 1e4):
+        raise UserError(f"{name}: stiffness {one.stiffness:g} N/m or damping {one.damping:g} N s/m is out of range")
+    if (far is None) != (one.point is not None):
+        raise UserError(f"{name} wants either another organ or a point")
+    if one.nodes is None:
+        if far is None:
+            reach = np.linalg.norm(organs[near].surface_positions - np.asarray(one.point), axis=1)
+            ends = np.flatnonzero(reach <= one.within)
+            found = np.stack([ends, np.zeros_like(ends)], axis=1)
+        else:
+            reach, other = cKDTree(organs[far].surface_positions).query(organs[near].surface_positions)
+            joined = np.flatnonzero(reach <= one.within)
+            found = np.stack([joined, other[joined]], axis=1)
+    else:
+        found = np.asarray(one.nodes, dtype=np.int64)
+        if far is None:
+            found = np.stack([found.ravel(), np.zeros(found.size, dtype=np.int64)], axis=1)
+    if not len(found):
+        raise UserError(f"{name} joins nothing: no nodes within {one.within:g} m; make 'within' larger, or name nodes")
+    limits = organs[near].n_surface, 1 if far is None else organs[far].n_surface
+    if found.ndim != 2 or found.shape[1] != 2 or np.any(found < 0) or np.any(found >= limits):
+        raise UserError(f"{name} names surface nodes that aren't there")
+    return found.astype(np.int64)

@@ -1,0 +1,43 @@
+"""An organ that tools may touch: its simulation, and the contact sets that it is given."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.finder import ContactFinder, reach_margins
+from tissue_sim.contact.tools import ToolSet
+from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.simulation import Simulation
+
+
+class TouchedOrgan:
+    """A simulation whose contact sets are found every `ticks_a_set` ticks."""
+
+    def __init__(self, simulation: Simulation, tools: ToolSet, ticks_a_set: int) -> None:
+        organ = simulation.organ
+        self.simulation = simulation
+        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+        self.contacts: ContactSet | None = None
+        self._ticks_a_set = ticks_a_set
+        self._set_goal: Floats | None = None  # the bodies' poses at the last contact set
+
+    def reset(self) -> None:
+        """Back to rest, untouched; the settings stay."""
+        self.simulation.reset()
+        self.contacts = self._set_goal = None
+
+    def find(self, sequence: int) -> None:
+        """Find what the bodies may touch where they are now, and take it up; sequence: its number."""
+        state = self.simulation.state
+        fresh = ((state.bodies.age >= 0) & ~state.bodies.lapsed.astype(bool)).astype(np.int64)
+        pushing = (state.bodies.force_age >= 0).astype(np.int64)
+        goal = state.body_goal.copy()
+        margins = np.zeros(len(fresh))
+        if self._ticks_a_set > 1 and self._set_goal is not None:
+            behind = state.bodies.speed * state.bodies.remaining
+            margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0, behind)
+        self._set_goal = goal
+        found = self.finder.find(self.simulation.positions, goal, margins, fresh, pushing)
+        self.simulation.take_contacts(found, sequence)
+        self.contacts = found
