@@ -38,6 +38,23 @@ def test_poses_that_come_late_change_the_highest_force_by_a_tenth_at_most(period
         assert poke(gap, period).max() == pytest.approx(undisturbed, rel=0.1), gap
 
 
+def test_a_tool_that_comes_back_elsewhere_feels_nothing_of_before():
+    """However slowly a force may change: it was let go meanwhile."""
+    scene = Scene(ball(2), [Tool("left", "sphere", radius=0.005)])
+    scene.simulation.settings.force_slew = 1.0
+    top = scene.simulation.organ.surface_positions[:, 2].max()
+    for tick in range(400):
+        scene.move(0, [0.0, 0.0, top + 0.006 - 0.005 * min(1.0, tick / 100.0)])
+        scene.step()
+    assert np.linalg.norm(scene.wrenches[0]) > 0.05
+    for _ in range(75):  # stale after 50, let go after 70
+        scene.step()
+    assert not scene.wrenches.any()
+    scene.move(0, [0.0, 0.0, 1.0])
+    scene.step()
+    assert not scene.wrenches.any()
+
+
 # equal and opposite ----------------------------------------------------------------------------
 @pytest.mark.parametrize("friction", [0.0, 0.6])
 @pytest.mark.parametrize("subdivisions", [1, 2])

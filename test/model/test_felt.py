@@ -33,7 +33,9 @@ def twin(felt, impulse, owners, ages, settings):
         size = np.linalg.norm(felt[own][:, :3].sum(axis=0))
         felt[own] *= min(1.0, settings.force_clamp / size) if size else 1.0
         late = ages[own] * TICK - settings.stale_time
-        wrench[own] = np.clip(1.0 - late / settings.ramp_time, 0.0, 1.0)[:, None] * felt[own]
+        fresh = np.clip(1.0 - late / settings.ramp_time, 0.0, 1.0)[:, None]
+        felt[own] *= fresh > 0.0
+        wrench[own] = fresh * felt[own]
     return felt, wrench
 
 
