@@ -77,6 +77,7 @@ class _Sender:
     def play(self, organ: Organ) -> dict[str, int]:
         """Send all steps; returns what was refused."""
         self._wait_for(self._is_heard)
+        self._wait_for(self._reports.take)  # it ticks: kernels that had to be compiled are
         time.sleep(QUIET)
         self._tell_time()
         due = time.monotonic()
