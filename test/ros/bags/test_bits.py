@@ -19,7 +19,7 @@ KERNELS_OF_BLAS = "Nehalem", "Haswell"  # of OpenBLAS, which has others for othe
 @pytest.mark.parametrize("kernels", KERNELS_OF_BLAS)
 def test_another_processors_linear_algebra_repeats_to_the_last_bit(kernels):
     """What a replay computes beside its compiled kernels: cells' shapes, poses."""
-    words = ["--force-tolerance", "0", "--position-tolerance", "0", "--torque-tolerance", "0"]
+    words = ["--force-tolerance", "0", "--position-tolerance", "0"]
     done = subprocess.run(
         [sys.executable, "-m", "tissue_sim", "replay", *BAGS[:2], *words],
         env=os.environ | {"OPENBLAS_CORETYPE": kernels},
