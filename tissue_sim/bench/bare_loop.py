@@ -29,9 +29,9 @@ def late_percent(late: Floats) -> float:
     return 100.0 * float(np.mean(late > 1.0 / RATE))
 
 
-def late_bound(name: str, node_percent: float, bare_percent: float) -> Bound:
-    """What the node's share of late ticks is held against."""
-    return Bound(name, node_percent, MOST_OF_BARE * bare_percent + POINTS_BEYOND, "%")
+def late_bound(name: str, percent: float, usual_percent: float) -> Bound:
+    """A share of late ticks, held against a bare loop's, or that on a quiet machine."""
+    return Bound(name, percent, MOST_OF_BARE * usual_percent + POINTS_BEYOND, "%")
 
 
 @kernel

@@ -140,7 +140,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
             if name == AFTER or node["realtime_priority"]
         ]
         bounds.append(Bound(f"{whose}: until nothing is given up", node["seconds_until_back"], LONGEST_BACK, "s"))
-        bounds.append(late_bound(f"{whose}: late ticks, {AFTER}", after["late_percent"], after["bare_late_percent"]))
+        bounds.append(late_bound(f"{whose}: late ticks, {AFTER}", after["late_percent"], phases[QUIET]["late_percent"]))
         if node["realtime_priority"]:
             bounds.append(late_bound(f"{whose}: late ticks, {BUSY}", busy["late_percent"], busy["bare_late_percent"]))
     if not any(node["realtime_priority"] for node in nodes):

@@ -71,6 +71,19 @@ def test_between_strained_and_well_nothing_changes():
     assert run.ladder.level == level > NONE
 
 
+def test_hiccups_of_a_machine_that_is_well_delay_the_way_back_and_do_not_bar_it():
+    ladder, now = Ladder(), 0.0
+    while ladder.level == NONE:
+        ladder.look(now, Look(0.9, 0.5, 0), lambda _: True)
+        now += LOOK_EVERY
+    begun = now
+    while ladder.level != NONE and now < begun + 10.0 * HOLD:
+        hiccup = round(now / LOOK_EVERY) % 20 == 0  # one look in 5 s
+        ladder.look(now, Look(0.1, 0.1 if hiccup else 0.0, 0), lambda _: True)
+        now += LOOK_EVERY
+    assert HOLD < now - begun < 2.0 * HOLD
+
+
 def test_what_gives_nothing_up_is_left_out_both_ways():
     run = Run(lambda level: level in (MARKERS, RATE))
     assert run.look(STRAIN, 10.0) == [MARKERS, RATE]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ MARKER_RATE = 10.0  # Hz, from level MARKERS on
 STRAINED_LOAD, WELL_LOAD = 0.8, 0.35  # of the wall time, in ticks; well: twice the rate would not strain either
 STRAINED_LATE, WELL_LATE = 0.2, 0.05  # share of ticks late by more than a period
 PATIENCE = 1.0  # s of strain before the next step
+HICCUP = 1.0  # s of wellness that a look takes away which is neither
 HOLD, LONGEST_HOLD = 10.0, 160.0  # s of wellness before a step back; doubled each time that this was too soon
 
 
@@ -54,8 +56,9 @@ def halvings(level: int) -> int:
 class Ladder:
     """Decides from one look to the next. Knows no clock and no node: both are told.
 
-    A step is taken after a second of strain without a break, and back after ten without any; when a step had to be
-    taken again soon after, the way back takes twice as long.
+    A step is taken after a second of strain without a break, and back after ten seconds of wellness since the last
+    strain; a look that is neither takes one of these away: a machine that does nothing else has hiccups, too. When a
+    step had to be taken again soon after, the way back takes twice as long.
     """
 
     def __init__(self) -> None:
@@ -63,12 +66,14 @@ class Ladder:
         self.stuck = False  # True while strained with nothing left to give up
         self._hold = HOLD
         self._back_at = -LONGEST_HOLD  # s, when the last step back was taken
-        self._strained_since = self._well_since = -1.0  # s; negative: it isn't
+        self._strained_since = -1.0  # s; negative: it isn't
+        self._well_for, self._looked_at = 0.0, math.inf  # s
 
     def look(self, now: float, look: Look, helps: Callable[[int], bool]) -> bool:
         """Take a look at `now` s; returns whether the level changed. helps: whether a level gives anything up."""
         self._strained_since = _since(self._strained_since, now, look.strained)
-        self._well_since = _since(self._well_since, now, look.well)
+        self._well_for = self._wellness(look, max(0.0, now - self._looked_at))
+        self._looked_at = now
         self.stuck = self.stuck and look.strained
         if self._strained_since >= 0.0 and now - self._strained_since >= PATIENCE:
             further = next((level for level in range(self.level + 1, LEVELS) if helps(level)), None)
@@ -77,15 +82,21 @@ class Ladder:
                 return False
             self._hold = min(2.0 * self._hold, LONGEST_HOLD) if now - self._back_at < self._hold else HOLD
             return self._go(further)
-        if self.level > NONE and self._well_since >= 0.0 and now - self._well_since >= self._hold:
+        if self.level > NONE and self._well_for >= self._hold:
             self._back_at = now
             return self._go(next(level for level in range(self.level - 1, -1, -1) if level == NONE or helps(level)))
         return False
 
     def _go(self, level: int) -> bool:
         self.level = level
-        self._strained_since = self._well_since = -1.0
+        self._strained_since, self._well_for = -1.0, 0.0
         return True
+
+    def _wellness(self, look: Look, elapsed: float) -> float:
+        """Seconds of wellness, after a look at so many s more."""
+        if look.strained:
+            return 0.0
+        return self._well_for + elapsed if look.well else max(0.0, self._well_for - HICCUP)
 
 
 def _since(since: float, now: float, true: bool) -> float:
