@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -85,7 +86,8 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
         links.slack[rows] = np.linalg.norm(ends[1] - ends[0], axis=1) if one.slack is None else one.slack
     if len(links.slack):
         lightness = [simulation.model.inverse_mass for simulation in simulations]
-        fit_step(links, lightness, max(one.frequency for one in simulations), 1.0 / simulations[0].rate)
+        fastest = max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)
+        fit_step(links, lightness, fastest, 1.0 / simulations[0].rate)
     return links
 
 

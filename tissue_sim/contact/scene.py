@@ -24,8 +24,9 @@ class Scene:
     """Organs whose contact sets are found anew before each tick, or every few ticks as beside the node's loop.
 
     organ: one, or several, where they lie; tools the rigid tools; model, rate, local_region, integrator as in
-    Simulation, of every organ; ticks_a_set: ticks for each contact set. attachments between organs, or to points;
-    breathing, and how far each organ's clamp goes with it, `breathes` (k,).
+    Simulation, of every organ; ticks_a_set: ticks for each contact set; stiffness (k,) factors on that of each organ's
+    tissue. attachments between organs, or to points; breathing, and how far each organ's clamp goes with it,
+    `breathes` (k,).
 
     A tool moves in the room, and touches all organs; each gives way to it by itself, and what a hand feels is the sum.
     Raises UserError where organs and attachments don't fit together.
@@ -40,6 +41,7 @@ class Scene:
         local_region: str = "off",
         ticks_a_set: int = 1,
         integrator: str = "symplectic",
+        stiffness: Sequence[float] = (),
         attachments: Sequence[Attachment] = (),
         breathing: Breathing | None = None,
         breathes: Sequence[float] = (),
@@ -61,6 +63,9 @@ class Scene:
             )
             for one in organs
         ]
+        for one, factor in zip(self.simulations, stiffness, strict=bool(stiffness)):
+            one.settings.stiffness_scale = factor
+            one.set_substeps()
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
         self._joined: Joined | None = None

@@ -1,0 +1,83 @@
+"""What a scene holds, for `tissue_sim info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.contact.attachments import Attachment, links_of
+from tissue_sim.contact.scene_file import SceneFile
+from tissue_sim.model.simulation import Simulation
+
+
+def describe_scene(path: Path) -> dict[str, Any]:
+    """All figures of a scene, ready for JSON; units stand in the names. Raises UserError for what is no scene."""
+    said = SceneFile.read(path)
+    simulations = [Simulation(organ) for organ in said.organs]
+    breathing = said.breathing
+    if breathing is not None:
+        breathing.breath()  # which checks it
+    organs = zip(said.names, said.organs, said.stiffness, said.breathes, strict=True)
+    return {
+        "scene": path.name,
+        "organs": [
+            {
+                "name": name,
+                "organ": organ.name,
+                "digest": organ.digest(),
+                "points": organ.n_surface,
+                "cells": len(organ.cell_nodes),
+                "volume_ml": organ.volume * 1e6,
+                "lower_corner_mm": (1e3 * organ.surface_positions.min(axis=0)).tolist(),
+                "upper_corner_mm": (1e3 * organ.surface_positions.max(axis=0)).tolist(),
+                "stiffness": stiffness,
+                "breathes": breathes,
+            }
+            for name, organ, stiffness, breathes in organs
+        ],
+        "attachments": [_attachment(one, said, simulations) for one in said.attachments],
+        "substeps_for_attachments": int(links_of(said.attachments, simulations).substeps[0]),
+        "breathing": None
+        if breathing is None
+        else {"rate_per_minute": breathing.rate, "way_mm": (1e3 * np.asarray(breathing.way)).tolist()},
+    }
+
+
+def _attachment(one: Attachment, said: SceneFile, simulations: list[Simulation]) -> dict[str, Any]:
+    near, far = one.organs
+    links = links_of([one], simulations)
+    return {
+        "from": said.names[near],
+        "to": "a point" if far is None else said.names[far],
+        "links": len(links.slack),
+        "stiffness_n_per_m": one.stiffness,
+        "slack_mm": [float(1e3 * links.slack.min()), float(1e3 * links.slack.max())],
+    }
+
+
+def scene_lines(found: dict[str, Any]) -> list[str]:
+    """The figures for people."""
+    lines = [f"scene {found['scene']}: {len(found['organs'])} organs"]
+    for organ in found["organs"]:
+        low, high = (", ".join(f"{v:.0f}" for v in organ[key]) for key in ("lower_corner_mm", "upper_corner_mm"))
+        extra = f", stiffness {organ['stiffness']:g}" if organ["stiffness"] != 1.0 else ""
+        extra += f", breathes {organ['breathes']:g}" if organ["breathes"] else ""
+        cells = f"{organ['cells']} cells" if organ["cells"] else "springs"
+        lines.append(
+            f"  {organ['name']}: {organ['volume_ml']:.1f} mL, {organ['points']} points, {cells},"
+            f" from {low} to {high} mm{extra}"
+        )
+    for one in found["attachments"]:
+        least, most = one["slack_mm"]
+        lines.append(
+            f"  {one['from']} to {one['to']}: {one['links']} links, {one['stiffness_n_per_m']:g} N/m in all,"
+            f" slack up to {least:.1f} to {most:.1f} mm"
+        )
+    if found["attachments"]:
+        lines.append(f"  substeps for the attachments: {found['substeps_for_attachments']} at the least")
+    if found["breathing"]:
+        way = ", ".join(f"{v:g}" for v in found["breathing"]["way_mm"])
+        lines.append(f"  breathing: {found['breathing']['rate_per_minute']:g} a minute, {way} mm")
+    return lines

@@ -1,0 +1,190 @@
+"""A scene as one YAML file: organs and where they lie, what they hang on, the breath that carries them."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from tissue_sim.contact.attachments import Attachment, Breathing
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.errors import UserError, shown
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.placing import placed
+
+FORMAT = 1
+MOST_ORGANS = 16
+_OF_SCENE = "format", "organs", "attachments", "breathing"
+_OF_ORGAN = "name", "file", "position", "quaternion", "stiffness", "breathes"
+_OF_BREATHING = "rate", "way"
+_OF_ATTACHMENT = "between", "of", "point", "moves", "within", "nodes", "stiffness", "damping", "slack"
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """What a scene's file says, its organs where they lie.
+
+    names (k,) of the organs; stiffness (k,) factors on their tissue's; breathes (k,) how far their clamps go with the
+    breath.
+    """
+
+    names: tuple[str, ...]
+    organs: tuple[Organ, ...]
+    stiffness: tuple[float, ...]
+    breathes: tuple[float, ...]
+    attachments: tuple[Attachment, ...]
+    breathing: Breathing | None
+
+    @classmethod
+    def read(cls, path: Path) -> SceneFile:
+        """Read a scene. Raises UserError, one line that names the file and the entry, for what is none."""
+        try:
+            content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UserError(f"scene {path} can't be read: {error.strerror}") from None
+        except (YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+            said = shown(" ".join(str(error).split()), 200)
+            raise UserError(f"scene {path} is no YAML: {said}") from None
+        try:
+            return cls._parsed(path, _object(content, "the scene", _OF_SCENE))
+        except _Wrong as error:
+            raise UserError(f"scene {path}: {error}") from None
+
+    @classmethod
+    def _parsed(cls, path: Path, said: Mapping[str, Any]) -> SceneFile:
+        if said.get("format") != FORMAT:
+            raise _Wrong(f"format is {shown(repr(said.get('format')))}, this package reads {FORMAT}")
+        entries = _list(said.get("organs"), "organs")
+        if not 1 <= len(entries) <= MOST_ORGANS:
+            raise _Wrong(f"organs has {len(entries)} entries, wanted: 1 to {MOST_ORGANS}")
+        rows = [_organ(path, entry, f"organs[{number}]") for number, entry in enumerate(entries)]
+        names = [name for name, *_ in rows]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise _Wrong(f"two organs are called '{twice[0]}'")
+        _, organs, stiffness, breathes = zip(*rows, strict=True)
+        attached = _list(said.get("attachments", []), "attachments")
+        breathing = said.get("breathing")
+        return cls(
+            tuple(names),
+            organs,
+            stiffness,
+            breathes,
+            tuple(_attachment(one, names, f"attachments[{number}]") for number, one in enumerate(attached)),
+            None if breathing is None else _breathing(breathing),
+        )
+
+    def scene(self, tools: list[Tool], **options: Any) -> Scene:
+        """The scene, with tools; options as Scene takes them. Raises UserError where things don't fit together."""
+        return Scene(
+            self.organs,
+            tools,
+            stiffness=self.stiffness,
+            attachments=self.attachments,
+            breathing=self.breathing,
+            breathes=self.breathes,
+            **options,
+        )
+
+
+class _Wrong(Exception):
+    """What is wrong with an entry, which the message begins with."""
+
+
+def _organ(path: Path, entry: Any, where: str) -> tuple[str, Organ, float, float]:
+    said = _object(entry, where, _OF_ORGAN)
+    name = said.get("name")
+    if not (isinstance(name, str) and name.isidentifier() and name.isascii()):
+        raise _Wrong(f"{where}.name is {shown(repr(name))}; wanted: letters, digits and _, not beginning with a digit")
+    file = said.get("file")
+    if not isinstance(file, str) or not file:
+        raise _Wrong(f"{where}.file is {shown(repr(file))}; wanted: an organ file, beside the scene")
+    organ = Organ.load(path.parent / file)
+    position = _numbers(said.get("position", [0.0, 0.0, 0.0]), f"{where}.position", 3, 10.0)
+    quaternion = _numbers(said.get("quaternion", [0.0, 0.0, 0.0, 1.0]), f"{where}.quaternion", 4, 1.0 + 1e-6)
+    try:
+        there = placed(organ, position, quaternion)
+    except UserError as error:
+        raise _Wrong(f"{where}: {error}") from None
+    stiffness = _number(said.get("stiffness", 1.0), f"{where}.stiffness", 0.01, 100.0)
+    return name, there, stiffness, _number(said.get("breathes", 0.0), f"{where}.breathes", -1.0, 1.0)
+
+
+def _attachment(entry: Any, names: Sequence[str], where: str) -> Attachment:
+    said = _object(entry, where, _OF_ATTACHMENT)
+    if ("between" in said) == ("of" in said):
+        raise _Wrong(f"{where} wants either 'between' with two organs, or 'of' with one and a 'point'")
+    ends = [said["of"]] if "of" in said else _list(said["between"], f"{where}.between")
+    if len(ends) != (1 if "of" in said else 2) or not all(isinstance(name, str) for name in ends):
+        raise _Wrong(f"{where}.{'of' if 'of' in said else 'between'} is {shown(repr(ends))}; wanted: names of organs")
+    if unknown := [name for name in ends if name not in names]:
+        raise _Wrong(f"{where} names organ '{shown(unknown[0])}', which isn't there; there are {', '.join(names)}")
+    if ("of" in said) != ("point" in said):
+        raise _Wrong(f"{where}: 'of' wants a 'point', and 'between' none")
+    if ("within" in said) == ("nodes" in said):
+        raise _Wrong(f"{where} wants either 'within', m, or 'nodes'")
+    number = names.index(ends[0]), names.index(ends[1]) if len(ends) == 2 else None
+    return Attachment(
+        number,
+        stiffness=_number(said.get("stiffness"), f"{where}.stiffness", 1e-6, 1e6),
+        damping=_number(said.get("damping", 0.0), f"{where}.damping", 0.0, 1e4),
+        within=_number(said.get("within", 0.0), f"{where}.within", 0.0, 1.0),
+        nodes=_nodes(said["nodes"], f"{where}.nodes", len(ends)) if "nodes" in said else None,
+        point=_numbers(said["point"], f"{where}.point", 3, 10.0) if "point" in said else None,
+        slack=None if said.get("slack") is None else _number(said["slack"], f"{where}.slack", 0.0, 10.0),
+        moves=_number(said.get("moves", 0.0), f"{where}.moves", -1.0, 1.0),
+    )
+
+
+def _breathing(entry: Any) -> Breathing:
+    said = _object(entry, "breathing", _OF_BREATHING)
+    rate = _number(said.get("rate"), "breathing.rate", 1.0, 120.0)
+    return Breathing(rate, _numbers(said.get("way"), "breathing.way", 3, 0.2))
+
+
+# kinds of values ---------------------------------------------------------------------------------
+
+
+def _object(value: Any, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: {', '.join(keys)}")
+    for key in value:
+        if key not in keys:
+            near = difflib.get_close_matches(str(key), keys, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(keys)}"
+            raise _Wrong(f"{where} has '{shown(str(key))}', which nobody knows; {hint}")
+    return value
+
+
+def _list(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: a list")
+    return value
+
+
+def _number(value: Any, where: str, low: float, high: float) -> float:
+    if type(value) not in (int, float) or not math.isfinite(value) or not low <= value <= high:
+        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: a number in {low:g}..{high:g}")
+    return float(value)
+
+
+def _numbers(value: Any, where: str, count: int, most: float) -> list[float]:
+    if not isinstance(value, list) or len(value) != count:
+        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: {count} numbers")
+    return [_number(one, f"{where}[{place}]", -most, most) for place, one in enumerate(value)]
+
+
+def _nodes(value: Any, where: str, ends: int) -> list[Any]:
+    wanted = "a list of nodes" if ends == 1 else "a list of pairs of nodes"
+    rows = _list(value, where)
+    flat = rows if ends == 1 else [node for row in rows for node in (row if isinstance(row, list) else [None])]
+    right = all(type(node) is int and 0 <= node < 2**31 for node in flat)
+    if not rows or not right or (ends == 2 and any(len(row) != 2 for row in rows)):
+        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: {wanted}")
+    return rows
