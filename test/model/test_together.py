@@ -9,6 +9,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.jit import handle
 from tissue_sim.model.breathing import Breath, breathed_in
 from tissue_sim.model.links import fit_step, make_links
+from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Together, carried_with, tick_together
 
@@ -35,7 +36,7 @@ class Organs:
         gravity = np.zeros((len(simulations), 3))
         self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
         self._worlds = tuple(one.world for one in simulations)
-        self._joined = handle(Together(self.carried, self.links))
+        self._joined = handle(Together(self.carried, self.links, make_pairs()))
 
     def step(self, ticks=1):
         for _ in range(ticks):

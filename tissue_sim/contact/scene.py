@@ -11,10 +11,12 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.attachments import Attachment, Breathing, links_of
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
+from tissue_sim.contact.pair_finder import PairFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.contact.touched import TouchedOrgan
 from tissue_sim.model.breathing import Breath
 from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
@@ -26,7 +28,7 @@ class Scene:
     organ: one, or several, where they lie; tools the rigid tools; model, rate, local_region, integrator as in
     Simulation, of every organ; ticks_a_set: ticks for each contact set; stiffness (k,) factors on that of each organ's
     tissue. attachments between organs, or to points; breathing, and how far each organ's clamp goes with it,
-    `breathes` (k,).
+    `breathes` (k,). Several organs touch each other, with the Coulomb coefficient `organ_friction`.
 
     A tool moves in the room, and touches all organs; each gives way to it by itself, and what a hand feels is the sum.
     Raises UserError where organs and attachments don't fit together.
@@ -45,6 +47,7 @@ class Scene:
         attachments: Sequence[Attachment] = (),
         breathing: Breathing | None = None,
         breathes: Sequence[float] = (),
+        organ_friction: float = 0.0,
     ) -> None:
         self.tools = ToolSet(tools)
         organs = [organ] if isinstance(organ, Organ) else list(organ)
@@ -69,9 +72,13 @@ class Scene:
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
         self._joined: Joined | None = None
+        self._pairs: PairFinder | None = None
         if len(organs) > 1 or attachments or breathing is not None:
             breath = Breath.new() if breathing is None else breathing.breath()
-            self._joined = Joined(self.simulations, links_of(attachments, self.simulations), breath, breathes)
+            links = links_of(attachments, self.simulations)
+            self._joined = Joined(self.simulations, links, make_pairs(organ_friction), breath, breathes)
+        if len(organs) > 1:
+            self._pairs = PairFinder(organs)
 
     @property
     def simulations(self) -> list[Simulation]:
@@ -164,8 +171,16 @@ class Scene:
             self._sequence += 1
             for one in self.organs:
                 one.find(self._sequence)
+            self._find_pairs()
         self._ticks += 1
         if self._joined is None:
             self.simulation.step()
         else:
             self._joined.step()
+
+    def _find_pairs(self) -> None:
+        """Where organs touch each other, unless all of them sleep."""
+        if self._pairs is None or self._joined is None or all(one.asleep for one in self.simulations):
+            return
+        there = [one.positions + offset for one, offset in zip(self.simulations, self.offsets, strict=True)]
+        self._pairs.find(there, self._joined.pairs)

@@ -12,6 +12,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.jit import handle, kernel
 from tissue_sim.model.breathing import Breath, breathe
 from tissue_sim.model.links import Links, pull_links, wake_linked
+from tissue_sim.model.pairs import Pairs, press_pairs, resolve_pairs, wake_touched
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
@@ -37,24 +38,27 @@ class Together(NamedTuple):
 
     carried: Carried
     links: Links
+    pairs: Pairs
 
 
 class Joined:
     """Simulations that are advanced together.
 
-    links between them; breath, and how far each goes with it, (k,), or nothing where none does. unfelt: m by which the
-    acceleration of its frame may bend an organ that sleeps on. Raises UserError where simulations don't fit together.
+    links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
+    where none does. unfelt: m by which the acceleration of its frame may bend an organ that sleeps on. Raises UserError
+    where simulations don't fit together.
     """
 
     def __init__(
         self,
         simulations: Sequence[Simulation],
         links: Links,
+        pairs: Pairs,
         breath: Breath,
         moves: Sequence[float] = (),
         unfelt: float = UNFELT,
     ) -> None:
-        self.simulations, self.links = list(simulations), links
+        self.simulations, self.links, self.pairs = list(simulations), links, pairs
         if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
             raise UserError("organs of one scene have one rate, model, local region, integrator and return target")
         if self.simulations[0].implied:
@@ -67,14 +71,15 @@ class Joined:
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
         self._worlds = tuple(one.world for one in self.simulations)
-        self._joined = handle(Together(self.carried, links))
+        self._joined = handle(Together(self.carried, links, pairs))
 
     def step(self) -> None:
         """Advance all by one tick."""
         tick_together(self._worlds, self._joined)
 
     def reset(self) -> None:
-        """Breathed out, without what the breath has done to gravity; the simulations are reset by themselves."""
+        """Breathed out, untouched, without what the breath did to gravity; simulations are reset by themselves."""
+        self.pairs.found[0] = 0
         carried = self.carried
         carried.breath.time = 0.0
         for field in (carried.share, carried.offset, carried.speed, carried.change):
@@ -110,17 +115,23 @@ def tick_together(worlds: Any, joined: Any) -> None:
     step, carried, links = worlds[0].settings.tick_time, joined.carried, joined.links
     if carried.breath.period > 0.0:
         breathe(worlds, carried, step)
-    linked = len(links.slack) > 0
+    pairs, linked = joined.pairs, len(links.slack) > 0
     if linked:
         wake_linked(worlds, carried, links, step)
-    substeps = plan_together(worlds, links, linked)
+    wake_touched(worlds, carried, pairs)
+    touching = pairs.found[0] > 0
+    substeps = plan_together(worlds, links, linked or touching)
     for substep in range(substeps):
         if linked:
             pull_links(worlds, carried, links, step / substeps)
+        if touching:
+            press_pairs(worlds, carried, pairs, links.awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
             if links.awake[organ] == 1 and substep < world.scratch.plan.substeps:
                 take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, substep)
+        if touching:
+            resolve_pairs(worlds, carried, pairs, links.awake, step / substeps)
     for organ in range(len(worlds)):
         world = worlds[organ]
         if links.awake[organ] == 1:
@@ -129,8 +140,8 @@ def tick_together(worlds: Any, joined: Any) -> None:
 
 @kernel
 def plan_together(worlds: Any, links: Any, linked: bool) -> int:
-    """Plan the tick of every organ; returns the most substeps of any. Those that links join take as many each."""
-    most = links.substeps[0] if linked else 0
+    """Plan the tick of every organ; returns the most substeps of any. Those that are joined take as many each."""
+    most = links.substeps[0] if len(links.slack) > 0 else 0
     for organ in range(len(worlds)):
         world = worlds[organ]
         planned = plan_tick(world.model, world.state, world.shapes, world.settings, world.scratch)

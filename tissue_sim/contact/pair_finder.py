@@ -1,0 +1,96 @@
+"""Finds where organs of a scene touch, or may before the next search: nodes near triangles of another surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.triangles import nearest_weights
+from tissue_sim.model.pairs import MOST_PAIRS, Pairs
+from tissue_sim.organ.organ import Organ
+
+MARGIN = 0.003  # m from a surface within which a node is looked at
+DEEPEST = 0.01  # m that a node may lie inside
+NEAREST = 6  # triangles by their middles, of which the nearest is taken
+
+
+@dataclass
+class PairCounters:
+    """What was looked for, and what could be left out."""
+
+    searches: int = 0
+    far_skips: int = 0  # pairs of organs whose boxes miss each other
+    dropped: int = 0  # pairs of nodes and triangles that there was no room for
+
+
+class PairFinder:
+    """Finds pairs of organs, where they lie at rest (k of them)."""
+
+    def __init__(self, organs: Sequence[Organ]) -> None:
+        self.counters = PairCounters()
+        self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
+        self._sizes = [organ.n_surface for organ in organs]
+        self._kept: dict[tuple[int, int, int], tuple[float, Floats]] = {}
+
+    def find(self, positions: Sequence[Floats], pairs: Pairs) -> None:
+        """Write the pairs of surfaces at positions, (n, 3) m each in one frame, to `pairs`; they keep their forces."""
+        before = int(pairs.found[0])
+        self._kept = {
+            (*pairs.organ[row].tolist(), int(pairs.node[row, 0])): (float(pairs.pressed[row]), pairs.held[row].copy())
+            for row in np.flatnonzero(pairs.pressed[:before] > 0.0)
+        }
+        pairs.found[0] = 0
+        points = [np.asarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
+        boxes = [(p.min(axis=0), p.max(axis=0)) for p in points]
+        for first in range(len(points)):
+            for second in range(len(points)):
+                if first == second:
+                    continue
+                self.counters.searches += 1
+                low, high = boxes[second][0] - MARGIN, boxes[second][1] + MARGIN
+                if np.any(boxes[first][0] > high) or np.any(boxes[first][1] < low):
+                    self.counters.far_skips += 1
+                    continue
+                near = np.flatnonzero(np.all((points[first] >= low) & (points[first] <= high), axis=1))
+                if len(near):
+                    self._add(first, second, near, points, pairs)
+
+    def _add(self, first: int, second: int, near: Longs, points: Sequence[Floats], pairs: Pairs) -> None:
+        triangles, surface = self._triangles[second], points[second]
+        corners = surface[triangles]
+        apart, which = cKDTree(corners.mean(axis=1)).query(points[first][near], k=min(NEAREST, len(triangles)))
+        close = apart[:, 0] < DEEPEST + np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+        near, which = near[close], which[close]
+        if not len(near):
+            return
+        k = which.shape[1]
+        weights, distance = nearest_weights(corners[which.ravel()], np.repeat(points[first][near], k, axis=0))
+        best = distance.reshape(-1, k).argmin(axis=1)
+        row = np.arange(len(near)) * k + best
+        chosen, weights, distance = which.ravel()[row], weights[row], distance[row]
+        normal = _normals(corners[chosen])
+        way = points[first][near] - np.einsum("kc,kcx->kx", weights, corners[chosen])
+        outside = np.einsum("kx,kx->k", way, normal) >= 0.0
+        kept = np.flatnonzero(distance < np.where(outside, MARGIN, DEEPEST))
+        start = int(pairs.found[0])
+        room = MOST_PAIRS - start
+        self.counters.dropped += max(0, len(kept) - room)
+        kept = kept[np.argsort(distance[kept], kind="stable")[:room]]
+        rows = slice(start, start + len(kept))
+        pairs.organ[rows] = first, second
+        pairs.node[rows, 0], pairs.node[rows, 1:] = near[kept], triangles[chosen[kept]]
+        pairs.weight[rows] = weights[kept]
+        pairs.pressed[rows], pairs.held[rows] = 0.0, 0.0
+        for place, node in enumerate(near[kept].tolist(), start):
+            if (force := self._kept.get((first, second, node))) is not None:
+                pairs.pressed[place], pairs.held[place] = force
+        pairs.found[0] = rows.stop
+
+
+def _normals(corners: Floats) -> Floats:
+    """Outward normals (k, 3) of triangles (k, 3, 3), not of length 1."""
+    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

@@ -1,0 +1,197 @@
+"""Organs that touch each other: surface nodes of one on triangles of another, with friction.
+
+As between tissue and tools: no penetration, and no sliding within the friction cone, by projected Gauss-Seidel on
+forces that are kept from one substep to the next. What acts on a node acts on the triangle's three, reversed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.inputs import load_nodes
+
+MOST_PAIRS = 4096
+SWEEPS = 8  # over all pairs in a substep
+RECOVERY_SPEED = 0.2  # m/s at which what lay inside comes out at the most
+TOLERANCE = 1e-3  # of the sum of all forces, which a sweep may still change
+
+
+class Pairs(NamedTuple):
+    """Room for MOST_PAIRS pairs: a node of organ[0] and a triangle of organ[1]."""
+
+    found: Longs  # (1,) how many
+    organ: Longs  # (p, 2)
+    node: Longs  # (p, 4) the node, and the triangle's three
+    weight: Floats  # (p, 3) barycentric, of the place on the triangle that is nearest to the node
+    pressed: Floats  # (p,) N along the triangle's normal, in the last substep
+    held: Floats  # (p, 3) N across it
+    loaded: Floats  # (p, 3) N that the node bears in this tick's loads
+    friction: Floats  # (1,) Coulomb coefficient
+    one_node: Longs  # (1,) room
+    one_force: Floats  # (1, 3) room
+    plane: Floats  # (4,) room: a normal, and how far the node is outside, m
+
+
+def make_pairs(friction: float = 0.0) -> Pairs:
+    """No pairs."""
+    return Pairs(
+        found=np.zeros(1, dtype=np.int64),
+        organ=np.zeros((MOST_PAIRS, 2), dtype=np.int64),
+        node=np.zeros((MOST_PAIRS, 4), dtype=np.int64),
+        weight=np.zeros((MOST_PAIRS, 3)),
+        pressed=np.zeros(MOST_PAIRS),
+        held=np.zeros((MOST_PAIRS, 3)),
+        loaded=np.zeros((MOST_PAIRS, 3)),
+        friction=np.array([friction]),
+        one_node=np.zeros(1, dtype=np.int64),
+        one_force=np.zeros((1, 3)),
+        plane=np.zeros(4),
+    )
+
+
+@kernel
+def wake_touched(worlds: Any, carried: Any, pairs: Any) -> None:
+    """Load what pairs press with, so that the coming tick advances organs that others touch."""
+    pairs.loaded[:] = 0.0
+    for pair in range(pairs.found[0]):
+        first, second = worlds[pairs.organ[pair, 0]], worlds[pairs.organ[pair, 1]]
+        if first.state.status.asleep and second.state.status.asleep:
+            continue
+        measure(worlds, carried, pairs, pair)
+        if pairs.pressed[pair] > 0.0 or pairs.plane[3] <= 0.0:
+            bear(worlds, pairs, pair)
+
+
+@kernel
+def press_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any) -> None:
+    """Let every pair press as it did at the end of the last substep."""
+    for pair in range(pairs.found[0]):
+        loaded = pairs.loaded[pair]
+        was = loaded[0] != 0.0 or loaded[1] != 0.0 or loaded[2] != 0.0
+        if is_awake(pairs, pair, awake) and (pairs.pressed[pair] > 0.0 or was):
+            measure(worlds, carried, pairs, pair)
+            bear(worlds, pairs, pair)
+
+
+@kernel
+def bear(worlds: Any, pairs: Any, pair: int) -> None:
+    """Make the loads of a pair's nodes what it presses with; pairs.plane has been measured."""
+    plane, held, loaded, pressed = pairs.plane, pairs.held[pair], pairs.loaded[pair], pairs.pressed[pair]
+    x = pressed * plane[0] + held[0] - loaded[0]
+    y = pressed * plane[1] + held[1] - loaded[1]
+    z = pressed * plane[2] + held[2] - loaded[2]
+    loaded[0] += x
+    loaded[1] += y
+    loaded[2] += z
+    for corner in range(4):
+        share = 1.0 if corner == 0 else -pairs.weight[pair, corner - 1]
+        pairs.one_node[0] = pairs.node[pair, corner]
+        pairs.one_force[0, 0], pairs.one_force[0, 1], pairs.one_force[0, 2] = share * x, share * y, share * z
+        load_nodes(worlds[pairs.organ[pair, min(corner, 1)]].state, pairs.one_node, pairs.one_force)
+
+
+@kernel
+def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float) -> None:
+    """Keep every node outside its triangle at the end of a substep of `step` s."""
+    for _ in range(SWEEPS):
+        changed = total = 0.0
+        for pair in range(pairs.found[0]):
+            if is_awake(pairs, pair, awake):
+                changed += resolve_pair(worlds, carried, pairs, pair, step)
+                total += pairs.pressed[pair]
+        if changed <= TOLERANCE * total:
+            return
+
+
+@kernel
+def is_awake(pairs: Any, pair: int, awake: Any) -> bool:
+    """True when this tick advances both organs of a pair."""
+    return awake[pairs.organ[pair, 0]] == 1 and awake[pairs.organ[pair, 1]] == 1
+
+
+@kernel
+def measure(worlds: Any, carried: Any, pairs: Any, pair: int) -> None:
+    """Write the triangle's outward normal and how far the node is outside, m, to pairs.plane."""
+    first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
+    position, there, node = worlds[second].state.position, worlds[first].state.position, pairs.node[pair]
+    a, b, c, plane = position[node[1]], position[node[2]], position[node[3]], pairs.plane
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    size = math.sqrt(x * x + y * y + z * z)
+    share = 1.0 / size if size > 0.0 else 0.0
+    plane[0], plane[1], plane[2] = x * share, y * share, z * share
+    gap = 0.0
+    for axis in range(3):
+        on = there[node[0], axis] + carried.offset[first, axis] - carried.offset[second, axis]
+        gap += plane[axis] * (on - a[axis])
+    plane[3] = gap
+
+
+@kernel
+def resolve_pair(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> float:
+    """One pair; returns by how much its force has changed, N."""
+    first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
+    node, weight, held, plane = pairs.node[pair], pairs.weight[pair], pairs.held[pair], pairs.plane
+    measure(worlds, carried, pairs, pair)
+    pressed = pairs.pressed[pair]
+    if plane[3] > 0.0 and pressed == 0.0:
+        return 0.0
+    own, other = worlds[first], worlds[second]
+    light = own.scratch.mobility[node[0]]
+    for corner in range(3):
+        light += weight[corner] ** 2 * other.scratch.mobility[node[1 + corner]]
+    if light == 0.0:
+        return 0.0
+    stiffness = 1.0 / (step * step * light)  # N that move the node a metre out of the triangle
+    normal = max(0.0, pressed - max(plane[3], -RECOVERY_SPEED * step) * stiffness)
+    sx, sy, sz = sliding(worlds, carried, pairs, pair, step)
+    along = sx * plane[0] + sy * plane[1] + sz * plane[2]
+    tx = held[0] - (sx - along * plane[0]) * stiffness
+    ty = held[1] - (sy - along * plane[1]) * stiffness
+    tz = held[2] - (sz - along * plane[2]) * stiffness
+    size, most = math.sqrt(tx * tx + ty * ty + tz * tz), pairs.friction[0] * normal
+    share = 1.0 if size <= most else most / size
+    px = (normal - pressed) * plane[0] + share * tx - held[0]
+    py = (normal - pressed) * plane[1] + share * ty - held[1]
+    pz = (normal - pressed) * plane[2] + share * tz - held[2]
+    pairs.pressed[pair] = normal
+    held[0], held[1], held[2] = share * tx, share * ty, share * tz
+    move(own, node[0], px, py, pz, step)
+    for corner in range(3):
+        move(other, node[1 + corner], -weight[corner] * px, -weight[corner] * py, -weight[corner] * pz, step)
+    return math.sqrt(px * px + py * py + pz * pz)
+
+
+@kernel
+def sliding(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) -> tuple[float, float, float]:
+    """How far the node moves along the triangle's place in a substep, m."""
+    first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
+    node, weight = pairs.node[pair], pairs.weight[pair]
+    moved, under = worlds[first].state.velocity, worlds[second].state.velocity
+    a, b = carried.speed[first], carried.speed[second]
+    x, y, z = moved[node[0], 0] + a[0] - b[0], moved[node[0], 1] + a[1] - b[1], moved[node[0], 2] + a[2] - b[2]
+    for corner in range(3):
+        velocity = under[node[1 + corner]]
+        x -= weight[corner] * velocity[0]
+        y -= weight[corner] * velocity[1]
+        z -= weight[corner] * velocity[2]
+    return step * x, step * y, step * z
+
+
+@kernel
+def move(world: Any, node: int, x: float, y: float, z: float, step: float) -> None:
+    """Give a node the force x, y, z, N, for the whole of a substep that is over."""
+    faster = step * world.scratch.mobility[node]
+    position, velocity = world.state.position[node], world.state.velocity[node]
+    velocity[0] += faster * x
+    velocity[1] += faster * y
+    velocity[2] += faster * z
+    position[0] += step * faster * x
+    position[1] += step * faster * y
+    position[2] += step * faster * z
