@@ -73,7 +73,8 @@ def commands() -> dict[tuple[str, ...], set[str]]:
 def parameters() -> tuple[set[str], set[str]]:
     """Names of the node's parameters, and of those of each tool."""
     pytest.importorskip("rclpy")
-    from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+    from tissue_sim.contact.scene_file import OF_SCENE
+from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
     return {spec.name for spec in NODE_SPECS} | {"tools", "use_sim_time"}, {spec.name for spec in TOOL_SPECS}
 
@@ -182,7 +183,7 @@ def test_parameters_exist(page, parameters):
         for name in re.findall(r"^(?:<tool>)?\.(\w+)$", snippet):
             assert name in of_tool | {"venv"}, snippet
         if setting := re.match(r"(\w+): \w", snippet):
-            assert setting[1] in of_node, snippet
+            assert setting[1] in of_node | set(OF_SCENE), snippet
     for head, *rows in tables(page):
         for row in rows if head[0] == "parameter" else []:
             for name in re.findall(r"`([^`]+)`", row[0]):

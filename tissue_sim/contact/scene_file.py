@@ -21,7 +21,8 @@ from tissue_sim.organ.placing import placed
 
 FORMAT = 1
 MOST_ORGANS = 16
-_OF_SCENE = "format", "organs", "attachments", "breathing"
+# Keys of a scene, an organ in it, its breathing, an attachment.
+OF_SCENE = "format", "organs", "attachments", "breathing"
 _OF_ORGAN = "name", "file", "position", "quaternion", "stiffness", "breathes"
 _OF_BREATHING = "rate", "way"
 _OF_ATTACHMENT = "between", "of", "point", "moves", "within", "nodes", "stiffness", "damping", "slack"
@@ -53,7 +54,7 @@ class SceneFile:
             said = shown(" ".join(str(error).split()), 200)
             raise UserError(f"scene {path} is no YAML: {said}") from None
         try:
-            return cls._parsed(path, _object(content, "the scene", _OF_SCENE))
+            return cls._parsed(path, _object(content, "the scene", OF_SCENE))
         except _Wrong as error:
             raise UserError(f"scene {path}: {error}") from None
 
