@@ -10,6 +10,8 @@ from unittest import mock
 
 import pytest
 
+from tissue_sim.contact.scene_file import OF_SCENE
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
@@ -73,8 +75,7 @@ def commands() -> dict[tuple[str, ...], set[str]]:
 def parameters() -> tuple[set[str], set[str]]:
     """Names of the node's parameters, and of those of each tool."""
     pytest.importorskip("rclpy")
-    from tissue_sim.contact.scene_file import OF_SCENE
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+    from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
     return {spec.name for spec in NODE_SPECS} | {"tools", "use_sim_time"}, {spec.name for spec in TOOL_SPECS}
 
