@@ -70,7 +70,7 @@ def test_a_breath_lifts_an_organ_and_draws_at_what_hangs_on_it():
 def test_a_point_that_breathes_draws_an_organ_that_does_not():
     top = ball(2).surface_positions[TOP]
     point = Attachment((0, None), 5.0, nodes=[TOP], point=top + [0.0, 0.0, 0.01], moves=1.0)
-    scene = Scene(ball(2), TOOL, attachments=[point], breathing=Breathing(30.0, [0.0, 0.0, 0.01]))
+    scene = Scene(pair(), TOOL, attachments=[point], breathing=Breathing(30.0, [0.0, 0.0, 0.01]))
     for _ in range(1000):
         scene.step()
     organ = scene.simulation

@@ -21,6 +21,8 @@ class Organs:
     its node, or a point."""
 
     def __init__(self, simulations, links=(), breath=None, moves=None, unfelt=1e9):
+        # Two at the least: for each number of organs the tick is compiled anew.
+        simulations = [*simulations, *[Simulation(ball()) for _ in range(2 - len(simulations))]]
         self.simulations = simulations
         self.links = make_links(len(links), len(simulations))
         for row, (ends, slack, stiffness, damping) in enumerate(links):
@@ -32,7 +34,7 @@ class Organs:
             self.links.slack[row], self.links.stiffness[row], self.links.damping[row] = slack, stiffness, damping
         light = [one.model.inverse_mass for one in simulations]
         fit_step(self.links, light, max(one.frequency for one in simulations), 1e-3)
-        moves = [0.0] * len(simulations) if moves is None else moves
+        moves = [*(moves or []), *[0.0] * len(simulations)][: len(simulations)]
         gravity = np.zeros((len(simulations), 3))
         self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
         self._worlds = tuple(one.world for one in simulations)
