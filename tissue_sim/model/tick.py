@@ -63,7 +63,7 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
     end_tick(model, state, shapes, settings, scratch)
 
 
-@kernel
+@part
 def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
     """Whether there is anything to advance, and in scratch.plan how."""
     status, count, plan = state.status, state.count, scratch.plan
@@ -110,7 +110,7 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
     return True
 
 
-@kernel
+@part
 def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Make ready for the substeps of the plan."""
     status, plan = state.status, scratch.plan
@@ -120,7 +120,7 @@ def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any)
     watch_contacts(state, shapes, settings, scratch)
 
 
-@kernel
+@part
 def take_substep(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int) -> None:
     """Advance by one substep of the plan."""
     plan, first = scratch.plan, substep == 0
@@ -132,7 +132,7 @@ def take_substep(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
     advance_substep(model, state, shapes, settings, scratch, substep, substeps, implicit, known, plan.eased and first)
 
 
-@kernel
+@part
 def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Look at what the substeps made, hand out what is felt, and come to rest where nothing acts."""
     status, plan = state.status, scratch.plan
