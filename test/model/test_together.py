@@ -24,7 +24,7 @@ class Organs:
         # Two at the least: for each number of organs the tick is compiled anew.
         simulations = [*simulations, *[Simulation(ball()) for _ in range(2 - len(simulations))]]
         self.simulations = simulations
-        self.links = make_links(len(links), len(simulations))
+        self.links = make_links(len(links))
         for row, (ends, slack, stiffness, damping) in enumerate(links):
             for side, end in enumerate(ends):
                 if len(end) == 2:
@@ -38,7 +38,9 @@ class Organs:
         gravity = np.zeros((len(simulations), 3))
         self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
         self._worlds = tuple(one.world for one in simulations)
-        self._joined = handle(Together(self.carried, self.links, make_pairs()))
+        self._joined = handle(
+            Together(self.carried, self.links, make_pairs(), np.zeros(len(simulations), dtype=np.int64))
+        )
 
     def step(self, ticks=1):
         for _ in range(ticks):

@@ -17,8 +17,6 @@ def describe_scene(path: Path) -> dict[str, Any]:
     said = SceneFile.read(path)
     simulations = [Simulation(organ) for organ in said.organs]
     breathing = said.breathing
-    if breathing is not None:
-        breathing.breath()  # which checks it
     organs = zip(said.names, said.organs, said.stiffness, said.breathes, strict=True)
     return {
         "scene": path.name,

@@ -71,7 +71,7 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
             raise UserError(f"attachments need integrator symplectic, not {simulation.integrator}")
     organs = [simulation.organ for simulation in simulations]
     parts = [_nodes_of(one, organs, number) for number, one in enumerate(attachments)]
-    links, first = make_links(sum(map(len, parts)), len(organs)), 0
+    links, first = make_links(sum(map(len, parts))), 0
     for one, nodes in zip(attachments, parts, strict=True):
         rows = slice(first, first + len(nodes))
         first = rows.stop

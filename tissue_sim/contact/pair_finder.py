@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is looked at
 DEEPEST = 0.01  # m that a node may lie inside
+_Forces = dict[tuple[int, int, int], tuple[float, Floats]]  # by organs and node: along the normal, and across it
 NEAREST = 6  # triangles by their middles, of which the nearest is taken
 
 
@@ -34,32 +36,29 @@ class PairFinder:
         self.counters = PairCounters()
         self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
         self._sizes = [organ.n_surface for organ in organs]
-        self._kept: dict[tuple[int, int, int], tuple[float, Floats]] = {}
 
     def find(self, positions: Sequence[Floats], pairs: Pairs) -> None:
         """Write the pairs of surfaces at positions, (n, 3) m each in one frame, to `pairs`; they keep their forces."""
-        before = int(pairs.found[0])
-        self._kept = {
+        forces = {
             (*pairs.organ[row].tolist(), int(pairs.node[row, 0])): (float(pairs.pressed[row]), pairs.held[row].copy())
-            for row in np.flatnonzero(pairs.pressed[:before] > 0.0)
+            for row in np.flatnonzero(pairs.pressed[: pairs.found[0]] > 0.0)
         }
         pairs.found[0] = 0
         points = [np.asarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
         boxes = [(p.min(axis=0), p.max(axis=0)) for p in points]
-        for first in range(len(points)):
-            for second in range(len(points)):
-                if first == second:
-                    continue
-                self.counters.searches += 1
-                low, high = boxes[second][0] - MARGIN, boxes[second][1] + MARGIN
-                if np.any(boxes[first][0] > high) or np.any(boxes[first][1] < low):
-                    self.counters.far_skips += 1
-                    continue
-                near = np.flatnonzero(np.all((points[first] >= low) & (points[first] <= high), axis=1))
-                if len(near):
-                    self._add(first, second, near, points, pairs)
+        for first, second in itertools.permutations(range(len(points)), 2):
+            self.counters.searches += 1
+            low, high = boxes[second][0] - MARGIN, boxes[second][1] + MARGIN
+            if np.any(boxes[first][0] > high) or np.any(boxes[first][1] < low):
+                self.counters.far_skips += 1
+                continue
+            near = np.flatnonzero(np.all((points[first] >= low) & (points[first] <= high), axis=1))
+            if len(near):
+                self._add(first, second, near, points, pairs, forces)
 
-    def _add(self, first: int, second: int, near: Longs, points: Sequence[Floats], pairs: Pairs) -> None:
+    def _add(
+        self, first: int, second: int, near: Longs, points: Sequence[Floats], pairs: Pairs, forces: _Forces
+    ) -> None:
         triangles, surface = self._triangles[second], points[second]
         corners = surface[triangles]
         apart, which = cKDTree(corners.mean(axis=1)).query(points[first][near], k=min(NEAREST, len(triangles)))
@@ -86,7 +85,7 @@ class PairFinder:
         pairs.weight[rows] = weights[kept]
         pairs.pressed[rows], pairs.held[rows] = 0.0, 0.0
         for place, node in enumerate(near[kept].tolist(), start):
-            if (force := self._kept.get((first, second, node))) is not None:
+            if (force := forces.get((first, second, node))) is not None:
                 pairs.pressed[place], pairs.held[place] = force
         pairs.found[0] = rows.stop
 

@@ -104,13 +104,20 @@ def take_contacts(state: Any, found: Any, sequence: int) -> None:
 def load_nodes(state: Any, nodes: Any, forces: Any) -> None:
     """Add forces (k, 3) N to nodes (k,) for the coming tick."""
     for index in range(len(nodes)):
-        node = nodes[index]
-        if state.is_loaded[node] == 0:
-            state.is_loaded[node] = 1
-            state.loaded_node[state.status.loaded] = node
-            state.status.loaded += 1
-        for c in range(3):
-            state.nodal_force[node, c] += forces[index, c]
+        load_node(state, nodes[index], forces[index, 0], forces[index, 1], forces[index, 2])
+
+
+@kernel
+def load_node(state: Any, node: int, x: float, y: float, z: float) -> None:
+    """Add a force, N, to a node for the coming tick."""
+    if state.is_loaded[node] == 0:
+        state.is_loaded[node] = 1
+        state.loaded_node[state.status.loaded] = node
+        state.status.loaded += 1
+    force = state.nodal_force[node]
+    force[0] += x
+    force[1] += y
+    force[2] += z
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.critical_step import substeps_for
-from tissue_sim.model.inputs import load_nodes
+from tissue_sim.model.inputs import load_node
 
 POINT = -1  # in place of an organ
 
@@ -33,13 +33,10 @@ class Links(NamedTuple):
     lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
     substeps: Longs  # (1,) in a tick at the least
     force: Floats  # (l, 3) N on the first end, in this substep
-    awake: Longs  # (k,) 1 for organs that this tick advances
-    one_node: Longs  # (1,) room
-    one_force: Floats  # (1, 3) room
 
 
-def make_links(count: int, organs: int) -> Links:
-    """So many links that do nothing yet, between so many organs."""
+def make_links(count: int) -> Links:
+    """So many links that do nothing yet."""
     return Links(
         organ=np.full((count, 2), POINT, dtype=np.int64),
         node=np.zeros((count, 2), dtype=np.int64),
@@ -51,9 +48,6 @@ def make_links(count: int, organs: int) -> Links:
         lightness=np.zeros(count),
         substeps=np.ones(1, dtype=np.int64),
         force=np.zeros((count, 3)),
-        awake=np.zeros(organs, dtype=np.int64),
-        one_node=np.zeros(1, dtype=np.int64),
-        one_force=np.zeros((1, 3)),
     )
 
 
@@ -80,18 +74,18 @@ def fit_step(links: Links, lightness: Sequence[Floats], frequency: float, tick_t
 
 
 @kernel
-def wake_linked(worlds: Any, carried: Any, links: Any, step: float) -> None:
+def wake_linked(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
     """Load the nodes of links that are taut, so that the coming tick advances their organs."""
     links.force[:] = 0.0
-    links.awake[:] = 1
-    pull_links(worlds, carried, links, step)
+    awake[:] = 1
+    pull_links(worlds, carried, links, awake, step)
 
 
 @kernel
-def pull_links(worlds: Any, carried: Any, links: Any, step: float) -> None:
+def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
     """Let every link whose organs are awake pull as it does in a substep of `step` s."""
     for link in range(len(links.slack)):
-        if not (is_awake(links, link, 0) and is_awake(links, link, 1)):
+        if not (is_awake(links, link, 0, awake) and is_awake(links, link, 1, awake)):
             continue
         x0, y0, z0 = end_position(worlds, carried, links, link, 0)
         x1, y1, z1 = end_position(worlds, carried, links, link, 1)
@@ -118,10 +112,10 @@ def pull_links(worlds: Any, carried: Any, links: Any, step: float) -> None:
 
 
 @kernel
-def is_awake(links: Any, link: int, end: int) -> bool:
+def is_awake(links: Any, link: int, end: int, awake: Any) -> bool:
     """True for a point, and for an organ that this tick advances."""
     organ = links.organ[link, end]
-    return organ < 0 or links.awake[organ] == 1
+    return organ < 0 or awake[organ] == 1
 
 
 @kernel
@@ -152,6 +146,4 @@ def load_end(worlds: Any, links: Any, link: int, end: int, x: float, y: float, z
     """Add a force, N, to an end's node for the coming tick."""
     organ = links.organ[link, end]
     if organ >= 0:
-        links.one_node[0] = links.node[link, end]
-        links.one_force[0, 0], links.one_force[0, 1], links.one_force[0, 2] = x, y, z
-        load_nodes(worlds[organ].state, links.one_node, links.one_force)
+        load_node(worlds[organ].state, links.node[link, end], x, y, z)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
-from tissue_sim.model.inputs import load_nodes
+from tissue_sim.model.inputs import load_node
 
 MOST_PAIRS = 4096
 SWEEPS = 8  # over all pairs in a substep
@@ -32,8 +32,6 @@ class Pairs(NamedTuple):
     held: Floats  # (p, 3) N across it
     loaded: Floats  # (p, 3) N that the node bears in this tick's loads
     friction: Floats  # (1,) Coulomb coefficient
-    one_node: Longs  # (1,) room
-    one_force: Floats  # (1, 3) room
     plane: Floats  # (4,) room: a normal, and how far the node is outside, m
 
 
@@ -48,8 +46,6 @@ def make_pairs(friction: float = 0.0) -> Pairs:
         held=np.zeros((MOST_PAIRS, 3)),
         loaded=np.zeros((MOST_PAIRS, 3)),
         friction=np.array([friction]),
-        one_node=np.zeros(1, dtype=np.int64),
-        one_force=np.zeros((1, 3)),
         plane=np.zeros(4),
     )
 
@@ -90,9 +86,8 @@ def bear(worlds: Any, pairs: Any, pair: int) -> None:
     loaded[2] += z
     for corner in range(4):
         share = 1.0 if corner == 0 else -pairs.weight[pair, corner - 1]
-        pairs.one_node[0] = pairs.node[pair, corner]
-        pairs.one_force[0, 0], pairs.one_force[0, 1], pairs.one_force[0, 2] = share * x, share * y, share * z
-        load_nodes(worlds[pairs.organ[pair, min(corner, 1)]].state, pairs.one_node, pairs.one_force)
+        state = worlds[pairs.organ[pair, min(corner, 1)]].state
+        load_node(state, pairs.node[pair, corner], share * x, share * y, share * z)
 
 
 @kernel

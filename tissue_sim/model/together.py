@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle, kernel
 from tissue_sim.model.breathing import Breath, breathe
@@ -39,6 +39,7 @@ class Together(NamedTuple):
     carried: Carried
     links: Links
     pairs: Pairs
+    awake: Longs  # (k,) 1 for organs that this tick advances
 
 
 class Joined:
@@ -71,7 +72,7 @@ class Joined:
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
         self._worlds = tuple(one.world for one in self.simulations)
-        self._joined = handle(Together(self.carried, links, pairs))
+        self._joined = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
 
     def step(self) -> None:
         """Advance all by one tick."""
@@ -113,45 +114,48 @@ def carried_with(breath: Breath, moves: Sequence[float], unfelt: Sequence[float]
 def tick_together(worlds: Any, joined: Any) -> None:
     """Advance several organs, a tuple of worlds, by one tick of the first one's settings."""
     step, carried, links = worlds[0].settings.tick_time, joined.carried, joined.links
+    pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
     if carried.breath.period > 0.0:
         breathe(worlds, carried, step)
-    pairs, linked = joined.pairs, len(links.slack) > 0
     if linked:
-        wake_linked(worlds, carried, links, step)
+        wake_linked(worlds, carried, links, awake, step)
     wake_touched(worlds, carried, pairs)
     touching = pairs.found[0] > 0
-    substeps = plan_together(worlds, links, linked or touching)
+    substeps = plan_together(worlds, awake, linked or touching, links.substeps[0] if linked else 0)
     for substep in range(substeps):
         if linked:
-            pull_links(worlds, carried, links, step / substeps)
+            pull_links(worlds, carried, links, awake, step / substeps)
         if touching:
-            press_pairs(worlds, carried, pairs, links.awake)
+            press_pairs(worlds, carried, pairs, awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
-            if links.awake[organ] == 1 and substep < world.scratch.plan.substeps:
+            if awake[organ] == 1 and substep < world.scratch.plan.substeps:
                 take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, substep)
         if touching:
-            resolve_pairs(worlds, carried, pairs, links.awake, step / substeps)
+            resolve_pairs(worlds, carried, pairs, awake, step / substeps)
     for organ in range(len(worlds)):
         world = worlds[organ]
-        if links.awake[organ] == 1:
+        if awake[organ] == 1:
             end_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
 
 
 @kernel
-def plan_together(worlds: Any, links: Any, linked: bool) -> int:
-    """Plan the tick of every organ; returns the most substeps of any. Those that are joined take as many each."""
-    most = links.substeps[0] if len(links.slack) > 0 else 0
+def plan_together(worlds: Any, awake: Any, joined: bool, least: int) -> int:
+    """Plan the tick of every organ; returns the most substeps of any, and `least` at the least.
+
+    Those that are joined take as many each.
+    """
+    most = least
     for organ in range(len(worlds)):
         world = worlds[organ]
         planned = plan_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
-        links.awake[organ] = 1 if planned else 0
+        awake[organ] = 1 if planned else 0
         if planned:
             most = max(most, world.scratch.plan.substeps)
     for organ in range(len(worlds)):
         world = worlds[organ]
-        if links.awake[organ] == 1:
-            if linked:
+        if awake[organ] == 1:
+            if joined:
                 world.scratch.plan.substeps = most
             begin_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
     return most
