@@ -1,6 +1,7 @@
 """The latency benchmark: its bare loop, its bounds, and one short run with real processes."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -19,6 +20,14 @@ def test_bare_loop_sleeps_to_its_deadlines_and_is_busy_in_between():
     late = bare(0.1, 2e-4)
     assert late.shape == (100,)
     assert np.all(late >= 0.0)
+
+
+def test_a_bare_loop_with_a_priority_leaves_its_caller_as_it_was():
+    if not is_allowed(20):
+        pytest.skip("this user may not ask for a real-time priority")
+    before = os.sched_getscheduler(0)
+    bare(0.01, 0.0, 20)
+    assert os.sched_getscheduler(0) == before
 
 
 def trip(seconds, lost=0):

@@ -10,7 +10,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.printing import Bound
 from tissue_sim.jit import kernel
 from tissue_sim.model.realtime import now, sleep_until
-from tissue_sim.ros.shared.priority import preferred
+from tissue_sim.ros.shared.priority import with_priority
 
 RATE = 1000.0  # Hz, of ticks and poses
 MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and percentage points
@@ -19,8 +19,8 @@ MOST_OF_BARE, POINTS_BEYOND = 2.0, 0.2  # bound of the share of late ticks, and 
 def bare(seconds: float, busy: float, priority: int = 0) -> Floats:
     """How late, s, the ticks of a loop at RATE are that does nothing but be busy for so many s of each."""
     late = np.zeros(round(seconds * RATE), dtype=np.int64)
-    with preferred(priority):
-        bare_loop(round(1e9 / RATE), round(1e9 * busy), late, np.zeros(4, dtype=np.int64))
+    clock = np.zeros(4, dtype=np.int64)
+    with_priority(lambda: bare_loop(round(1e9 / RATE), round(1e9 * busy), late, clock), priority)
     return np.multiply(1e-9, late, dtype=np.float64)
 
 

@@ -15,7 +15,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.probes.hand import DEPTH, Hand
 from tissue_sim.ros.shared import client
-from tissue_sim.ros.shared.priority import preferred
+from tissue_sim.ros.shared.priority import with_priority
 
 POKES = 1.0  # Hz
 SHORTEST = 3.0  # s of poking in which the node has told something twice
@@ -60,26 +60,12 @@ class Pokes(Hand):
 
     def poke(self, seconds: float) -> Poked:
         """Poke for so many s, SHORTEST at least. Raises UserError when the node tells nothing meanwhile."""
-        pokes = int(seconds * POKES)
-        peaks, told, gap = np.zeros(pokes + 1), [], 0.0
         self._wrenches.take()
         self._reports.take_all()
-        with preferred(self._priority):
-            began = sent = time.monotonic()
-            while (elapsed := time.monotonic() - began) < pokes / POKES:
-                gap = max(gap, began + elapsed - sent)
-                sent = began + elapsed
-                self.send(depth_after(elapsed))
-                wrench = self._wrenches.take()
-                if wrench is not None:
-                    force = wrench.wrench.force
-                    poke = int(elapsed * POKES)
-                    peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
-                told += self._told()
-                time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
-        if len(told) < 2:
+        found = with_priority(lambda: self._poke(int(seconds * POKES)), self._priority)
+        if len(found.told) < 2:
             raise UserError(f"the node sent no diagnostics for {seconds:g} s")
-        return Poked(peaks[:pokes], gap, told)
+        return found
 
     def poke_until_whole(self, seconds: float) -> float:
         """Poke until the node gives nothing up, but not much longer than `seconds`; returns how long that took, s."""
@@ -88,6 +74,22 @@ class Pokes(Hand):
             if self.poke(SHORTEST).told[-1].degraded == "none":
                 break
         return took
+
+    def _poke(self, pokes: int) -> Poked:
+        peaks, told, gap = np.zeros(pokes + 1), [], 0.0
+        began = sent = time.monotonic()
+        while (elapsed := time.monotonic() - began) < pokes / POKES:
+            gap = max(gap, began + elapsed - sent)
+            sent = began + elapsed
+            self.send(depth_after(elapsed))
+            wrench = self._wrenches.take()
+            if wrench is not None:
+                force = wrench.wrench.force
+                poke = int(elapsed * POKES)
+                peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
+            told += self._told()
+            time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
+        return Poked(peaks[:pokes], gap, told)
 
     def _told(self) -> list[Told]:
         found = []

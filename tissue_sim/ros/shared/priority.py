@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 HIGHEST = 99
 
@@ -20,31 +19,26 @@ def prefer(priority: int, thread: int = 0) -> None:
 
 
 def is_allowed(priority: int) -> bool:
-    """Whether a thread of this process may have a priority; tried in one that ends: not every one may give it back."""
-    found = []
-
-    def ask() -> None:
-        try:
-            prefer(priority)
-        except OSError:
-            return
-        found.append(True)
-
-    trial = threading.Thread(target=ask)
-    trial.start()
-    trial.join()
-    return bool(found)
-
-
-@contextmanager
-def preferred(priority: int) -> Iterator[None]:
-    """The calling thread with a priority for a while. Raises PermissionError, see `prefer`."""
-    prefer(priority)
+    """Whether a thread of this process may have a priority."""
     try:
-        yield
-    finally:
-        if priority:
-            os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+        with_priority(lambda: None, priority)
+    except OSError:
+        return False
+    return True
+
+
+def with_priority[Result](work: Callable[[], Result], priority: int) -> Result:
+    """What work returns, done in a thread of its own with a priority: not every one may give one back.
+
+    Raises PermissionError, see `prefer`, and what work raises.
+    """
+
+    def preferred() -> Result:
+        prefer(priority)
+        return work()
+
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(preferred).result()
 
 
 def below(priority: int) -> int:
