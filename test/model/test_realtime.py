@@ -235,6 +235,25 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
     assert_same(simulation, snapshot)
 
 
+def test_the_journal_tells_what_a_snapshot_had_taken_up():
+    with Loop(stale_time=np.inf) as loop:
+        loop.post_pose(above(0.002))
+        loop.post_pose(above(0.002))
+        loop.wait(3)
+        before = len(loop.journal()[0])
+        loop.snapshot()
+        loop.wait(3)
+        rows, bodies = loop.journal()
+        asked = loop.box.control.snapshot_done
+    assert asked == 1
+    assert len(rows) == before + 1
+    assert rows[-1].tick >= rows[-2].tick
+    assert [rows[-1][name] for name in ("contact_set", "settings", "resets")] == [
+        rows[-2][name] for name in ("contact_set", "settings", "resets")
+    ]
+    assert (bodies[-1].pose, bodies[-1].force) == (2, 0)
+
+
 def test_results_are_those_of_the_newest_tick():
     with Loop(stale_time=np.inf) as loop:
         loop.post_pose(above(0.001))

@@ -234,7 +234,7 @@ def take_inputs(world: Any, box: Any) -> bool:
 
 @kernel
 def write_journal(box: Any, tick: int) -> None:
-    """Note what this tick has taken up."""
+    """Note what has been taken up by this tick."""
     box.row.tick = tick
     place = box.journal_written[0] % JOURNAL_ROWS
     box.journal[place] = box.row
@@ -265,9 +265,10 @@ def post_results(world: Any, box: Any, moved: bool) -> None:
 
 @kernel
 def post_snapshot(state: Any, box: Any) -> None:
-    """Hand out the whole state when it was asked for."""
+    """Hand out the whole state when it was asked for; the journal tells what it has taken up."""
     control = box.control
     if control.snapshot_asked != control.snapshot_done:
+        write_journal(box, state.status.tick)
         for index in range(len(state.words)):
             box.snapshot[index] = state.words[index]
         fence()

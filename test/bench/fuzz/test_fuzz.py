@@ -55,6 +55,16 @@ def test_who_stops_it_is_told_what_was_found_so_far(monkeypatch, capsys):
     assert "1 cases in 0 s, 1 failed" in capsys.readouterr().out
 
 
+def test_a_run_that_was_stopped_goes_on(monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(command, "run_cases", lambda cases, jobs: asked.append(cases) or iter(()))
+    for first in ([], ["--from", "2"]):
+        assert main(["bench", "fuzz", "--scenes", "4", "--kinds", "tick", "--seed", "8", *first]) == 0
+    whole, rest = asked
+    assert [case.number for case in whole] == [0, 1, 2, 3]
+    assert rest == whole[2:]
+
+
 def test_organ_is_as_before_after_hostile_ticks():
     found = list(run_cases([Case("tick", 5, number) for number in range(4)], 1))
     assert not [outcome for outcome in found if outcome.verdict != "used"]
@@ -89,6 +99,8 @@ def test_case_follows_from_its_numbers_alone(tmp_path, kind):
         (["--seed", "-1"], r"--seed -1 is negative"),
         (["--scenes", "3", "--kinds", "organ"], r"--kinds organ takes --files"),
         (["--jobs", "0"], r"--jobs 0"),
+        (["--from", "-1"], r"--from -1 is outside"),
+        (["--scenes", "3", "--from", "3"], r"--from 3 is beyond the last case, 2"),
     ],
 )
 def test_wrong_numbers_take_one_line(capsys, words, line):

@@ -1,5 +1,7 @@
 """Gravity over ROS: the organ rests in its own shape, sags when gravity changes, and a bag of it replays."""
 
+from contextlib import contextmanager
+
 import pytest
 
 from helpers.ros.clients import Client
@@ -23,17 +25,43 @@ def client(folder):
         client.close()
 
 
-def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, capsys):
+@pytest.fixture
+def repeats(client, capsys):
+    """Records what is done with the node, some time after the bag's state was taken, and replays it."""
+
+    @contextmanager
+    def recorded(before=1.0):
+        started = client.record(True)
+        assert started.success, started.message
+        client.spin(before)
+        yield
+        assert client.record(False).success
+        assert main(["replay", started.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
+        assert "repeats" in capsys.readouterr().out
+
+    return recorded
+
+
+@pytest.mark.parametrize("before", [0.0, 1.0])
+def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, repeats, before):
+    """Whether the parameter changes before or after the state is taken that the bag begins with."""
     assert client.moved() < 1e-6
-    started = client.record(True)
-    assert started.success, started.message
+    with repeats(before):
+        assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful
+        assert client.spin_until(lambda: client.moved() > 5e-3)
+        assert client.set_parameter("gravity", DOWN).successful
+        assert client.spin_until(lambda: client.moved() < 1e-6)
+
+
+def test_a_bag_that_begins_with_a_reset_replays(client, repeats):
     assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful
     assert client.spin_until(lambda: client.moved() > 5e-3)
+    with repeats():
+        assert client.reset().success, "to where gravity would hold it"
+        client.spin(1.0)
+        assert client.spin_until(lambda: client.moved() > 5e-3)
     assert client.set_parameter("gravity", DOWN).successful
     assert client.spin_until(lambda: client.moved() < 1e-6)
-    assert client.record(False).success
-    assert main(["replay", started.message, "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
-    assert "repeats" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("bad", [[0.0, 0.0], [0.0, float("nan"), 0.0], [0.0, 0.0, -1000.0]])

@@ -33,6 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="other cases; the same seed gives the same ones")
     parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)}")
     parser.add_argument("--case", type=int, metavar="K", help="only this case of each kind, from 0")
+    parser.add_argument(
+        "--from", dest="first", type=int, default=0, metavar="K", help="go on with case K, where a run was stopped"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument(
         "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
@@ -76,8 +79,9 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
             raise UserError(f"{option} {count} is outside 1..{MOST}")
     if args.seed < 0:
         raise UserError(f"--seed {args.seed} is negative")
-    if args.case is not None and not 0 <= args.case < MOST:
-        raise UserError(f"--case {args.case} is outside 0..{MOST - 1}")
+    for option, number in (("--case", args.case), ("--from", args.first)):
+        if number is not None and not 0 <= number < MOST:
+            raise UserError(f"{option} {number} is outside 0..{MOST - 1}")
     lacking = [kind for kind in args.kinds or () if KINDS[kind].missing]
     if lacking:
         raise UserError(
@@ -91,7 +95,10 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
         raise UserError(f"--kinds {' '.join(args.kinds)} takes {'--scenes' if args.files else '--files'}")
     if args.case is not None:
         return [Case(kind, args.seed, args.case) for kind in asked]
-    numbers = range(max(counts[kind] for kind in asked))
+    most = max(counts[kind] for kind in asked)
+    if args.first >= most:
+        raise UserError(f"--from {args.first} is beyond the last case, {most - 1}")
+    numbers = range(args.first, most)
     return [Case(kind, args.seed, number) for number in numbers for kind in asked if number < counts[kind]]
 
 

@@ -14,7 +14,6 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.mailboxes import BodyInputs, JournalRow
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
@@ -80,9 +79,11 @@ class Player:
         self.needed = {tick for tick, _ in self.found_from.values()}  # ticks whose surface a contact set was found from
         self.kept: dict[int, Floats] = {}
         self.nowhere = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(self.poses), 1))
-        # What the state had already taken up: only what is new in a row is taken up again.
+        # Only what is new in a row is taken up again.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
-        self.taken = self.inputs[before] if before is not None else self._taken_from_state()
+        if before is None:
+            raise UserError("the bag doesn't tell what its state had taken up; its recording lost messages")
+        self.taken = self.inputs[before]
 
     def _body_poses(self) -> list[dict[int, Floats]]:
         """Poses of each body by sequence: a tool's own, or those of a gripper's jaws."""
@@ -106,17 +107,6 @@ class Player:
         if len(bodies) == 1:
             return np.asarray(self.state.wrench[bodies[0]])
         return np.concatenate([self.state.wrench[bodies, :3].sum(axis=0), recorded[3:]])
-
-    def _taken_from_state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nothing was taken up between the bag's start and the state: the state's own numbers count."""
-        row = np.zeros((), dtype=JournalRow.dtype)
-        row["contact_set"] = self.state.contacts.header.sequence
-        if self.inputs:
-            newest, _ = self.inputs[min(self.inputs)]
-            row["settings"], row["resets"] = newest["settings"], newest["resets"]
-        bodies = np.zeros(len(self.poses), dtype=BodyInputs.dtype)
-        bodies["pose"], bodies["force"] = self.state.bodies.pose_sequence, self.state.bodies.force_sequence
-        return row, bodies
 
     def run(self, wanted: Shown, watch: Callable[[int], None] | None = None) -> Replayed:
         """Go through the recording, and show what is wanted of its ticks; watch is called after each tick."""
