@@ -33,6 +33,10 @@ BENCHMARKS = {
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
     "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),
+    "scene": (
+        "tissue_sim.bench.scene_times",
+        "organs beside each other: asleep, poked, and what that adds to a tick",
+    ),
     "measured": (
         "tissue_sim.bench.measured.command",
         "bodies that others have measured: what was measured, finite elements, the real-time model",

@@ -209,11 +209,12 @@ def as_json(
     bare_late: Floats = np.concatenate([own for _, own in turns]) if turns else np.zeros(0)
     node_share = 100.0 * late / max(1, done)
     bare_share = late_percent(bare_late) if turns else None
-    memory = memory_of([one.seconds for one in samples], [one.megabytes for one in samples])
+    seconds = [one.seconds for one in samples]
+    memory = memory_of(seconds, [one.megabytes for one in samples])
     dropped = last.dropped - first.dropped
     bounds = [
         Bound("drift of the shape at rest", drift, MOST_DRIFT, "m"),
-        Bound("growth of the node's memory", memory["growth_mb"], MOST_GROWTH, "MB"),
+        Bound("growth of the node's own memory", memory["growth_mb"], MOST_GROWTH, "MB"),
         Bound("highest force", bag.highest_force, clamp, "N"),
         Bound("wrenches and surfaces that are not finite", bag.not_finite, 0.0, ""),
         Bound("messages that the bag lacks", bag.missing, 0.0, ""),
@@ -230,6 +231,7 @@ def as_json(
         "rate_hz": RATE,
         "drift_m": drift,
         "memory": memory,
+        "shared_memory": memory_of(seconds, [one.shared_megabytes for one in samples]),
         "force_clamp_n": clamp,
         "bag": bag._asdict(),
         "repeats": repeats,
@@ -250,21 +252,15 @@ def as_json(
 
 def text(found: dict[str, Any]) -> str:
     """The figures as tables."""
-    memory, late, bag = found["memory"], found["late"], found["bag"]
+    late, bag = found["late"], found["bag"]
 
     def shown(value: float | None, form: Callable[[float], str]) -> str:
         return "-" if value is None else form(value)
 
-    rows = [
-        ["memory, MB", "minute 2", "last minute", "growth", "an hour", "most"],
-        [
-            "node",
-            *(
-                shown(memory[key], lambda value: f"{value:.2f}")
-                for key in ("first_mb", "last_mb", "growth_mb", "slope_mb_per_hour", "most_mb")
-            ),
-        ],
-    ]
+    keys = ("first_mb", "last_mb", "growth_mb", "slope_mb_per_hour", "most_mb")
+    rows = [["memory, MB", "minute 2", "last minute", "growth", "an hour", "most"]]
+    for name, memory in (("the node's own", found["memory"]), ("shared with others", found["shared_memory"])):
+        rows.append([name, *(shown(memory[key], lambda value: f"{value:.2f}") for key in keys)])
     lines = [
         f"{found['minutes']:g} min at {found['rate_hz']:g} Hz: two tools played, one subscriber of markers at 60 Hz,"
         " a bag",

@@ -33,7 +33,7 @@ def _drawn(found: dict[str, Any]) -> Any:
     for key in ("first", "last"):
         if (level := found["memory"][f"{key}_mb"]) is not None:
             memory.axhline(level, color=_GUIDE, linewidth=0.8, linestyle=":")
-    memory.set_ylabel("resident memory (MB)")
+    memory.set_ylabel("memory of its own (MB)")
     memory.set_title(f"{found['organ']}, {found['rate_hz']:g} Hz, {found['minutes']:g} min", loc="left")
     lateness.plot(minutes, series["late_us"], color=_NODE, linewidth=0.8, label="node, p99 of each second")
     bare = found["late"]["bare_turns"]

@@ -35,7 +35,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
 BURST = 0.02  # s, that one piece of work is measured for before it is the next one's turn
 LEAST_SAMPLES = 3
-_LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
+LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
 _NOISE_TURNS = 30_000  # of the fixed loop, about 0.1 ms
 
 CLOCK_THREAD_CPUTIME_ID = 3
@@ -99,7 +99,7 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
 
 
 @numba.njit(nogil=True)
-def _now(clock: Any) -> int:
+def now(clock: Any) -> int:
     """Processor time of this thread, ns; clock (2,) holds the timespec."""
     _clock_gettime(CLOCK_THREAD_CPUTIME_ID, clock.ctypes.data)
     return clock[0] * 1_000_000_000 + clock[1]
@@ -108,8 +108,8 @@ def _now(clock: Any) -> int:
 @numba.njit(nogil=True)
 def _time_nothing(clock: Any, times: Any) -> None:
     for index in range(len(times)):
-        start = _now(clock)
-        times[index] = _now(clock) - start
+        start = now(clock)
+        times[index] = now(clock) - start
 
 
 @cache
@@ -152,19 +152,19 @@ def _time_ticks(
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     for index in range(len(times)):
         if len(nodes) > 0:
-            share = 1.0 if steady else 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
-            phase[0] = phase[0] % _LOAD_PERIOD + 1
+            share = 1.0 if steady else 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / LOAD_PERIOD))
+            phase[0] = phase[0] % LOAD_PERIOD + 1
             load_nodes(state, nodes, share * forces)
         for tool in range(len(state.body_pose)):
             goal = state.body_goal[tool].copy()
             take_pose(state, settings, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
-        start = _now(clock)
+        start = now(clock)
         tick_world(world)
         if guarded:  # once more, after a tick as in it
-            start = _now(clock)
+            start = now(clock)
             guard(model, state, settings, scratch)
             check_cells(model, state, scratch)
-        times[index] = _now(clock) - start
+        times[index] = now(clock) - start
 
 
 class Ticks:
@@ -186,14 +186,14 @@ class Ticks:
         self.simulation = simulation
         self.steady, self.guard = steady, guard
         self._load = np.asarray(nodes, dtype=np.int64), np.ascontiguousarray(forces, dtype=np.float64)
-        self._phase = np.full(1, _LOAD_PERIOD // 4)
+        self._phase = np.full(1, LOAD_PERIOD // 4)
         self._clock = np.zeros(2, dtype=np.int64)
 
     def swing(self) -> None:
         """From rest, raise the load and let it ebb once, without measuring."""
         self.simulation.reset()
         self._phase[0] = 0
-        self(_LOAD_PERIOD)
+        self(LOAD_PERIOD)
 
     def __call__(self, count: int) -> Floats:
         """Seconds (count,) of count ticks; two more before them warm the caches and don't count."""
@@ -221,10 +221,10 @@ def _time_arithmetic(clock: Any, times: Any) -> float:
     """A fixed loop that touches no memory, and the ns that each turn of it took."""
     x = 0.5
     for index in range(len(times)):
-        start = _now(clock)
+        start = now(clock)
         for _ in range(_NOISE_TURNS):
             x = 3.7 * x * (1.0 - x)
-        times[index] = _now(clock) - start
+        times[index] = now(clock) - start
     return x
 
 

@@ -4,6 +4,7 @@
 COMMANDS = {
     "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
     "build": ("tissue_sim.commands.build", "make an organ from a CT, a mask or a surface mesh"),
+    "abdomen": ("tissue_sim.commands.abdomen", "make a scene of liver, kidneys and spleen that breathe"),
     "info": ("tissue_sim.commands.info", "print what an organ file holds"),
     "export": ("tissue_sim.commands.export", "write an organ's surface or skeleton for other programs"),
     "solve": ("tissue_sim.commands.solve", "settled displacements under given loads"),

@@ -71,12 +71,12 @@ class Scene:
             one.set_substeps()
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
-        self._joined: Joined | None = None
+        self.joined: Joined | None = None  # what joins organs; of one that nothing joins: nothing
         self._pairs: PairFinder | None = None
         if len(organs) > 1 or attachments or breathing is not None:
             breath = Breath.new() if breathing is None else breathing.breath()
             links = links_of(attachments, self.simulations)
-            self._joined = Joined(self.simulations, links, make_pairs(organ_friction), breath, breathes)
+            self.joined = Joined(self.simulations, links, make_pairs(organ_friction), breath, breathes)
         if len(organs) > 1:
             self._pairs = PairFinder(organs)
 
@@ -103,14 +103,14 @@ class Scene:
     @property
     def offsets(self) -> Floats:
         """(k, 3) m by which the breath has carried each organ; its positions are those without it."""
-        return np.zeros((len(self.organs), 3)) if self._joined is None else self._joined.carried.offset
+        return np.zeros((len(self.organs), 3)) if self.joined is None else self.joined.carried.offset
 
     def reset(self) -> None:
         """Back to rest, breathed out, without tools; the settings stay."""
         for one in self.organs:
             one.reset()
-        if self._joined is not None:
-            self._joined.reset()
+        if self.joined is not None:
+            self.joined.reset()
         self._ticks = 0
         self._origin[:] = 0.0
 
@@ -173,14 +173,14 @@ class Scene:
                 one.find(self._sequence)
             self._find_pairs()
         self._ticks += 1
-        if self._joined is None:
+        if self.joined is None:
             self.simulation.step()
         else:
-            self._joined.step()
+            self.joined.step()
 
     def _find_pairs(self) -> None:
         """Where organs touch each other, unless all of them sleep."""
-        if self._pairs is None or self._joined is None or all(one.asleep for one in self.simulations):
+        if self._pairs is None or self.joined is None or all(one.asleep for one in self.simulations):
             return
         there = [one.positions + offset for one, offset in zip(self.simulations, self.offsets, strict=True)]
-        self._pairs.find(there, self._joined.pairs)
+        self._pairs.find(there, self.joined.pairs)

@@ -47,7 +47,7 @@ class Joined:
 
     links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
     where none does. unfelt: m by which the acceleration of its frame may bend an organ that sleeps on. Raises UserError
-    where simulations don't fit together.
+    where simulations don't fit together. worlds and handle are what `tick_together` takes.
     """
 
     def __init__(
@@ -71,12 +71,12 @@ class Joined:
             )
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
-        self._worlds = tuple(one.world for one in self.simulations)
-        self._joined = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
+        self.worlds = tuple(one.world for one in self.simulations)
+        self.handle = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
 
     def step(self) -> None:
         """Advance all by one tick."""
-        tick_together(self._worlds, self._joined)
+        tick_together(self.worlds, self.handle)
 
     def reset(self) -> None:
         """Breathed out, untouched, without what the breath did to gravity; simulations are reset by themselves."""

@@ -58,7 +58,7 @@ def make_phantom(parameters: PhantomParameters | None = None) -> Phantom:
     spacing = np.array(p.spacing)
     size = np.maximum(np.round(np.array(p.extent) / spacing).astype(int), 8)
     origin = -0.5 * (size - 1) * spacing + np.array([0.0, 8.0, 0.0])
-    grid = _grid(size, spacing, origin)
+    grid = grid_of(size, spacing, origin)
     kidney = kidney_distance(grid)
 
     hu = np.full(tuple(size[::-1]), AIR, dtype=np.float32)
@@ -78,22 +78,22 @@ def make_phantom(parameters: PhantomParameters | None = None) -> Phantom:
 def kidney_distance(grid: Grid) -> Singles:
     """Signed distance (approximate, mm) of the bean: a bent ellipsoid with a hilum cut into its inner side."""
     u, v, w = _local(grid)
-    bean = _ellipsoid(u + np.float32(0.0035) * w * w - np.float32(3.0), v, w, KIDNEY_SEMI_AXES)
-    hilum = _ellipsoid(u + 26.0, v + 2.0, w, (17.0, 9.0, 16.0))
-    return _smooth_cut(bean, hilum, 4.0)
+    bean = ellipsoid(u + np.float32(0.0035) * w * w - np.float32(3.0), v, w, KIDNEY_SEMI_AXES)
+    hilum = ellipsoid(u + 26.0, v + 2.0, w, (17.0, 9.0, 16.0))
+    return smooth_cut(bean, hilum, 4.0)
 
 
 def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float]]:
     """Shapes in painting order with their HU. Neighbours are cut along the kidney's surface."""
     x, y, z = grid
-    body = _ellipsoid(x, y - 5.0, 0.0 * z, (138.0, 97.0, 1e6))
+    body = ellipsoid(x, y - 5.0, 0.0 * z, (138.0, 97.0, 1e6))
     wall = np.maximum(body + 12.0, -body - 24.0)
     spine = np.hypot(x, y - 58.0) - 22.0
     canal = np.hypot(x, y - 83.0) - 8.0
     neighbours: list[tuple[Callable[[Grid], Singles], float]] = [
-        (lambda g: _ellipsoid(g[0] - 110.0, g[1] - 30.0, g[2] - 46.0, (21.0, 42.0, 48.0)), SPLEEN),
-        (lambda g: _ellipsoid(g[0] - 27.0 - 0.1 * (30.0 - g[2]), g[1] - 56.0, 0.0 * g[2], (16.0, 20.0, 1e6)), MUSCLE),
-        (lambda g: _ellipsoid(g[0] - 62.0, g[1] - 80.0, 0.0 * g[2], (42.0, 18.0, 1e6)), MUSCLE),
+        (lambda g: ellipsoid(g[0] - 110.0, g[1] - 30.0, g[2] - 46.0, (21.0, 42.0, 48.0)), SPLEEN),
+        (lambda g: ellipsoid(g[0] - 27.0 - 0.1 * (30.0 - g[2]), g[1] - 56.0, 0.0 * g[2], (16.0, 20.0, 1e6)), MUSCLE),
+        (lambda g: ellipsoid(g[0] - 62.0, g[1] - 80.0, 0.0 * g[2], (42.0, 18.0, 1e6)), MUSCLE),
         (lambda g: _tube(g, _BOWEL, 17.0), BOWEL),
         (lambda g: _tube(g, _VEIN, 4.5), BLOOD),
     ]
@@ -101,8 +101,8 @@ def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float
     painted: list[tuple[Singles, float]] = [
         (body, FAT),
         (np.maximum(wall, cut), MUSCLE),
-        (np.maximum(_ellipsoid(x + 70.0, y + 2.0, z - 40.0, (66.0, 62.0, 62.0)), body + 14.0), LIVER),
-        (_ellipsoid(x + 66.0, y - 38.0, z + 22.0, (26.0, 20.0, 52.0)), KIDNEY),
+        (np.maximum(ellipsoid(x + 70.0, y + 2.0, z - 40.0, (66.0, 62.0, 62.0)), body + 14.0), LIVER),
+        (ellipsoid(x + 66.0, y - 38.0, z + 22.0, (26.0, 20.0, 52.0)), KIDNEY),
         (_tube(grid, ((8.0, 26.0, -120.0), (8.0, 26.0, 120.0)), 10.0), BLOOD),
     ]
     painted += [(np.maximum(shape(grid), cut), value) for shape, value in neighbours]
@@ -116,7 +116,8 @@ def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float
     return painted
 
 
-def _grid(size: NDArray[np.int_], spacing: NDArray[np.float64], origin: NDArray[np.float64]) -> Grid:
+def grid_of(size: NDArray[np.int_], spacing: NDArray[np.float64], origin: NDArray[np.float64]) -> Grid:
+    """Coordinates x, y, z, mm, of the middles of voxels, (nz, ny, nx) each."""
     x, y, z = (origin[k] + spacing[k] * np.arange(size[k]) for k in range(3))
     shape = (size[2], size[1], size[0])
     return tuple(  # type: ignore[return-value]
@@ -139,7 +140,7 @@ def _local(grid: Grid) -> Grid:
     return tuple(sum(axes[k, m] * p[k] for k in range(3)) for m in range(3))  # type: ignore[return-value]
 
 
-def _ellipsoid(x: Singles, y: Singles, z: Singles, semi_axes: Triple) -> Singles:
+def ellipsoid(x: Singles, y: Singles, z: Singles, semi_axes: Triple) -> Singles:
     """First-order distance to an ellipsoid: f (f - 1) / |grad f| with f the scaled radius."""
     a, b, c = (np.float32(s) for s in semi_axes)
     f = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
@@ -158,7 +159,7 @@ def _tube(grid: Grid, points: tuple[Triple, ...], radius: float) -> Singles:
     return best - np.float32(radius)
 
 
-def _smooth_cut(shape: Singles, tool: Singles, radius: float) -> Singles:
+def smooth_cut(shape: Singles, tool: Singles, radius: float) -> Singles:
     """`shape` without `tool`, the edge rounded over `radius` mm (polynomial smooth maximum)."""
     h = np.clip(0.5 + 0.5 * (shape + tool) / radius, 0.0, 1.0)
     return (-tool) * (1.0 - h) + shape * h + radius * h * (1.0 - h)

@@ -25,20 +25,26 @@ class Sample(NamedTuple):
     """A look at the node."""
 
     seconds: float  # since the watch began
-    megabytes: float  # memory that is resident
+    megabytes: float  # memory of its own that is resident
+    shared_megabytes: float  # memory that is resident and shared with others: the middleware's segments
     ticks: int  # so far
     late: int  # of these by more than a period, so far
     late_us: float  # 99th percentile of the last second
     dropped: int  # ticks that were given up, so far
 
 
-def resident(process: int) -> float:
-    """Memory of a running process that is resident, MB. Raises UserError when it has ended."""
+def resident(process: int) -> tuple[float, float]:
+    """Memory of a running process that is resident, its own and what it shares with others, MB.
+
+    Files that are mapped, as libraries are, count for neither. Raises UserError when it has ended.
+    """
     try:
         lines = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace").splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:")) * 1024e-6
-    except (OSError, StopIteration):
+        told = dict(line.split(":", 1) for line in lines)
+        own, shared = (int(told[name].split()[0]) * 1024e-6 for name in ("RssAnon", "RssShmem"))
+    except (OSError, KeyError):
         raise UserError(f"memory of process {process} can't be read: it has ended") from None
+    return own, shared
 
 
 class Watch:
@@ -82,7 +88,7 @@ class Watch:
         told = self.values
         return Sample(
             time.monotonic() - self._began,
-            memory,
+            *memory,
             int(told["tick"]),
             int(told["overruns"]),
             float(told["late_p99_us"]),

@@ -71,7 +71,7 @@ class Served:
             raise Broken(f"a line of {len(wide[0])} characters: {wide[0][:60]}")
         self.child.output.clear()
         self.child.errors.clear()
-        memory, self.cases = resident(self.child.pid), self.cases + 1
+        (memory, _), self.cases = resident(self.child.pid), self.cases + 1
         if self.cases <= WARM_CASES:
             self._memory = max(memory, self._memory)
         elif memory > self._memory + MOST_GROWTH:
