@@ -27,7 +27,7 @@ def pair(gap=0.002):
 
 def test_a_ligament_shares_its_stiffness_by_area_and_is_slack_at_rest():
     scene = Scene(pair(), TOOL, attachments=[Attachment((0, 1), 100.0, within=0.01)])
-    links = scene._joined.links
+    links = scene.joined.links
     assert len(links.slack) > 3
     assert links.stiffness.sum() == pytest.approx(100.0)
     assert 0.001 < links.slack.min() <= links.slack.max() <= 0.01
@@ -45,7 +45,7 @@ def test_who_pulls_at_one_organ_pulls_at_the_other():
         scene.step()
     assert (first.positions - first.model.rest)[TOP, 0] < -1e-3
     drawn = second.reactions().sum(axis=0)  # of its clamp, against what the ligament pulls
-    np.testing.assert_allclose(drawn, scene._joined.links.force.sum(axis=0), atol=1e-4)
+    np.testing.assert_allclose(drawn, scene.joined.links.force.sum(axis=0), atol=1e-4)
     assert drawn[0] > 0.005
     scene.reset()
     assert all(simulation.asleep for simulation in scene.simulations)
@@ -75,7 +75,7 @@ def test_a_point_that_breathes_draws_an_organ_that_does_not():
         scene.step()
     organ = scene.simulation
     stretch = np.linalg.norm(top + [0.0, 0.0, 0.02] - organ.positions[TOP]) - 0.01
-    assert np.linalg.norm(scene._joined.links.force[0]) == pytest.approx(5.0 * stretch, rel=0.01)
+    assert np.linalg.norm(scene.joined.links.force[0]) == pytest.approx(5.0 * stretch, rel=0.01)
 
 
 def test_a_tool_between_two_organs_feels_both():

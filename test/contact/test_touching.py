@@ -75,7 +75,7 @@ def test_what_is_pressed_gives_way_and_is_not_entered():
     lower, upper = scene.simulations
     assert deepest(scene) < 5e-4
     assert (lower.positions - lower.model.rest)[:, 2].min() < -1e-3
-    pairs = scene._joined.pairs
+    pairs = scene.joined.pairs
     count = int(pairs.found[0])
     assert np.count_nonzero(pairs.pressed[:count]) > 3
     speed = max(float(np.abs(one.velocities).max()) for one in (lower, upper))
