@@ -162,6 +162,15 @@ def test_file_without_a_mesh_is_refused(tmp_path, content, name):
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["secret", "secret.txt", "secret.npz"])
+def test_file_of_another_format_is_not_even_opened(tmp_path, monkeypatch, name):
+    """A bag may name any."""
+    (tmp_path / name).write_text("secret")
+    monkeypatch.setattr("trimesh.load_mesh", None)
+    with pytest.raises(UserError, match="is no mesh file"):
+        ToolSet([Tool("left", "mesh", mesh=str(tmp_path / name))])
+
+
 def test_flat_mesh_is_refused_in_one_line(tmp_path):
     flat = trimesh.Trimesh([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0.01, 0.01, 0]], [[0, 1, 2], [1, 3, 2]])
     with pytest.raises(UserError, match=r"tool 'left'.*flat; give it a thickness"):
