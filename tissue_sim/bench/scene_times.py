@@ -17,8 +17,8 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
 from tissue_sim.bench.printing import Bound, bound_lines, emit, exit_code, figure, noise_lines, with_remarks
+from tissue_sim.bench.tick_rows import FORCE
 from tissue_sim.bench.timing import (
-    LOAD_PERIOD,
     Phase,
     Ticks,
     Timing,
@@ -27,6 +27,7 @@ from tissue_sim.bench.timing import (
     interleave,
     noise_burst,
     now,
+    swelling,
 )
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.model.breathing import Breath
@@ -41,7 +42,6 @@ from tissue_sim.organ.shipped import shipped_organ
 
 ORGANS = 4
 APART = 0.2  # m, so that none touches another
-FORCE = 0.1  # N on the patch of a poked organ
 SECONDS, QUICK_SECONDS = 2.0, 0.3  # that each row is measured for
 TICK = 1e-3  # s of simulated time
 
@@ -137,8 +137,7 @@ class JoinedTicks:
 def _time_joined(worlds: Any, joined: Any, loads: Any, phase: Any, clock: Any, times: Any) -> None:
     """Step len(times) ticks and write the ns that each took, in a compiled loop as in the node."""
     for index in range(len(times)):
-        share = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / LOAD_PERIOD))
-        phase[0] = (phase[0] + 1) % LOAD_PERIOD
+        share = swelling(phase)
         for organ in range(len(worlds)):
             nodes, forces = loads[organ]
             if len(nodes) > 0:

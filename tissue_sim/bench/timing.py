@@ -35,7 +35,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
 BURST = 0.02  # s, that one piece of work is measured for before it is the next one's turn
 LEAST_SAMPLES = 3
-LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
+_LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
 _NOISE_TURNS = 30_000  # of the fixed loop, about 0.1 ms
 
 CLOCK_THREAD_CPUTIME_ID = 3
@@ -134,6 +134,14 @@ def time_calls(work: Callable[[], object], count: int) -> Floats:
 
 
 @numba.njit(nogil=True, error_model="numpy")
+def swelling(phase: Any) -> float:
+    """Share of a load that swells and ebbs five times a second; phase (1,) is the tick, and goes on by one."""
+    share = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / _LOAD_PERIOD))
+    phase[0] = phase[0] % _LOAD_PERIOD + 1
+    return share
+
+
+@numba.njit(nogil=True, error_model="numpy")
 def _time_ticks(
     world: Any,
     nodes: Any,
@@ -152,9 +160,8 @@ def _time_ticks(
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     for index in range(len(times)):
         if len(nodes) > 0:
-            share = 1.0 if steady else 0.5 * (1.0 - np.cos(2.0 * np.pi * phase[0] / LOAD_PERIOD))
-            phase[0] = phase[0] % LOAD_PERIOD + 1
-            load_nodes(state, nodes, share * forces)
+            share = swelling(phase)
+            load_nodes(state, nodes, (1.0 if steady else share) * forces)
         for tool in range(len(state.body_pose)):
             goal = state.body_goal[tool].copy()
             take_pose(state, settings, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
@@ -186,14 +193,14 @@ class Ticks:
         self.simulation = simulation
         self.steady, self.guard = steady, guard
         self._load = np.asarray(nodes, dtype=np.int64), np.ascontiguousarray(forces, dtype=np.float64)
-        self._phase = np.full(1, LOAD_PERIOD // 4)
+        self._phase = np.full(1, _LOAD_PERIOD // 4)
         self._clock = np.zeros(2, dtype=np.int64)
 
     def swing(self) -> None:
         """From rest, raise the load and let it ebb once, without measuring."""
         self.simulation.reset()
         self._phase[0] = 0
-        self(LOAD_PERIOD)
+        self(_LOAD_PERIOD)
 
     def __call__(self, count: int) -> Floats:
         """Seconds (count,) of count ticks; two more before them warm the caches and don't count."""

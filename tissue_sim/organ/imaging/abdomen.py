@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.array_types import Singles
 from tissue_sim.organ.imaging.image import Volume
-from tissue_sim.organ.imaging.phantom import Grid, ellipsoid, grid_of, kidney_distance, smooth_cut
+from tissue_sim.organ.imaging.phantom import Grid, body_distance, ellipsoid, grid_of, kidney_distance, smooth_cut
 
 SPACING = 2.0  # mm
 GAP = 4.0  # mm of fat between neighbours
@@ -34,7 +34,7 @@ def organ_distances(grid: Grid) -> dict[str, Singles]:
     """Signed distances (approximate, mm) of the organs, by name."""
     x, y, z = grid
     left, right = kidney_distance(grid), kidney_distance((-x, y, z + np.float32(LOWER)))
-    inside = ellipsoid(x, y - 5.0, 0.0 * z, (138.0 - WALL, 97.0 - WALL, 1e6))
+    inside = body_distance(grid, WALL)
     return {
         "liver": np.maximum(_cut_free(_liver(grid), right), inside),
         "kidney_left": left,

@@ -83,10 +83,16 @@ def kidney_distance(grid: Grid) -> Singles:
     return smooth_cut(bean, hilum, 4.0)
 
 
+def body_distance(grid: Grid, within: float = 0.0) -> Singles:
+    """Signed distance (approximate, mm) of the trunk, or of what lies so many mm within its skin."""
+    x, y, z = grid
+    return ellipsoid(x, y - 5.0, 0.0 * z, (138.0 - within, 97.0 - within, 1e6))
+
+
 def _scene(grid: Grid, kidney: Singles, gap: float) -> list[tuple[Singles, float]]:
     """Shapes in painting order with their HU. Neighbours are cut along the kidney's surface."""
     x, y, z = grid
-    body = ellipsoid(x, y - 5.0, 0.0 * z, (138.0, 97.0, 1e6))
+    body = body_distance(grid)
     wall = np.maximum(body + 12.0, -body - 24.0)
     spine = np.hypot(x, y - 58.0) - 22.0
     canal = np.hypot(x, y - 83.0) - 8.0
