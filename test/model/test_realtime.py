@@ -39,7 +39,8 @@ class Loop:
     def __init__(self, stale_time=0.05):
         self.simulation = make_simulation()
         self.simulation.settings.stale_time = self.stale_time = stale_time
-        self.box = mb.make_mailboxes(self.simulation.state)
+        self.box, self.words = mb.make_mailboxes(self.simulation.state), mb.make_loop_words()
+        self.control = self.words.control
         self.handles = {name: handle(getattr(self.box, name)) for name in BOXES}
         self.poses, self.forces, self.contacts, self.settings = {}, {}, {}, {}
         self.thread = threading.Thread(target=self._run, daemon=True)
@@ -47,20 +48,20 @@ class Loop:
     def _run(self):
         one = self.simulation
         world = make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch)
-        rt.run_loop(handle(world), handle(self.box))
+        rt.run_loop((handle(world),), (handle(self.box),), handle(self.words))
 
     def __enter__(self):
         self.thread.start()
-        wait_for(lambda: self.box.control.loop_ticks > 0)
+        wait_for(lambda: self.control.loop_ticks > 0)
         return self
 
     def __exit__(self, *_):
-        self.box.control.stop = True
+        self.control.stop = True
         self.thread.join(timeout=LIMIT)
         assert not self.thread.is_alive()
 
     def ticks(self):
-        return int(self.box.control.loop_ticks)
+        return int(self.control.loop_ticks)
 
     def wait(self, ticks):
         """Until the loop has done some more ticks."""
@@ -95,7 +96,7 @@ class Loop:
 
     def snapshot(self):
         """The words of the whole state."""
-        control = self.box.control
+        control = self.control
         control.snapshot_asked += 1
         wait_for(lambda: control.snapshot_done == control.snapshot_asked)
         return self.box.snapshot.copy()
@@ -129,12 +130,12 @@ def all_nodes():
 def test_loop_accounts_for_every_tick():
     with Loop() as loop:
         loop.wait(500)
-    control = loop.box.control
+    control = loop.control
     ticks, dropped = loop.ticks(), int(control.dropped)
     assert loop.simulation.state.status.tick == ticks
     assert control.simulated == round(1e9 * ticks / RATE)
     assert control.due <= time.monotonic_ns()
-    timing = loop.box.timing[:ticks]
+    timing = loop.words.timing[:ticks]
     assert np.all(timing.duration > 0)
     if ticks <= mb.TIMING_ROWS:
         # Late by more than may be made up for: then ticks are given up.
@@ -218,7 +219,7 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
             if step == 50:
                 loop.post_force([0.0, 0.2, 0.0])
             if step == 60:
-                loop.box.control.resets += 1
+                loop.control.resets += 1
             if step == 65:
                 loop.post_contacts(all_nodes())
             loop.wait(1)
@@ -244,7 +245,7 @@ def test_the_journal_tells_what_a_snapshot_had_taken_up():
         loop.snapshot()
         loop.wait(3)
         rows, bodies = loop.journal()
-        asked = loop.box.control.snapshot_done
+        asked = loop.control.snapshot_done
     assert asked == 1
     assert len(rows) == before + 1
     assert rows[-1].tick >= rows[-2].tick
@@ -269,14 +270,14 @@ def test_results_are_those_of_the_newest_tick():
         assert getattr(found, name).tobytes() == getattr(state, name).tobytes(), name
     tick, positions = loop.shape()
     np.testing.assert_array_equal(positions, state.position)
-    assert tick == state.status.tick == loop.box.control.awake_tick
+    assert tick == state.status.tick
     assert np.linalg.norm(state.wrench) > 0.0
 
 
 def test_reset_while_asleep_hands_out_the_surface_again():
     with Loop() as loop:
         loop.wait(5)
-        loop.box.control.resets += 1
+        loop.control.resets += 1
         loop.wait(5)
         assert loop.box.shape.sequence[0] == 2
         rows, _ = loop.journal()
@@ -301,10 +302,10 @@ def test_pose_ends_a_nap():
     """An idle loop sleeps over several ticks; a pose with the bell is taken, those before are done as if run."""
     libc = ctypes.CDLL(None)
     with Loop() as loop:
-        bell = ctypes.c_void_p(loop.box.bell.ctypes.data)
+        bell = ctypes.c_void_p(loop.words.bell.ctypes.data)
         for turn in range(12):
             loop.wait(80)  # until the last pose is stale
-            wait_for(lambda: loop.box.control.napping, "an idle loop naps")
+            wait_for(lambda: loop.control.napping, "an idle loop naps")
             loop.post_pose(above(0.05 + 0.001 * turn))
             libc.sem_post(bell)
             wait_for(lambda wanted=turn + 1: loop.box.inputs[0].pose == wanted)
@@ -317,13 +318,13 @@ class PostedLoop(Loop):
     """Whose ticks follow posted times."""
 
     def __enter__(self):
-        self.box.control.sim_time = True
+        self.control.sim_time = True
         self.thread.start()
-        wait_for(lambda: self.box.control.started == 1)
+        wait_for(lambda: self.control.started == 1)
         return self
 
     def post(self, seconds):
-        self.box.control.posted_time = round(1e9 * seconds)
+        self.control.posted_time = round(1e9 * seconds)
 
     def comes_to(self, ticks):
         """Whether it does so many ticks in all, and no more in the next moments."""
@@ -335,13 +336,13 @@ class PostedLoop(Loop):
 def test_ticks_follow_posted_times():
     """None without a time, as many as it moves, none while it stands; a jump back is taken up, a long one dropped."""
     with PostedLoop() as loop:
-        control = loop.box.control
+        control = loop.control
         assert loop.comes_to(0)
         assert control.standing == 1
         assert loop.box.shape.sequence[0] == 1, "the rest shape is there all the same"
         loop.post(5.0)
         assert loop.comes_to(0), "the first time is where it begins"
-        wait_for(lambda: loop.box.pace.seen == 5_000_000_000)
+        wait_for(lambda: loop.words.pace.seen == 5_000_000_000)
         loop.post(5.1)
         assert loop.comes_to(100)
         assert control.due == 5_100_000_000
@@ -350,7 +351,7 @@ def test_ticks_follow_posted_times():
         assert len(loop.snapshot()), "a clock that stands keeps nobody waiting"
         loop.post(2.0)
         assert loop.comes_to(100)
-        wait_for(lambda: loop.box.pace.seen == 2_000_000_000)
+        wait_for(lambda: loop.words.pace.seen == 2_000_000_000)
         loop.post(2.05)
         assert loop.comes_to(150)
         assert control.dropped == 0
@@ -372,7 +373,7 @@ def test_ticks_follow_posted_times():
 def test_tick_time_is_a_setting_that_may_change():
     with PostedLoop() as loop:
         loop.post(1.0)
-        wait_for(lambda: loop.box.pace.seen == 1_000_000_000)
+        wait_for(lambda: loop.words.pace.seen == 1_000_000_000)
         loop.post(1.1)
         assert loop.comes_to(100)
         slower = copy_of(loop.simulation.settings)
@@ -380,10 +381,10 @@ def test_tick_time_is_a_setting_that_may_change():
         loop.post_settings(slower)
         loop.post(1.101)
         assert loop.comes_to(101), "which takes the setting up"
-        simulated = int(loop.box.control.simulated)
+        simulated = int(loop.control.simulated)
         loop.post(2.101)
         assert loop.comes_to(201)
-        assert int(loop.box.control.simulated) - simulated == 1_000_000_000
+        assert int(loop.control.simulated) - simulated == 1_000_000_000
 
 
 def test_now_is_the_monotonic_clock():

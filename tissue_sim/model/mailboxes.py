@@ -50,13 +50,9 @@ class Control(Record):
     napping: bool  # the loop sleeps over several ticks
     sim_time: bool  # ticks follow posted_time, not the monotonic clock
     standing: bool  # /clock gives no time, or has stood still for a while
-    on_demand: bool  # positions are handed out only when asked for, because most of them are not worked out
     resets: int
     snapshot_asked: int
     snapshot_done: int
-    surface_asked: int
-    surface_done: int
-    awake_tick: int
     loop_ticks: int
     overruns: int
     dropped: int
@@ -64,6 +60,15 @@ class Control(Record):
     due: int  # ns of the clock in use: when the last tick was due
     looked_up: int  # ns of the monotonic clock: when the loop was last about to wait; an old time: it hangs, or starves
     posted_time: int  # ns, newest time of /clock; 0 before the first one
+
+
+class Demand(Record):
+    """Words about an organ's positions between the loop and Python, each written by one of them."""
+
+    on_demand: bool  # they are handed out only when asked for, because most of them are not worked out
+    moved: bool  # since they were handed out
+    asked: int
+    done: int
 
 
 class Pace(Record):
@@ -97,8 +102,19 @@ class Timing(Record):
     duration: int  # ns
 
 
+class LoopWords(NamedTuple):
+    """What goes in and out of a loop, whatever organs it advances."""
+
+    control: Control
+    timing: Any  # (TIMING_ROWS,) of Timing
+    pace: Pace
+    now: Longs  # (2,) a timespec
+    wake: Longs  # (2,) another
+    bell: Longs  # (4,) a sem_t, posted to wake the loop
+
+
 class Mailboxes(NamedTuple):
-    """All that goes in and out. T rigid bodies, n nodes."""
+    """All that goes in and out of an organ. T rigid bodies, n nodes."""
 
     pose: Mailbox  # to each body, (7,) floats and the stamp, ns
     force: Mailbox  # to each body, (3,) floats
@@ -107,30 +123,38 @@ class Mailboxes(NamedTuple):
     results: Mailbox  # State.results, after every tick
     shape: Mailbox  # State.shape, after every tick that moved, or that was asked
     snapshot: Longs  # State.words, when asked
-    control: Control
+    demand: Demand
     journal_written: Longs  # (1,)
     journal: Any  # (JOURNAL_ROWS,) of JournalRow
     journal_inputs: Any  # (JOURNAL_ROWS, T) of BodyInputs
-    timing: Any  # (TIMING_ROWS,) of Timing
     row: JournalRow  # as the last tick took it up
     inputs: Any  # (T,) of BodyInputs, likewise
-    pace: Pace
-    now: Longs  # (2,) a timespec
-    wake: Longs  # (2,) another
-    bell: Longs  # (4,) a sem_t, posted to wake the loop
     # The loop's copies.
     taken_pose: Longs  # (8,) the words of 7 floats, and the stamp
     taken_force: Floats  # (3,)
     taken_contacts: ContactSet
 
 
+def _longs(*shape: int) -> Longs:
+    return np.zeros(shape, dtype=np.int64)
+
+
+def make_loop_words() -> LoopWords:
+    """Those of a loop that has not begun."""
+    return LoopWords(
+        control=Control.new(),
+        timing=Timing.rows(_longs(TIMING_ROWS * Timing.words())),
+        pace=Pace.new(),
+        now=_longs(2),
+        wake=_longs(2),
+        bell=_longs(4),
+    )
+
+
 def make_mailboxes(state: State) -> Mailboxes:
     """Empty mailboxes for a simulation's state."""
     n_bodies = len(state.body_pose)
-
-    def longs(*shape: int) -> Longs:
-        return np.zeros(shape, dtype=np.int64)
-
+    body_words = BodyInputs.words()
     return Mailboxes(
         pose=mailbox(POSE_WORDS, n_bodies),
         force=mailbox(3, n_bodies),
@@ -138,21 +162,14 @@ def make_mailboxes(state: State) -> Mailboxes:
         settings=mailbox(Settings.words()),
         results=mailbox(len(state.results)),
         shape=mailbox(len(state.shape)),
-        snapshot=longs(len(state.words)),
-        control=Control.new(),
-        journal_written=longs(1),
-        journal=JournalRow.rows(longs(JOURNAL_ROWS * JournalRow.words())),
-        journal_inputs=BodyInputs.rows(longs(JOURNAL_ROWS * n_bodies * BodyInputs.words())).reshape(
-            JOURNAL_ROWS, n_bodies
-        ),
-        timing=Timing.rows(longs(TIMING_ROWS * Timing.words())),
+        snapshot=_longs(len(state.words)),
+        demand=Demand.new(),
+        journal_written=_longs(1),
+        journal=JournalRow.rows(_longs(JOURNAL_ROWS * JournalRow.words())),
+        journal_inputs=BodyInputs.rows(_longs(JOURNAL_ROWS * n_bodies * body_words)).reshape(JOURNAL_ROWS, n_bodies),
         row=JournalRow.new(),
-        inputs=BodyInputs.rows(longs(n_bodies * BodyInputs.words())),
-        pace=Pace.new(),
-        now=longs(2),
-        wake=longs(2),
-        bell=longs(4),
-        taken_pose=longs(POSE_WORDS),
+        inputs=BodyInputs.rows(_longs(n_bodies * body_words)),
+        taken_pose=_longs(POSE_WORDS),
         taken_force=np.zeros(3),
         taken_contacts=contact_set(n_bodies),
     )
@@ -201,16 +218,16 @@ def take(box: Any, addressee: int, last: int, message: Any) -> int:
 
 
 @kernel
-def take_inputs(world: Any, box: Any) -> bool:
-    """Take up what is new in the mailboxes; box.row and box.inputs become this tick's in the journal.
+def take_inputs(world: Any, box: Any, resets: int) -> bool:
+    """Take up what is new in the mailboxes, and a reset that was asked for; `resets`: so often it was so far.
 
-    Returns True when anything was new.
+    box.row and box.inputs become this tick's in the journal. Returns True when anything was new.
     """
     state, row, changed = world.state, box.row, False
-    if box.control.resets != row.resets:
-        row.resets = box.control.resets
+    if resets != row.resets:
+        row.resets = resets
         reset_state(world.model, state)
-        changed = True
+        box.demand.moved = changed = True
     sequence = take(box.settings, 0, row.settings, world.settings_words)
     if sequence != row.settings:
         row.settings, changed = sequence, True
@@ -246,40 +263,45 @@ def write_journal(box: Any, tick: int) -> None:
 
 
 @kernel
-def post_results(world: Any, box: Any, moved: bool) -> None:
+def post_results(world: Any, box: Any) -> None:
     """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
-    state, control = world.state, box.control
+    state, demand = world.state, box.demand
     put(box.results, 0, state.results)
+    if not state.status.asleep:
+        demand.moved = True
     lazy = not is_shown(state)
-    control.on_demand = lazy
-    asked = control.surface_asked
-    if lazy and asked != control.surface_done:
+    demand.on_demand = lazy
+    asked = demand.asked
+    if lazy and asked != demand.done:
         show_region(world.model, state, world.settings, world.scratch)
-        lazy, moved = False, True
-    if moved and not lazy:
+        lazy, demand.moved = False, True
+    if demand.moved and not lazy:
         state.shape_tick[0] = state.status.tick
         put(box.shape, 0, state.shape)
+    demand.moved = False
     fence()
-    control.surface_done = asked
+    demand.done = asked
 
 
 @kernel
-def post_snapshot(state: Any, box: Any) -> None:
-    """Hand out the whole state when it was asked for; the journal tells what it has taken up."""
-    control = box.control
-    if control.snapshot_asked != control.snapshot_done:
+def post_snapshots(worlds: Any, boxes: Any, control: Any) -> None:
+    """Hand out the whole states when they were asked for; the journals tell what they have taken up."""
+    if control.snapshot_asked == control.snapshot_done:
+        return
+    for organ in range(len(worlds)):
+        state, box = worlds[organ].state, boxes[organ]
         write_journal(box, state.status.tick)
         for index in range(len(state.words)):
             box.snapshot[index] = state.words[index]
-        fence()
-        control.snapshot_done = control.snapshot_asked
+    fence()
+    control.snapshot_done = control.snapshot_asked
 
 
 @kernel
-def note_tick(box: Any, due: int, period: int, late: int, duration: int) -> None:
+def note_tick(loop: Any, due: int, period: int, late: int, duration: int) -> None:
     """Note when a tick was due, its length, lateness and duration, ns."""
-    control = box.control
-    timing = box.timing[control.loop_ticks % TIMING_ROWS]
+    control = loop.control
+    timing = loop.timing[control.loop_ticks % TIMING_ROWS]
     timing.late, timing.duration = late, duration
     control.due = due
     control.simulated += period

@@ -1,6 +1,6 @@
 """The fixed-rate loop: one compiled function that never takes the GIL.
 
-Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). While the organ sleeps and no tool
+Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). While organs sleep and no tool
 is near, the loop naps over several ticks and does them afterwards; a bell (a semaphore) wakes it for a pose or force.
 What goes in and out lies in mailboxes (tissue_sim.model.mailboxes).
 """
@@ -12,7 +12,7 @@ from typing import Any
 from numba import types
 
 from tissue_sim.jit import kernel, part
-from tissue_sim.model.mailboxes import fence, note_tick, post_results, post_snapshot, take_inputs, write_journal
+from tissue_sim.model.mailboxes import fence, note_tick, post_results, post_snapshots, take_inputs, write_journal
 from tissue_sim.model.tool_motion import freshness
 from tissue_sim.model.world import tick_implied_world, tick_world
 
@@ -52,39 +52,39 @@ def sleep_until(deadline: int, timespec: Any) -> None:
 
 
 @kernel
-def sleep_until_bell(deadline: int, box: Any) -> None:
+def sleep_until_bell(deadline: int, loop: Any) -> None:
     """Sleep until the bell is rung, or to an absolute monotonic time, ns."""
-    set_time(deadline, box.wake)
-    _sem_clockwait(box.bell.ctypes.data, CLOCK_MONOTONIC, box.wake.ctypes.data)
+    set_time(deadline, loop.wake)
+    _sem_clockwait(loop.bell.ctypes.data, CLOCK_MONOTONIC, loop.wake.ctypes.data)
 
 
 @kernel
-def wait_until(deadline: int, box: Any) -> int:
+def wait_until(deadline: int, loop: Any) -> int:
     """Sleep until a tick is due by the clock in use, ns; returns that clock's time.
 
     A posted time may not have come that far yet: then it is earlier, and the caller asks again.
     """
-    control, pace = box.control, box.pace
+    control, pace = loop.control, loop.pace
     if not control.sim_time:
-        sleep_until(deadline, box.wake)
-        return now(box.now)
+        sleep_until(deadline, loop.wake)
+        return now(loop.now)
     if control.posted_time < deadline:
-        sleep_until_bell(now(box.now) + LOOK_UP, box)
+        sleep_until_bell(now(loop.now) + LOOK_UP, loop)
     fence()
     time = control.posted_time
     if time != pace.seen:
         pace.behind = max(0, pace.seen - deadline)
-        pace.seen, pace.seen_at = time, now(box.now)
-    elif time < deadline and now(box.now) - pace.seen_at > STANDS_AFTER:
+        pace.seen, pace.seen_at = time, now(loop.now)
+    elif time < deadline and now(loop.now) - pace.seen_at > STANDS_AFTER:
         control.standing = True
     return time
 
 
 @kernel
-def is_idle(world: Any, box: Any) -> bool:
-    """True while the organ sleeps, no pose or force is fresh, and none has come."""
+def is_idle(world: Any, box: Any, resets: int) -> bool:
+    """True while an organ sleeps, no pose or force is fresh, and none has come."""
     state, settings = world.state, world.settings
-    idle = state.status.asleep and box.control.resets == box.row.resets
+    idle = state.status.asleep and resets == box.row.resets
     for body in range(len(state.bodies)):
         status, taken = state.bodies[body], box.inputs[body]
         idle = idle and freshness(status.age, settings) == 0.0 and freshness(status.force_age, settings) == 0.0
@@ -93,42 +93,69 @@ def is_idle(world: Any, box: Any) -> bool:
 
 
 @kernel
-def nap(deadline: int, world: Any, box: Any) -> int:
+def all_idle(worlds: Any, boxes: Any, control: Any) -> bool:
+    """True while all organs are idle."""
+    resets, idle = control.resets, True
+    for organ in range(len(worlds)):
+        idle = idle and is_idle(worlds[organ], boxes[organ], resets)
+    return idle
+
+
+@kernel
+def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
     """Sleep to an absolute monotonic time, ns, unless something is to be done sooner; returns until when it was."""
-    control = box.control
+    control = loop.control
     control.napping = True
     fence()  # from here on whoever posts rings
-    if is_idle(world, box):
-        sleep_until_bell(deadline, box)
+    if all_idle(worlds, boxes, control):
+        sleep_until_bell(deadline, loop)
     control.napping = False
-    return min(now(box.now), deadline)
+    return min(now(loop.now), deadline)
+
+
+@kernel
+def take_all(worlds: Any, boxes: Any, resets: int) -> None:
+    """Take up what came in for every organ, and note it."""
+    for organ in range(len(worlds)):
+        world, box = worlds[organ], boxes[organ]
+        if take_inputs(world, box, resets):
+            write_journal(box, world.state.status.tick + 1)
+
+
+@kernel
+def post_all(worlds: Any, boxes: Any) -> None:
+    """Hand out the results of every organ."""
+    for organ in range(len(worlds)):
+        post_results(worlds[organ], boxes[organ])
 
 
 @part
-def _loop(world: Any, tick: Any, box: Any) -> None:
-    state, settings, control, pace = world.state, world.settings, box.control, box.pace
-    post_results(world, box, True)  # the rest shape
-    control.looked_up = now(box.now)
+def _loop(worlds: Any, boxes: Any, loop: Any, tick: Any, joined: Any) -> None:
+    """Tick worlds (a tuple), each with its mailboxes; tick: the kernel that advances them, with what joins them."""
+    settings, control, pace = worlds[0].settings, loop.control, loop.pace
+    for organ in range(len(boxes)):
+        boxes[organ].demand.moved = True  # the rest shape
+    post_all(worlds, boxes)
+    control.looked_up = now(loop.now)
     control.started = True
-    moved = False
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
     posted = not control.sim_time
     while not control.stop:
-        control.looked_up = now(box.now)
-        post_snapshot(state, box)
+        control.looked_up = now(loop.now)
+        post_snapshots(worlds, boxes, control)
         if posted != control.sim_time:
             posted = control.sim_time
-            due = 0 if posted else now(box.now)
+            due = 0 if posted else now(loop.now)
             control.standing = posted  # until its first tick
         period = int(settings.tick_time * 1e9 + 0.5)
-        if not posted and 2 * period <= NAP and is_idle(world, box):
-            rested = nap(due + NAP // period * period, world, box)
+        if not posted and 2 * period <= NAP and all_idle(worlds, boxes, control):
+            rested = nap(due + NAP // period * period, worlds, boxes, loop)
             while due + 2 * period <= rested:
                 due += period
-                begin = now(box.now)
-                tick(world)
-                note_tick(box, due, period, 0, now(box.now) - begin)
-        start = wait_until(due + period, box)
+                begin = now(loop.now)
+                tick(worlds, joined)
+                note_tick(loop, due, period, 0, now(loop.now) - begin)
+        start = wait_until(due + period, loop)
         if due == 0 or start < due:  # the first time that was posted, or it jumped back
             due = start
         if start < due + period:
@@ -140,30 +167,35 @@ def _loop(world: Any, tick: Any, box: Any) -> None:
             control.dropped += late // period
             due = start
         if posted:  # a posted time makes many ticks due at once; late is what was left of the one before
-            begin, late, pace.behind = now(box.now), pace.behind, 0
+            begin, late, pace.behind = now(loop.now), pace.behind, 0
         if late > period:
             control.overruns += 1
-        resets = box.row.resets
-        if take_inputs(world, box):
-            moved = moved or box.row.resets != resets
-            write_journal(box, state.status.tick + 1)
-        tick(world)
-        moved = moved or not state.status.asleep
-        post_results(world, box, moved)
+        take_all(worlds, boxes, control.resets)
+        tick(worlds, joined)
+        post_all(worlds, boxes)
         control.standing = False
-        if moved:
-            control.awake_tick = state.status.tick
-        moved = False
-        note_tick(box, due, period, late, now(box.now) - begin)
+        note_tick(loop, due, period, late, now(loop.now) - begin)
 
 
 @kernel
-def run_loop(world: Any, box: Any) -> None:
-    """Tick every settings.tick_time s until control.stop."""
-    _loop(world, tick_world, box)
+def tick_one(worlds: Any, joined: Any) -> None:
+    """Advance the only organ."""
+    tick_world(worlds[0])
 
 
 @kernel
-def run_implied_loop(world: Any, box: Any) -> None:
+def tick_implied_one(worlds: Any, joined: Any) -> None:
+    """Advance the only organ, whose return springs pull to the boundary that the skeleton implies."""
+    tick_implied_world(worlds[0])
+
+
+@kernel
+def run_loop(worlds: Any, boxes: Any, loop: Any) -> None:
+    """Tick the only organ every settings.tick_time s until control.stop."""
+    _loop(worlds, boxes, loop, tick_one, None)
+
+
+@kernel
+def run_implied_loop(worlds: Any, boxes: Any, loop: Any) -> None:
     """The same where return springs pull to the boundary that the skeleton implies."""
-    _loop(world, tick_implied_world, box)
+    _loop(worlds, boxes, loop, tick_implied_one, None)

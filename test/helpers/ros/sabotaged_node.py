@@ -13,18 +13,18 @@ from std_srvs.srv import Trigger
 
 from tissue_sim.ros.node import program, serve
 from tissue_sim.ros.node.node import TissueNode
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.loop import Loop
 
 libc = ctypes.CDLL(None)
-loop = Physics._loop
+tick_on = Loop._tick_on
 
 
 def failing(*_: object) -> None:
     raise ZeroDivisionError("sabotaged,\nin two lines")
 
 
-def failing_loop(physics: Physics) -> None:
-    loop(physics)
+def failing_loop(loop: Loop) -> None:
+    tick_on(loop)
     if Sabotaged.loop_fails:
         failing()
 
@@ -59,13 +59,13 @@ class Sabotaged(TissueNode):
         return response
 
     def signal_loop(self, number: int) -> None:
-        signal.pthread_kill(self.physics._thread.ident, number)
+        signal.pthread_kill(self.loop._thread.ident, number)
 
     def end_loop(self) -> None:
         Sabotaged.loop_fails = True
-        self.physics.box.control.stop = True
+        self.loop.words.control.stop = True
 
 
 serve.TissueNode = Sabotaged
-Physics._loop = failing_loop
+Loop._tick_on = failing_loop
 program.run()

@@ -19,6 +19,7 @@ from tissue_sim.ros.bags import bag, recovery, spool
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.bags.writer import BagWriter, Split, Topic, lock
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
@@ -144,16 +145,16 @@ def stalled(tmp_path, monkeypatch):
 
     monkeypatch.setattr(BagWriter, "write", when_let_go)
     monkeypatch.setattr(spool, "MOST_WAITING", 8e6)
-    physics = Physics(Simulation(ball(2)))
+    physics = Physics(Loop([Simulation(ball(2))]))
     recorder = Recorder("/tissue_sim", 0, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
-    physics.start()
+    physics.loop.start()
     recorder.start(tmp_path, physics, b"organ", b"\0" * 16, {})
     assert stuck.wait(LIMIT)
     yield recorder, physics, let_go
     let_go.set()
-    physics.stop()
+    physics.loop.stop()
 
 
 def counts(path):

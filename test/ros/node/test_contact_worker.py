@@ -13,6 +13,7 @@ from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import BodyStatus
 from tissue_sim.ros.node.contact_worker import ContactWorker
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
 
@@ -40,7 +41,7 @@ class Port:
 def scene():
     """A worker that isn't started, its finder, and the lines that it warned with."""
     organ, tools = ball(1), ToolSet([Tool("left", "sphere", 0.005)])
-    physics = Physics(Simulation(organ, shapes=tools.shapes))
+    physics = Physics(Loop([Simulation(organ, shapes=tools.shapes)]))
     finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     warned, port = [], Port(top + (0.0, 0.0, 0.006))

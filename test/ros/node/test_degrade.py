@@ -14,6 +14,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
 from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 
 STRAIN, MIDDLING, WELL = Look(0.95, 0.5, 0), Look(0.6, 0.0, 0), Look(0.1, 0.0, 0)
@@ -122,7 +123,7 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     simulation = Simulation(ball(2), rate=rate, local_region=local_region, integrator=integrator)
     values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
     values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
-    posted, physics = [], Physics(simulation)
+    posted, physics = [], Physics(Loop([simulation]))
     made = LiveSettings(
         simulation,
         physics,

@@ -79,7 +79,7 @@ def served(monkeypatch):
     done, notes = [], []
     node = SimpleNamespace(**{name: partial(done.append, name) for name in ("start", "close", "destroy_node")})
     node.mishaps = SimpleNamespace(note=notes.append)
-    node.physics = SimpleNamespace(ended=False, failure=None)
+    node.loop = SimpleNamespace(ended=False, failure=None)
     ending = SimpleNamespace(asked=threading.Event(), started=lambda: None, closes=lambda: None)
 
     def fail(timeout_sec):
@@ -104,7 +104,7 @@ def test_errors_of_rclpy_itself_are_noted_and_the_node_goes_on(served):
 
 
 def test_a_node_whose_loop_ended_closes_and_ends_with_one_line(served, capfd):
-    served.node.physics.ended, served.node.physics.failure = True, MemoryError("no more")
+    served.node.loop.ended, served.node.loop.failure = True, MemoryError("no more")
     assert served.run() == 1
     assert capfd.readouterr().err == "tissue_node: error: internal: the physics loop ended: MemoryError: no more\n"
     assert served.done == ["start", "close", "destroy_node"]

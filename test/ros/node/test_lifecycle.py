@@ -35,6 +35,7 @@ from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import spool
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import BagWriter
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
@@ -302,7 +303,8 @@ def test_signal_while_loading_ends_it(tmp_path, start, delay):
 def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch):
     """What a slow disk can't take in time is left out and counted; the bag can be read."""
     simulation = Simulation(ball(2))
-    physics = Physics(simulation)
+    loop = Loop([simulation])
+    physics = Physics(loop)
     recorder = Recorder("/tissue_sim", 0, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
@@ -314,12 +316,12 @@ def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch)
 
     monkeypatch.setattr(BagWriter, "write", slowly)
     monkeypatch.setattr(spool, "CLOSING_TIME", LIMIT)
-    physics.start()
+    loop.start()
     path = recorder.start(tmp_path, physics, b"organ", b"\0" * 16, {})
     for _ in range(20_000):
         recorder.received("/left/measured_cp", b"\0" * 64)
     assert recorder.stop(physics, 0.3) == path
-    physics.stop()
+    loop.stop()
     assert recorder.error == ""
     assert 10_000 < recorder.lost < 20_000
     with Reader(path) as reader:

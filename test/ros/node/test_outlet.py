@@ -9,6 +9,7 @@ from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import outlet
 from tissue_sim.ros.node.outlet import Outlet
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
 
@@ -65,7 +66,7 @@ def scene(request, monkeypatch):
 
     parts.outlet = Outlet(
         {"record_markers": False, "marker_colour": "none"},
-        Physics(Simulation(ball(1))),
+        Physics(Loop([Simulation(ball(1))])),
         [SimpleNamespace(input=SimpleNamespace(poses=0), output=parts.output)],
         parts.presenter,
         live,

@@ -12,6 +12,7 @@ from helpers.ros.clients import Client
 from helpers.ros.processes import running_node
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, is_allowed
 
@@ -37,21 +38,22 @@ def test_asking_whether_it_is_allowed_changes_nothing():
 
 
 def test_only_the_loop_goes_first():
-    physics = Physics(Simulation(ball(2)))
-    physics.start()
+    loop = Loop([Simulation(ball(2))])
+    physics = Physics(loop)
+    loop.start()
     try:
-        assert physics.priority == 0
+        assert loop.priority == 0
         try:
-            physics.prefer(7)
+            loop.prefer(7)
         except PermissionError:
             pytest.skip("this user may not ask for a real-time priority")
-        assert physics.priority == 7
+        assert loop.priority == 7
         assert os.sched_getscheduler(0) == os.SCHED_OTHER, "of this thread"
         before = physics.results().status.tick
         wait_for(lambda: physics.results().status.tick > before, "it doesn't tick")
     finally:
-        physics.stop()
-    assert physics.priority == 0
+        loop.stop()
+    assert loop.priority == 0
 
 
 def test_the_node_tells_its_priority_or_why_it_has_none(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 
 
@@ -21,10 +22,10 @@ def test_contact_forces_are_of_whole_ticks():
         scene.move(0, top + (0.0, 0.0, height))
         scene.step()
     held = np.append(top + (0.0, 0.0, 0.003), (0.0, 0.0, 0.0, 1.0))
-    physics = Physics(scene.simulation)
+    physics = Physics(Loop([scene.simulation]))
     physics.post_contacts(scene.contacts)
     physics.post_pose(0, held)
-    physics.start()
+    physics.loop.start()
     try:
         while physics.results().status.touching == 0:
             time.sleep(1e-3)
@@ -35,5 +36,5 @@ def test_contact_forces_are_of_whole_ticks():
             assert forces.sum() == pytest.approx(np.linalg.norm(wrenches[0, :3]), rel=0.3)
             time.sleep(3e-4)  # at other phases of a tick
     finally:
-        physics.stop()
+        physics.loop.stop()
     assert wrenches[0, 2] > 0.01, "N, in the hand"

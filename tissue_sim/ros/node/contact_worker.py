@@ -51,7 +51,7 @@ class ContactWorker:
         self._last_time = time.monotonic()
         self._last_key: tuple[int, ...] = ()
         self._last_empty = False
-        self._last_resets = physics.resets
+        self._last_resets = physics.loop.resets
         self._idle = False
 
     def start(self) -> None:
@@ -93,8 +93,8 @@ class ContactWorker:
         newest = [port.newest for port in self._ports]
         sequences = [one.sequence for one in newest for _ in one.placed]
         poses = np.concatenate([one.placed for one in newest])
-        if self._physics.resets != self._last_resets:  # the organ has jumped back under the tools
-            self._last_resets = self._physics.resets
+        if self._physics.loop.resets != self._last_resets:  # the organ has jumped back under the tools
+            self._last_resets = self._physics.loop.resets
             self._engaged[:] = 0
         fresh = [counts for port in self._ports for counts in [port.pose_freshness.counts] * len(port.bodies)]
         # The first of its bodies pushes with the tool's force.

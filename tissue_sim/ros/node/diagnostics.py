@@ -62,7 +62,7 @@ class LoopReport:
         report.values |= {
             "tick": status.tick,
             "tick_rate_hz": timing.rate,
-            "realtime_priority": self._physics.priority,
+            "realtime_priority": self._physics.loop.priority,
             "tick_p50_us": 1e6 * float(busy[0]),
             "tick_p99_us": 1e6 * float(busy[1]),
             "late_p99_us": 1e6 * float(np.percentile(timing.late, 99.0)) if timing.ticks else 0.0,
@@ -96,7 +96,7 @@ class LoopReport:
             )
         if timing.late_share > MOST_LATE:
             report.warnings.append(f"{timing.late_ticks} ticks were late by more than a period")
-        if not self._physics.alive:
+        if not self._physics.loop.alive:
             report.failures.append("the physics loop has ended")
         elif not self._physics.answers:
             report.failures.append(STARVED)

@@ -40,13 +40,13 @@ class Freshness:
     @property
     def is_fresh(self) -> bool:
         """True until `stale_time` has gone by without a message."""
-        return not self._physics.standing and self.age <= self._physics.settings().stale_time
+        return not self._physics.loop.standing and self.age <= self._physics.settings().stale_time
 
     @property
     def counts(self) -> bool:
         """True until what is stale has faded too, a `ramp_time` later."""
         settings = self._physics.settings()
-        return not self._physics.standing and self.age < settings.stale_time + settings.ramp_time
+        return not self._physics.loop.standing and self.age < settings.stale_time + settings.ramp_time
 
     @property
     def last_stamp(self) -> int:

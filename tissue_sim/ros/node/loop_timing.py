@@ -46,19 +46,19 @@ class Timing:
 
 
 class TimingReader:
-    """Looks at a loop's mailboxes now and then; each reader has its own last look."""
+    """Looks at what a loop notes now and then; each reader has its own last look."""
 
     def __init__(self, physics: Physics) -> None:
-        self._physics, self._box = physics, physics.box
+        self._physics, self._words = physics, physics.loop.words
         self._last = self._look()
 
     def read(self) -> Timing:
         """Timing since the last call."""
-        control, last = self._box.control, self._last
+        control, last = self._words.control, self._last
         due, napping = int(control.due), int(control.napping)
         new = self._last = self._look()
         first = max(last.ticks, new.ticks - mb.TIMING_ROWS + 64)
-        rows = self._box.timing[np.arange(first, new.ticks) % mb.TIMING_ROWS]
+        rows = self._words.timing[np.arange(first, new.ticks) % mb.TIMING_ROWS]
         late, busy = 1e-9 * rows["late"], 1e-9 * rows["duration"]
         behind = float(late.max(initial=0.0))
         # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
@@ -80,7 +80,7 @@ class TimingReader:
         )
 
     def _look(self) -> _Counters:
-        control = self._box.control
+        control = self._words.control
         posted = int(control.sim_time)
         return _Counters(
             wall=time.monotonic(),

@@ -41,6 +41,7 @@ from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
 from tissue_sim.ros.shared.dds import told_reach
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, prefer
@@ -81,10 +82,11 @@ class TissueNode(GuardedNode):
         )
         values.apply(self.simulation.settings)
         self.simulation.set_substeps()
-        self.physics = Physics(self.simulation)
+        self.loop = Loop([self.simulation])
+        self.physics = Physics(self.loop)
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken = threading.Event()
-        self.sim_clock = SimClock(self, self.physics)
+        self.sim_clock = SimClock(self, self.loop)
         self.recorder = Recorder(self.get_fully_qualified_name(), self.physics.n_bodies, self._config())
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
@@ -119,7 +121,7 @@ class TissueNode(GuardedNode):
     def start(self) -> None:
         """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
         self.live.update()
-        self.physics.start()
+        self.loop.start()
         self.finder.warm_up(self.organ.rest_positions)  # after the tick, beside which its kernels were compiled
         self._prefer(self.parameters["realtime_priority"])
         outlet = self._outlet = Outlet(
@@ -171,7 +173,7 @@ class TissueNode(GuardedNode):
         self.contacts.stop()
         with noted():
             self._close_bag()
-        self.physics.stop()
+        self.loop.stop()
 
     def _close_bag(self) -> None:
         path = self.recorder.stop(self.physics, BAG_PATIENCE)
@@ -184,7 +186,7 @@ class TissueNode(GuardedNode):
     def _prefer(self, priority: int) -> None:
         """The loop before all other threads, and after it the calling one, which answers poses."""
         try:
-            self.physics.prefer(priority)
+            self.loop.prefer(priority)
             prefer(below(priority))
         except OSError as error:
             self.get_logger().warning(
@@ -212,7 +214,7 @@ class TissueNode(GuardedNode):
 
     # services and parameters -------------------------------------------------------------------
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.physics.reset()
+        self.loop.reset()
         response.success, response.message = True, "the organ is back at rest"
         return response
 

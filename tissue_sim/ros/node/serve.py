@@ -78,8 +78,8 @@ def _go_on(node: TissueNode, executor: Executor, ending: Ending) -> None:
         except Exception as error:  # of rclpy itself: callbacks are guarded
             node.mishaps.note(error)
             ending.asked.wait(AFTER_FAILURE)
-        if node.physics.ended:
-            why = node.physics.failure
+        if node.loop.ended:
+            why = node.loop.failure
             raise LoopEnded("the physics loop ended" + (f": {told(why)}" if why is not None else ""))
 
 

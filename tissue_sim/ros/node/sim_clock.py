@@ -9,7 +9,7 @@ from rclpy.clock import ClockChange, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 
 from tissue_sim.ros.node.guarded import GuardedNode
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.report import Report
 
 NANOSECOND = Duration(nanoseconds=1)
@@ -22,8 +22,8 @@ class SimClock:
     when ticks follow another clock.
     """
 
-    def __init__(self, node: GuardedNode, physics: Physics) -> None:
-        self._clock, self._log, self._physics = node.get_clock(), node.get_logger(), physics
+    def __init__(self, node: GuardedNode, loop: Loop) -> None:
+        self._clock, self._log, self._loop = node.get_clock(), node.get_logger(), loop
         self.jumped: list[Callable[[], None]] = []
         self._active = self._waiting = self._stood = False
         threshold = JumpThreshold(min_forward=NANOSECOND, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
@@ -40,7 +40,7 @@ class SimClock:
             return "wall"
         if self._waiting:
             return "no /clock yet"
-        return "/clock stands" if self._physics.standing else "/clock"
+        return "/clock stands" if self._loop.standing else "/clock"
 
     def report(self, report: Report) -> None:
         """Add the state."""
@@ -48,7 +48,7 @@ class SimClock:
 
     def watch(self) -> None:
         """Say once when the clock stands, and when it goes on; call it often."""
-        stands = self._active and not self._waiting and self._physics.standing
+        stands = self._active and not self._waiting and self._loop.standing
         if stands and not self._stood:
             self._log.info("/clock stands: no ticks, and no forces until it goes on")
         self._stood = stands
@@ -67,8 +67,8 @@ class SimClock:
                 f"/clock jumped back by {-1e-9 * jump.delta.nanoseconds:.3f} s: the organ is back at rest"
             )
             self._begin_anew()
-            self._physics.reset()
-        self._physics.post_time(self._clock.now().nanoseconds)
+            self._loop.reset()
+        self._loop.post_time(self._clock.now().nanoseconds)
 
     def _follow(self, active: bool) -> None:
         self._active = active
@@ -77,8 +77,8 @@ class SimClock:
         self._waiting = active and posted == 0
         if self._waiting:
             self._log.info("use_sim_time is set: waiting for /clock before the first tick")
-        self._physics.post_time(posted)
-        self._physics.follow_posted_time(active)
+        self._loop.post_time(posted)
+        self._loop.follow_posted_time(active)
 
     def _begin_anew(self) -> None:
         for tell in self.jumped:

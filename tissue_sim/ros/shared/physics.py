@@ -1,12 +1,9 @@
-"""The compiled loop in a thread of its own, and the mailboxes as Python methods."""
+"""An organ's mailboxes as Python methods."""
 
 from __future__ import annotations
 
-import ctypes
-import os
 import threading
 import time
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,99 +11,36 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
-from tissue_sim.model import realtime as rt
 from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.records import copy_of, words_of
+from tissue_sim.model.records import words_of
 from tissue_sim.model.settings import Settings
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import Region, Results, results_in
-from tissue_sim.model.world import make_world
-from tissue_sim.ros.shared.priority import prefer
+from tissue_sim.ros.shared.loop import Loop
 
 LONGEST = 0.1  # s that a wrench may go out without a new one, however late a tool's poses may come
 
-_libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
-
 
 class Physics:
-    """Runs a simulation at its rate. Methods may be called from any one thread each.
+    """One organ of a running loop. Methods may be called from any one thread each.
 
-    Everything that is posted is taken up by the next tick; the journal tells which.
+    Everything that is posted is taken up by the next tick; the journal tells which. organ: its number in the loop.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        self.simulation = simulation
-        self.box = mb.make_mailboxes(simulation.state)
-        self._box = handle(self.box)
+    def __init__(self, loop: Loop, organ: int = 0) -> None:
+        self.loop, self.simulation, self.box = loop, loop.simulations[organ], loop.boxes[organ]
         self._pose, self._force = handle(self.box.pose), handle(self.box.force)
         self._contacts, self._settings = handle(self.box.contacts), handle(self.box.settings)
         self._results, self._shape = handle(self.box.results), handle(self.box.shape)
-        self.n_bodies = len(simulation.shapes.kind)
-        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self.n_bodies = len(self.simulation.shapes.kind)
         self._journal_read = 0
-        self.ended = False  # the loop, though nobody has asked for that
-        self.failure: BaseException | None = None  # what ended it
         self._oldest = 0  # ns, the age up to which a wrench may go out
-        bell = ctypes.c_void_p(self.box.bell.ctypes.data)
-        _libc.sem_init(bell, 0, 0)
-        self._ring = partial(_libc.sem_post, bell)
         self._settings_lock = threading.Lock()
-        self.post_settings(simulation.settings)
-
-    def _run(self) -> None:
-        try:
-            self._loop()
-        except Exception as error:  # the node tells, and ends
-            self.failure = error
-        self.ended = not self.box.control.stop or self.failure is not None
-
-    def _loop(self) -> None:
-        simulation = self.simulation
-        # Settings of its own: those of the simulation change between ticks, when a parameter does.
-        own = copy_of(simulation.settings)
-        world = make_world(simulation.model, simulation.state, simulation.shapes, own, simulation.scratch)
-        run = rt.run_implied_loop if simulation.implied else rt.run_loop
-        run(handle(world), self._box)
-
-    def start(self) -> None:
-        """Start the loop; returns when it runs (compiling takes a while)."""
-        self._thread.start()
-        while not self.box.control.started and self._thread.is_alive():
-            time.sleep(0.01)
-
-    def prefer(self, priority: int) -> None:
-        """Let the running loop go before other threads, see `priority.prefer`."""
-        prefer(priority, self._thread.native_id or 0)
-
-    @property
-    def priority(self) -> int:
-        """Real-time priority of the loop, 0 where it is a thread like others."""
-        return os.sched_getparam(self._thread.native_id or 0).sched_priority if self.alive else 0
-
-    def stop(self) -> None:
-        """End the loop after the running tick."""
-        self.box.control.stop = True
-        self._ring()
-        if self._thread.is_alive() and self.box.control.started:  # one that still compiles can't be stopped
-            self._thread.join(timeout=0.5)
-
-    @property
-    def alive(self) -> bool:
-        """True while the loop runs."""
-        return self._thread.is_alive()
+        self.post_settings(self.simulation.settings)
 
     @property
     def answers(self) -> bool:
-        """False while the loop is not there, hangs, or gets no time to run: what it handed out last is old.
-
-        Older than what a tool may feel without poses, that is, or than two ticks; a loop that waits for /clock looks
-        up less often.
-        """
-        if self.ended:
-            return False
-        control = self.box.control
-        oldest = self._oldest + (rt.LOOK_UP if control.sim_time else 0)
-        return bool(time.monotonic_ns() - control.looked_up <= oldest)
+        """False while what the loop handed out last is older than what a tool may feel without poses, or two ticks."""
+        return self.loop.answers_within(self._oldest)
 
     # in ----------------------------------------------------------------------------------------
     def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
@@ -138,39 +72,10 @@ class Physics:
 
     def _put(self, box: Any, body: int, message: Longs) -> int:
         sequence = int(mb.put(box, body, message))
-        self._wake()
+        self.loop.wake()
         return sequence
 
-    def _wake(self) -> None:
-        if self.box.control.napping:
-            self._ring()
-
-    def reset(self) -> None:
-        """Back to the rest shape before the next tick."""
-        self.box.control.resets += 1
-        self._wake()
-
-    def follow_posted_time(self, follow: bool) -> None:
-        """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""
-        self.box.control.sim_time = follow
-        self._ring()
-
-    def post_time(self, nanoseconds: int) -> None:
-        """The newest time of /clock: ticks up to it are due."""
-        self.box.control.posted_time = nanoseconds
-        self._ring()
-
     # out ---------------------------------------------------------------------------------------
-    @property
-    def standing(self) -> bool:
-        """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
-        return bool(self.box.control.standing)
-
-    @property
-    def resets(self) -> int:
-        """How often it was asked to go back to the rest shape."""
-        return int(self.box.control.resets)
-
     @property
     def tick_time(self) -> float:
         """Simulated time of a tick, s, by the newest settings."""
@@ -187,7 +92,7 @@ class Physics:
 
         A force that no tick renews must not stay in the hand.
         """
-        if self.standing or not self.answers:
+        if self.loop.standing or not self.answers:
             return -1, np.zeros((self.n_bodies, 6))
         newest = self.results()
         return newest.status.tick, newest.wrench
@@ -195,8 +100,7 @@ class Physics:
     @property
     def surface_sequence(self) -> int:
         """Raised whenever the positions moved."""
-        control = self.box.control
-        return int(control.loop_ticks if control.on_demand else self.box.shape.sequence[0])
+        return self.loop.ticks if self.box.demand.on_demand else int(self.box.shape.sequence[0])
 
     def positions(self, out: Floats, timeout: float = 0.02) -> int:
         """Copy the newest positions into out (n, 3) m; returns their tick.
@@ -204,12 +108,12 @@ class Physics:
         With a modal region the loop works them out for this, after its next tick; when it doesn't within timeout s,
         they are the last ones that it did.
         """
-        control = self.box.control
-        if control.on_demand:
-            asked = int(control.surface_asked) + 1
-            control.surface_asked = asked
+        demand = self.box.demand
+        if demand.on_demand:
+            asked = int(demand.asked) + 1
+            demand.asked = asked
             deadline = time.monotonic() + timeout
-            while control.surface_done < asked and time.monotonic() < deadline and self.alive:
+            while demand.done < asked and time.monotonic() < deadline and self.loop.alive:
                 time.sleep(2e-4)
         words = np.zeros(len(self.simulation.state.shape), dtype=np.int64)
         mb.take(self._shape, 0, 0, words)
@@ -246,13 +150,7 @@ class Physics:
 
         Raises TimeoutError when the loop doesn't answer.
         """
-        control = self.box.control
-        control.snapshot_asked += 1
-        end = time.monotonic() + timeout
-        while control.snapshot_done != control.snapshot_asked:
-            if time.monotonic() > end:
-                raise TimeoutError("the physics loop gave no snapshot")
-            time.sleep(0.0005)
+        self.loop.take_snapshots(timeout)
         return self.box.snapshot.copy()
 
     def journal(self) -> tuple[Any, Any]:

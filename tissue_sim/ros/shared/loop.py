@@ -1,0 +1,144 @@
+"""The compiled loop over all organs in a thread of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+import time
+from collections.abc import Sequence
+
+from tissue_sim.jit import handle
+from tissue_sim.model import mailboxes as mb
+from tissue_sim.model import realtime as rt
+from tissue_sim.model.records import copy_of
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.world import make_world
+from tissue_sim.ros.shared.priority import prefer
+
+_libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
+
+
+class Loop:
+    """Ticks simulations at the rate of the first one. Methods may be called from any one thread each.
+
+    boxes: each one's mailboxes, see `physics.Physics`.
+    """
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        self.simulations = tuple(simulations)
+        self.boxes = tuple(mb.make_mailboxes(one.state) for one in simulations)
+        self.words = mb.make_loop_words()
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self.ended = False  # though nobody has asked for that
+        self.failure: BaseException | None = None  # what ended it
+        self._bell = ctypes.c_void_p(self.words.bell.ctypes.data)
+        _libc.sem_init(self._bell, 0, 0)
+
+    def _run(self) -> None:
+        try:
+            self._tick_on()
+        except Exception as error:  # the node tells, and ends
+            self.failure = error
+        self.ended = not self.words.control.stop or self.failure is not None
+
+    def _tick_on(self) -> None:
+        # Settings of their own: those of a simulation change between ticks, when a parameter does.
+        worlds = tuple(
+            handle(make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch))
+            for one in self.simulations
+        )
+        run = rt.run_implied_loop if self.simulations[0].implied else rt.run_loop
+        run(worlds, tuple(map(handle, self.boxes)), handle(self.words))
+
+    def start(self) -> None:
+        """Start the loop; returns when it runs (compiling takes a while)."""
+        self._thread.start()
+        while not self.words.control.started and self._thread.is_alive():
+            time.sleep(0.01)
+
+    def prefer(self, priority: int) -> None:
+        """Let the running loop go before other threads, see `priority.prefer`."""
+        prefer(priority, self._thread.native_id or 0)
+
+    @property
+    def priority(self) -> int:
+        """Real-time priority of the loop, 0 where it is a thread like others."""
+        return os.sched_getparam(self._thread.native_id or 0).sched_priority if self.alive else 0
+
+    def stop(self) -> None:
+        """End the loop after the running tick."""
+        control = self.words.control
+        control.stop = True
+        self._ring()
+        if self._thread.is_alive() and control.started:  # one that still compiles can't be stopped
+            self._thread.join(timeout=0.5)
+
+    @property
+    def alive(self) -> bool:
+        """True while the loop runs."""
+        return self._thread.is_alive()
+
+    def answers_within(self, age: int) -> bool:
+        """False while the loop is not there, hangs, or gets no time to run: what it handed out last is old.
+
+        Older than age ns, that is; a loop that waits for /clock looks up less often.
+        """
+        if self.ended:
+            return False
+        control = self.words.control
+        oldest = age + (rt.LOOK_UP if control.sim_time else 0)
+        return bool(time.monotonic_ns() - control.looked_up <= oldest)
+
+    @property
+    def standing(self) -> bool:
+        """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
+        return bool(self.words.control.standing)
+
+    @property
+    def ticks(self) -> int:
+        """That it has done."""
+        return int(self.words.control.loop_ticks)
+
+    # in ----------------------------------------------------------------------------------------
+    def wake(self) -> None:
+        """End a nap: there is something new."""
+        if self.words.control.napping:
+            self._ring()
+
+    def _ring(self) -> None:
+        _libc.sem_post(self._bell)
+
+    def reset(self) -> None:
+        """All organs back to the rest shape before the next tick."""
+        self.words.control.resets += 1
+        self.wake()
+
+    @property
+    def resets(self) -> int:
+        """How often it was asked to go back to the rest shape."""
+        return int(self.words.control.resets)
+
+    def follow_posted_time(self, follow: bool) -> None:
+        """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""
+        self.words.control.sim_time = follow
+        self._ring()
+
+    def post_time(self, nanoseconds: int) -> None:
+        """The newest time of /clock: ticks up to it are due."""
+        self.words.control.posted_time = nanoseconds
+        self._ring()
+
+    # out ---------------------------------------------------------------------------------------
+    def take_snapshots(self, timeout: float = 1.0) -> None:
+        """Have the whole state after one tick in the boxes of all organs.
+
+        Raises TimeoutError when the loop doesn't answer.
+        """
+        control = self.words.control
+        control.snapshot_asked += 1
+        end = time.monotonic() + timeout
+        while control.snapshot_done != control.snapshot_asked:
+            if time.monotonic() > end:
+                raise TimeoutError("the physics loop gave no snapshot")
+            time.sleep(0.0005)
