@@ -92,7 +92,7 @@ class Loop:
         """Tick and positions that were handed out last."""
         words = np.zeros(len(self.simulation.state.shape), dtype=np.int64)
         mb.take(self.handles["shape"], 0, 0, words)
-        return words[0], words[1:].view(np.float64).reshape(-1, 3)
+        return words[0], words[4:].view(np.float64).reshape(-1, 3)
 
     def snapshot(self):
         """The words of the whole state."""

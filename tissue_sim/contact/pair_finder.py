@@ -11,12 +11,11 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.model.pairs import MOST_PAIRS, Pairs
+from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is looked at
 DEEPEST = 0.01  # m that a node may lie inside
-_Forces = dict[tuple[int, int, int], tuple[float, Floats]]  # by organs and node: along the normal, and across it
 NEAREST = 6  # triangles by their middles, of which the nearest is taken
 
 
@@ -36,14 +35,12 @@ class PairFinder:
         self.counters = PairCounters()
         self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
         self._sizes = [organ.n_surface for organ in organs]
+        self._found = pair_set()
 
-    def find(self, positions: Sequence[Floats], pairs: Pairs) -> None:
-        """Write the pairs of surfaces at positions, (n, 3) m each in one frame, to `pairs`; they keep their forces."""
-        forces = {
-            (*pairs.organ[row].tolist(), int(pairs.node[row, 0])): (float(pairs.pressed[row]), pairs.held[row].copy())
-            for row in np.flatnonzero(pairs.pressed[: pairs.found[0]] > 0.0)
-        }
-        pairs.found[0] = 0
+    def find(self, positions: Sequence[Floats]) -> PairSet:
+        """The pairs of surfaces at positions, (n, 3) m each in one frame; written anew by the next call."""
+        found = self._found
+        found.found[0] = 0
         points = [np.asarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
         boxes = [(p.min(axis=0), p.max(axis=0)) for p in points]
         for first, second in itertools.permutations(range(len(points)), 2):
@@ -54,11 +51,10 @@ class PairFinder:
                 continue
             near = np.flatnonzero(np.all((points[first] >= low) & (points[first] <= high), axis=1))
             if len(near):
-                self._add(first, second, near, points, pairs, forces)
+                self._add(first, second, near, points)
+        return found
 
-    def _add(
-        self, first: int, second: int, near: Longs, points: Sequence[Floats], pairs: Pairs, forces: _Forces
-    ) -> None:
+    def _add(self, first: int, second: int, near: Longs, points: Sequence[Floats]) -> None:
         triangles, surface = self._triangles[second], points[second]
         corners = surface[triangles]
         apart, which = cKDTree(corners.mean(axis=1)).query(points[first][near], k=min(NEAREST, len(triangles)))
@@ -75,19 +71,17 @@ class PairFinder:
         way = points[first][near] - np.einsum("kc,kcx->kx", weights, corners[chosen])
         outside = np.einsum("kx,kx->k", way, normal) >= 0.0
         kept = np.flatnonzero(distance < np.where(outside, MARGIN, DEEPEST))
-        start = int(pairs.found[0])
+        found = self._found
+        start = int(found.found[0])
         room = MOST_PAIRS - start
         self.counters.dropped += max(0, len(kept) - room)
-        kept = kept[np.argsort(distance[kept], kind="stable")[:room]]
+        if len(kept) > room:  # the nearest ones
+            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:room]])
         rows = slice(start, start + len(kept))
-        pairs.organ[rows] = first, second
-        pairs.node[rows, 0], pairs.node[rows, 1:] = near[kept], triangles[chosen[kept]]
-        pairs.weight[rows] = weights[kept]
-        pairs.pressed[rows], pairs.held[rows] = 0.0, 0.0
-        for place, node in enumerate(near[kept].tolist(), start):
-            if (force := forces.get((first, second, node))) is not None:
-                pairs.pressed[place], pairs.held[place] = force
-        pairs.found[0] = rows.stop
+        found.organ[rows] = first, second
+        found.node[rows, 0], found.node[rows, 1:] = near[kept], triangles[chosen[kept]]
+        found.weight[rows] = weights[kept]
+        found.found[0] = rows.stop
 
 
 def _normals(corners: Floats) -> Floats:

@@ -103,7 +103,7 @@ class Scene:
     @property
     def offsets(self) -> Floats:
         """(k, 3) m by which the breath has carried each organ; its positions are those without it."""
-        return np.zeros((len(self.organs), 3)) if self.joined is None else self.joined.carried.offset
+        return np.array([one.state.carried for one in self.simulations])
 
     def reset(self) -> None:
         """Back to rest, breathed out, without tools; the settings stay."""
@@ -183,4 +183,4 @@ class Scene:
         if self._pairs is None or self.joined is None or all(one.asleep for one in self.simulations):
             return
         there = [one.positions + offset for one, offset in zip(self.simulations, self.offsets, strict=True)]
-        self._pairs.find(there, self.joined.pairs)
+        self.joined.take_pairs(self._pairs.find(there))

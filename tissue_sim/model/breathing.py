@@ -47,8 +47,8 @@ def breathe(worlds: Any, carried: Any, step: float) -> None:
             continue
         for axis in range(3):
             way = moves * (breath.x if axis == 0 else breath.y if axis == 1 else breath.z)
-            shift = share * way - carried.offset[organ, axis]
-            carried.offset[organ, axis] += shift
+            shift = share * way - state.carried[axis]
+            state.carried[axis] += shift
             carried.speed[organ, axis] = speed * way
             carried.change[organ, axis] = change * way
             for body in range(len(state.bodies)):
@@ -67,3 +67,10 @@ def weigh(settings: Any, carried: Any, organ: int) -> None:
     settings.gravity_x = gravity[0] - felt * change[0]
     settings.gravity_y = gravity[1] - felt * change[1]
     settings.gravity_z = gravity[2] - felt * change[2]
+
+
+@kernel
+def note_gravity(settings: Any, carried: Any, organ: int) -> None:
+    """Take an organ's gravity out of its settings, which are new: what it has without the breath."""
+    gravity = carried.gravity[organ]
+    gravity[0], gravity[1], gravity[2] = settings.gravity_x, settings.gravity_y, settings.gravity_z

@@ -180,6 +180,7 @@ def reset_state(model: Any, state: Any) -> None:
     copy(state.body_goal, state.held_pose)
     copy(state.body_goal, state.body_pose)
     state.body_force[:] = 0.0
+    state.carried[:] = 0.0
     state.wrench[:] = 0.0
     state.felt[:] = 0.0
     for body in range(len(state.bodies)):

@@ -123,8 +123,9 @@ def end_position(worlds: Any, carried: Any, links: Any, link: int, end: int) -> 
     """Where an end is, m."""
     organ, node = links.organ[link, end], links.node[link, end]
     if organ >= 0:
-        position, offset = worlds[organ].state.position, carried.offset[organ]
-        return position[node, 0] + offset[0], position[node, 1] + offset[1], position[node, 2] + offset[2]
+        state = worlds[organ].state
+        position, shift = state.position[node], state.carried
+        return position[0] + shift[0], position[1] + shift[1], position[2] + shift[2]
     share = links.moves[link, end] * carried.share[0]
     point, breath = links.point[link, end], carried.breath
     return point[0] + share * breath.x, point[1] + share * breath.y, point[2] + share * breath.z

@@ -17,6 +17,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact_set import ContactSet, contact_set
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
+from tissue_sim.model.pairs import PairSet, pair_set, take_pairs
 from tissue_sim.model.records import Record
 from tissue_sim.model.regions import is_shown, show_region
 from tissue_sim.model.settings import Settings
@@ -60,6 +61,13 @@ class Control(Record):
     due: int  # ns of the clock in use: when the last tick was due
     looked_up: int  # ns of the monotonic clock: when the loop was last about to wait; an old time: it hangs, or starves
     posted_time: int  # ns, newest time of /clock; 0 before the first one
+
+
+class JoinedRow(Record):
+    """What a tick took up that concerns several organs; a sequence number."""
+
+    tick: int
+    pairs: int
 
 
 class Demand(Record):
@@ -135,6 +143,16 @@ class Mailboxes(NamedTuple):
     taken_contacts: ContactSet
 
 
+class JoinedBox(NamedTuple):
+    """What goes in and out of organs that are joined, beside the mailboxes of each."""
+
+    pairs: Mailbox  # PairSet.words
+    row: JoinedRow  # as the last tick took it up
+    journal_written: Longs  # (1,)
+    journal: Any  # (JOURNAL_ROWS,) of JoinedRow
+    taken: PairSet  # the loop's copy
+
+
 def _longs(*shape: int) -> Longs:
     return np.zeros(shape, dtype=np.int64)
 
@@ -172,6 +190,18 @@ def make_mailboxes(state: State) -> Mailboxes:
         taken_pose=_longs(POSE_WORDS),
         taken_force=np.zeros(3),
         taken_contacts=contact_set(n_bodies),
+    )
+
+
+def make_joined_box() -> JoinedBox:
+    """An empty one."""
+    taken = pair_set()
+    return JoinedBox(
+        pairs=mailbox(len(taken.words)),
+        row=JoinedRow.new(),
+        journal_written=_longs(1),
+        journal=JoinedRow.rows(_longs(JOURNAL_ROWS * JoinedRow.words())),
+        taken=taken,
     )
 
 
@@ -218,10 +248,10 @@ def take(box: Any, addressee: int, last: int, message: Any) -> int:
 
 
 @kernel
-def take_inputs(world: Any, box: Any, resets: int) -> bool:
+def take_inputs(world: Any, box: Any, resets: int) -> None:
     """Take up what is new in the mailboxes, and a reset that was asked for; `resets`: so often it was so far.
 
-    box.row and box.inputs become this tick's in the journal. Returns True when anything was new.
+    box.row and box.inputs become this tick's in the journal, which has a row when anything was new.
     """
     state, row, changed = world.state, box.row, False
     if resets != row.resets:
@@ -237,6 +267,8 @@ def take_inputs(world: Any, box: Any, resets: int) -> bool:
         if sequence != taken.pose:
             taken.pose, changed = sequence, True
             pose, stamp = box.taken_pose[:7].view(np.float64), box.taken_pose[7]
+            for axis in range(3):
+                pose[axis] -= state.carried[axis]
             take_pose(state, world.settings, body, pose, stamp, sequence)
         sequence = take(box.force, body, taken.force, box.taken_force.view(np.int64))
         if sequence != taken.force:
@@ -246,7 +278,22 @@ def take_inputs(world: Any, box: Any, resets: int) -> bool:
     if sequence != row.contact_set:
         row.contact_set, changed = sequence, True
         take_contacts(state, box.taken_contacts, sequence)
-    return changed
+    if changed:
+        write_journal(box, state.status.tick + 1)
+
+
+@kernel
+def take_joined(joined: Any, box: Any, tick: int) -> None:
+    """Take up new pairs, and note the tick that did."""
+    row = box.row
+    sequence = take(box.pairs, 0, row.pairs, box.taken.words)
+    if sequence != row.pairs:
+        row.pairs, row.tick = sequence, tick
+        take_pairs(joined.pairs, box.taken)
+        box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
+        fence()
+        box.journal_written[0] += 1
+        fence()
 
 
 @kernel

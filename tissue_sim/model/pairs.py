@@ -13,6 +13,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
+from tissue_sim.model.arrays import copy
 from tissue_sim.model.inputs import load_node
 
 MOST_PAIRS = 4096
@@ -21,17 +22,46 @@ RECOVERY_SPEED = 0.2  # m/s at which what lay inside comes out at the most
 TOLERANCE = 1e-3  # of the sum of all forces, which a sweep may still change
 
 
-class Pairs(NamedTuple):
-    """Room for MOST_PAIRS pairs: a node of organ[0] and a triangle of organ[1]."""
+class PairSet(NamedTuple):
+    """Room for MOST_PAIRS pairs, a node of organ[0] and a triangle of organ[1], in the order of organs and nodes."""
 
+    words: Longs  # what the others view
     found: Longs  # (1,) how many
     organ: Longs  # (p, 2)
     node: Longs  # (p, 4) the node, and the triangle's three
     weight: Floats  # (p, 3) barycentric, of the place on the triangle that is nearest to the node
+
+
+_PAIR = np.dtype([("organ", "i8", 2), ("node", "i8", 4), ("weight", "f8", 3)])
+
+
+def pair_set(words: Longs | None = None) -> PairSet:
+    """No pairs; or those in the words of another set."""
+    if words is None:
+        words = np.zeros(1 + MOST_PAIRS * _PAIR.itemsize // 8, dtype=np.int64)
+    rows = words[1:].view(_PAIR)
+    return PairSet(words, words[:1], rows["organ"], rows["node"], rows["weight"])
+
+
+def used_words(found: PairSet) -> Longs:
+    """Those of a set's words that make it up."""
+    return found.words[: 1 + int(found.found[0]) * _PAIR.itemsize // 8]
+
+
+class Pairs(NamedTuple):
+    """The pairs of a PairSet, and what they press with."""
+
+    found: Longs  # (1,)
+    organ: Longs  # (p, 2)
+    node: Longs  # (p, 4)
+    weight: Floats  # (p, 3)
     pressed: Floats  # (p,) N along the triangle's normal, in the last substep
     held: Floats  # (p, 3) N across it
     loaded: Floats  # (p, 3) N that the node bears in this tick's loads
     friction: Floats  # (1,) Coulomb coefficient
+    before: Longs  # (p,) room: which pair of the set before it was, or -1
+    pressed_before: Floats  # (p,) room
+    held_before: Floats  # (p, 3) room
     plane: Floats  # (4,) room: a normal, and how far the node is outside, m
 
 
@@ -46,31 +76,69 @@ def make_pairs(friction: float = 0.0) -> Pairs:
         held=np.zeros((MOST_PAIRS, 3)),
         loaded=np.zeros((MOST_PAIRS, 3)),
         friction=np.array([friction]),
+        before=np.zeros(MOST_PAIRS, dtype=np.int64),
+        pressed_before=np.zeros(MOST_PAIRS),
+        held_before=np.zeros((MOST_PAIRS, 3)),
         plane=np.zeros(4),
     )
 
 
 @kernel
-def wake_touched(worlds: Any, carried: Any, pairs: Any) -> None:
+def take_pairs(pairs: Any, found: Any) -> None:
+    """Take up a PairSet; pairs that were there before keep their forces."""
+    count, old_count, old = found.found[0], pairs.found[0], 0
+    copy(pairs.pressed[:old_count], pairs.pressed_before[:old_count])
+    copy(pairs.held[:old_count], pairs.held_before[:old_count])
+    for pair in range(count):
+        while old < old_count and comes_before(pairs, old, found, pair):
+            old += 1
+        same = old < old_count and not comes_before(found, pair, pairs, old)
+        pairs.before[pair] = old if same else -1
+    pairs.found[0] = count
+    for pair in range(count):
+        before = pairs.before[pair]
+        pairs.pressed[pair] = pairs.pressed_before[before] if before >= 0 else 0.0
+        for axis in range(3):
+            pairs.held[pair, axis] = pairs.held_before[before, axis] if before >= 0 else 0.0
+            pairs.weight[pair, axis] = found.weight[pair, axis]
+        for end in range(2):
+            pairs.organ[pair, end] = found.organ[pair, end]
+        for corner in range(4):
+            pairs.node[pair, corner] = found.node[pair, corner]
+
+
+@kernel
+def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
+    """Whether a pair of one set belongs before one of another, by organs and node."""
+    a, b = first.organ[pair], second.organ[other]
+    if a[0] != b[0]:
+        return a[0] < b[0]
+    if a[1] != b[1]:
+        return a[1] < b[1]
+    return first.node[pair, 0] < second.node[other, 0]
+
+
+@kernel
+def wake_touched(worlds: Any, pairs: Any) -> None:
     """Load what pairs press with, so that the coming tick advances organs that others touch."""
     pairs.loaded[:] = 0.0
     for pair in range(pairs.found[0]):
         first, second = worlds[pairs.organ[pair, 0]], worlds[pairs.organ[pair, 1]]
         if first.state.status.asleep and second.state.status.asleep:
             continue
-        measure(worlds, carried, pairs, pair)
+        measure(worlds, pairs, pair)
         if pairs.pressed[pair] > 0.0 or pairs.plane[3] <= 0.0:
             bear(worlds, pairs, pair)
 
 
 @kernel
-def press_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any) -> None:
+def press_pairs(worlds: Any, pairs: Any, awake: Any) -> None:
     """Let every pair press as it did at the end of the last substep."""
     for pair in range(pairs.found[0]):
         loaded = pairs.loaded[pair]
         was = loaded[0] != 0.0 or loaded[1] != 0.0 or loaded[2] != 0.0
         if is_awake(pairs, pair, awake) and (pairs.pressed[pair] > 0.0 or was):
-            measure(worlds, carried, pairs, pair)
+            measure(worlds, pairs, pair)
             bear(worlds, pairs, pair)
 
 
@@ -110,11 +178,12 @@ def is_awake(pairs: Any, pair: int, awake: Any) -> bool:
 
 
 @kernel
-def measure(worlds: Any, carried: Any, pairs: Any, pair: int) -> None:
+def measure(worlds: Any, pairs: Any, pair: int) -> None:
     """Write the triangle's outward normal and how far the node is outside, m, to pairs.plane."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
-    position, there, node = worlds[second].state.position, worlds[first].state.position, pairs.node[pair]
-    a, b, c, plane = position[node[1]], position[node[2]], position[node[3]], pairs.plane
+    own, under, node = worlds[first].state, worlds[second].state, pairs.node[pair]
+    position, plane = under.position, pairs.plane
+    a, b, c = position[node[1]], position[node[2]], position[node[3]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -123,7 +192,7 @@ def measure(worlds: Any, carried: Any, pairs: Any, pair: int) -> None:
     plane[0], plane[1], plane[2] = x * share, y * share, z * share
     gap = 0.0
     for axis in range(3):
-        on = there[node[0], axis] + carried.offset[first, axis] - carried.offset[second, axis]
+        on = own.position[node[0], axis] + own.carried[axis] - under.carried[axis]
         gap += plane[axis] * (on - a[axis])
     plane[3] = gap
 
@@ -133,7 +202,7 @@ def resolve_pair(worlds: Any, carried: Any, pairs: Any, pair: int, step: float) 
     """One pair; returns by how much its force has changed, N."""
     first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
     node, weight, held, plane = pairs.node[pair], pairs.weight[pair], pairs.held[pair], pairs.plane
-    measure(worlds, carried, pairs, pair)
+    measure(worlds, pairs, pair)
     pressed = pairs.pressed[pair]
     if plane[3] > 0.0 and pressed == 0.0:
         return 0.0

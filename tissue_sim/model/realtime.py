@@ -12,7 +12,16 @@ from typing import Any
 from numba import types
 
 from tissue_sim.jit import kernel, part
-from tissue_sim.model.mailboxes import fence, note_tick, post_results, post_snapshots, take_inputs, write_journal
+from tissue_sim.model.breathing import note_gravity
+from tissue_sim.model.mailboxes import (
+    fence,
+    note_tick,
+    post_results,
+    post_snapshots,
+    take_inputs,
+    take_joined,
+)
+from tissue_sim.model.together import let_go, tick_together
 from tissue_sim.model.tool_motion import freshness
 from tissue_sim.model.world import tick_implied_world, tick_world
 
@@ -114,12 +123,23 @@ def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
 
 
 @kernel
-def take_all(worlds: Any, boxes: Any, resets: int) -> None:
-    """Take up what came in for every organ, and note it."""
+def take_one(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
+    """Take up what came in for the only organ."""
+    take_inputs(worlds[0], boxes[0], resets)
+
+
+@kernel
+def take_together(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
+    """Take up what came in for organs that are joined: a reset lets go of all, gravity is what it is without breath."""
+    was_reset = resets != boxes[0].row.resets
     for organ in range(len(worlds)):
-        world, box = worlds[organ], boxes[organ]
-        if take_inputs(world, box, resets):
-            write_journal(box, world.state.status.tick + 1)
+        row, before = boxes[organ].row, boxes[organ].row.settings
+        take_inputs(worlds[organ], boxes[organ], resets)
+        if row.settings != before:
+            note_gravity(worlds[organ].settings, joined.carried, organ)
+    if was_reset:
+        let_go(worlds, joined)
+    take_joined(joined, joined_box, worlds[0].state.status.tick + 1)
 
 
 @kernel
@@ -130,8 +150,8 @@ def post_all(worlds: Any, boxes: Any) -> None:
 
 
 @part
-def _loop(worlds: Any, boxes: Any, loop: Any, tick: Any, joined: Any) -> None:
-    """Tick worlds (a tuple), each with its mailboxes; tick: the kernel that advances them, with what joins them."""
+def _loop(worlds: Any, boxes: Any, loop: Any, take: Any, tick: Any, joined: Any, joined_box: Any) -> None:
+    """Tick worlds (a tuple), each with its mailboxes; take and tick: kernels for them, and for what joins them."""
     settings, control, pace = worlds[0].settings, loop.control, loop.pace
     for organ in range(len(boxes)):
         boxes[organ].demand.moved = True  # the rest shape
@@ -170,7 +190,7 @@ def _loop(worlds: Any, boxes: Any, loop: Any, tick: Any, joined: Any) -> None:
             begin, late, pace.behind = now(loop.now), pace.behind, 0
         if late > period:
             control.overruns += 1
-        take_all(worlds, boxes, control.resets)
+        take(worlds, boxes, control.resets, joined, joined_box)
         tick(worlds, joined)
         post_all(worlds, boxes)
         control.standing = False
@@ -192,10 +212,16 @@ def tick_implied_one(worlds: Any, joined: Any) -> None:
 @kernel
 def run_loop(worlds: Any, boxes: Any, loop: Any) -> None:
     """Tick the only organ every settings.tick_time s until control.stop."""
-    _loop(worlds, boxes, loop, tick_one, None)
+    _loop(worlds, boxes, loop, take_one, tick_one, None, None)
 
 
 @kernel
 def run_implied_loop(worlds: Any, boxes: Any, loop: Any) -> None:
     """The same where return springs pull to the boundary that the skeleton implies."""
-    _loop(worlds, boxes, loop, tick_implied_one, None)
+    _loop(worlds, boxes, loop, take_one, tick_implied_one, None, None)
+
+
+@kernel
+def run_joined_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -> None:
+    """The same for several organs, or one that hangs or breathes: joined, see `together.Together`."""
+    _loop(worlds, boxes, loop, take_together, tick_together, joined, joined_box)

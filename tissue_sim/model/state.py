@@ -105,12 +105,13 @@ class State(NamedTuple):
 
     words: Longs  # all that follows
     results: Longs  # the words of Results
-    shape: Longs  # the words of shape_tick and position
+    shape: Longs  # the words of shape_tick, carried and position
     status: Status
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
     bodies: Any  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
     shape_tick: Longs  # (1,) tick of the positions that were handed out last
+    carried: Floats  # (3,) m by which the breath has moved its clamp, in whose frame the positions are
     position: Floats  # (n, 3) m
     velocity: Floats  # (n, 3) m/s
     good_position: Floats  # (n, 3) m, a shape that passed the guard, at most KEEP_EVERY ticks old
@@ -159,6 +160,7 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
     real, whole = np.float64, np.int64
     fields: dict[str, Field] = _result_fields(n_bodies) | {
         "shape_tick": (whole, (1,)),
+        "carried": (real, (3,)),
         "position": (real, (n, 3)),
         "velocity": (real, (n, 3)),
         "good_position": (real, (n, 3)),
@@ -191,7 +193,7 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
     return State(
         words=words,
         results=words[:first],
-        shape=words[first : first + 1 + 3 * n],
+        shape=words[first : first + 4 + 3 * n],
         contacts=contact_set(n_bodies, words=words[size:]),
         **carve(words, fields),
     )

@@ -10,9 +10,9 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle, kernel
-from tissue_sim.model.breathing import Breath, breathe
+from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.links import Links, pull_links, wake_linked
-from tissue_sim.model.pairs import Pairs, press_pairs, resolve_pairs, wake_touched
+from tissue_sim.model.pairs import Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
@@ -21,14 +21,13 @@ UNFELT = 1e-4  # m by which the acceleration of its frame bends an organ that sl
 
 
 class Carried(NamedTuple):
-    """Where the breath has carried k organs."""
+    """How the breath carries k organs; see `state.carried`."""
 
     breath: Breath
     share: Floats  # (2,) of its way, and 1/s
     moves: Floats  # (k,) how far each goes with it
     unfelt: Floats  # (k,) m/s^2 up to which none feels it
     gravity: Floats  # (k, 3) m/s^2, of each without it
-    offset: Floats  # (k, 3) m
     speed: Floats  # (k, 3) m/s
     change: Floats  # (k, 3) m/s^2
 
@@ -78,15 +77,18 @@ class Joined:
         """Advance all by one tick."""
         tick_together(self.worlds, self.handle)
 
+    def take_pairs(self, found: PairSet) -> None:
+        """Take up where organs touch each other."""
+        take_pairs(self.pairs, found)
+
+    def take_settings(self, organ: int, settings: Settings) -> None:
+        """Use settings of an organ that were worked out before, with its gravity less what the breath makes of it."""
+        self.simulations[organ].take_settings(settings)
+        self.carried.gravity[organ] = gravity_of(settings)
+
     def reset(self) -> None:
-        """Breathed out, untouched, without what the breath did to gravity; simulations are reset by themselves."""
-        self.pairs.found[0] = 0
-        carried = self.carried
-        carried.breath.time = 0.0
-        for field in (carried.share, carried.offset, carried.speed, carried.change):
-            field[:] = 0.0
-        for simulation, gravity in zip(self.simulations, carried.gravity, strict=True):
-            simulation.set_gravity(gravity)
+        """Breathed out, untouched by each other; simulations are reset by themselves."""
+        let_go(self.worlds, self.handle)
 
 
 def gravity_of(settings: Settings) -> tuple[float, float, float]:
@@ -107,7 +109,20 @@ def carried_with(breath: Breath, moves: Sequence[float], unfelt: Sequence[float]
         return np.zeros((count, 3))
 
     given = np.array(moves, dtype=np.float64), np.array(unfelt, dtype=np.float64)
-    return Carried(breath, np.zeros(2), *given, np.array(gravity, dtype=np.float64), rows(), rows(), rows())
+    return Carried(breath, np.zeros(2), *given, np.array(gravity, dtype=np.float64), rows(), rows())
+
+
+@kernel
+def let_go(worlds: Any, joined: Any) -> None:
+    """Breathed out, untouched by each other, without what the breath did to gravity: for organs at rest."""
+    carried = joined.carried
+    joined.pairs.found[0] = 0
+    carried.breath.time = 0.0
+    carried.share[:] = 0.0
+    carried.speed[:] = 0.0
+    carried.change[:] = 0.0
+    for organ in range(len(worlds)):
+        weigh(worlds[organ].settings, carried, organ)
 
 
 @kernel
@@ -119,14 +134,14 @@ def tick_together(worlds: Any, joined: Any) -> None:
         breathe(worlds, carried, step)
     if linked:
         wake_linked(worlds, carried, links, awake, step)
-    wake_touched(worlds, carried, pairs)
+    wake_touched(worlds, pairs)
     touching = pairs.found[0] > 0
     substeps = plan_together(worlds, awake, linked or touching, links.substeps[0] if linked else 0)
     for substep in range(substeps):
         if linked:
             pull_links(worlds, carried, links, awake, step / substeps)
         if touching:
-            press_pairs(worlds, carried, pairs, awake)
+            press_pairs(worlds, pairs, awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
             if awake[organ] == 1 and substep < world.scratch.plan.substeps:

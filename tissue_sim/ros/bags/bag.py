@@ -17,8 +17,8 @@ from tissue_sim.model.records import Record
 from tissue_sim.npz import read_npz
 
 # Raised when an older replay could not read a newer bag; 1 held settings and state by position, 2 led tools without
-# regard to stamps, 3 did not tell what a state had taken up.
-FORMAT = 4
+# regard to stamps, 3 did not tell what a state had taken up, 4 not where the breath had carried the organ.
+FORMAT = 5
 
 # Topics under the node's name, with their types.
 PRIVATE_TOPICS = {

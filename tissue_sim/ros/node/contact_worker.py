@@ -110,7 +110,8 @@ class ContactWorker:
             self.unchanged_skips += 1
             return
         self._last_key = key
-        tick = self._physics.positions(self._positions)
+        tick, carried = self._physics.positions(self._positions)
+        poses[:, :3] -= carried
         elapsed = max(now - self._last_time, 1e-4)
         bodies = self._physics.results().bodies
         behind = bodies.speed * bodies.remaining  # m that the loop has yet to lead them

@@ -100,7 +100,8 @@ class Presenter:
             else:
                 self.unseen_skips += 1
             return
-        tick = physics.positions(self._positions)
+        tick, carried = physics.positions(self._positions)
+        self._positions += carried
         if not all_finite(self._positions):  # never seen, and RViz would drop the marker
             return
         stamp = self._clock.now().nanoseconds

@@ -11,8 +11,10 @@ from collections.abc import Sequence
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
+from tissue_sim.model.pairs import PairSet, used_words
 from tissue_sim.model.records import copy_of
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.priority import prefer
 
@@ -22,13 +24,15 @@ _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothi
 class Loop:
     """Ticks simulations at the rate of the first one. Methods may be called from any one thread each.
 
-    boxes: each one's mailboxes, see `physics.Physics`.
+    joined: what joins them; none for a single organ that nothing pulls. boxes: each one's mailboxes, see
+    `physics.Physics`.
     """
 
-    def __init__(self, simulations: Sequence[Simulation]) -> None:
-        self.simulations = tuple(simulations)
+    def __init__(self, simulations: Sequence[Simulation], joined: Joined | None = None) -> None:
+        self.simulations, self._joined = tuple(simulations), joined
         self.boxes = tuple(mb.make_mailboxes(one.state) for one in simulations)
-        self.words = mb.make_loop_words()
+        self.words, self.joined_box = mb.make_loop_words(), mb.make_joined_box()
+        self._pairs = handle(self.joined_box.pairs)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self.ended = False  # though nobody has asked for that
         self.failure: BaseException | None = None  # what ended it
@@ -48,8 +52,13 @@ class Loop:
             handle(make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch))
             for one in self.simulations
         )
-        run = rt.run_implied_loop if self.simulations[0].implied else rt.run_loop
-        run(worlds, tuple(map(handle, self.boxes)), handle(self.words))
+        loop = worlds, tuple(map(handle, self.boxes)), handle(self.words)
+        if self._joined is not None:
+            rt.run_joined_loop(*loop, self._joined.handle, handle(self.joined_box))
+        elif self.simulations[0].implied:
+            rt.run_implied_loop(*loop)
+        else:
+            rt.run_loop(*loop)
 
     def start(self) -> None:
         """Start the loop; returns when it runs (compiling takes a while)."""
@@ -118,6 +127,10 @@ class Loop:
     def resets(self) -> int:
         """How often it was asked to go back to the rest shape."""
         return int(self.words.control.resets)
+
+    def post_pairs(self, found: PairSet) -> int:
+        """Where organs touch each other; returns its sequence number."""
+        return int(mb.put(self._pairs, 0, used_words(found)))
 
     def follow_posted_time(self, follow: bool) -> None:
         """Let ticks follow the times of `post_time` instead of the monotonic clock, or no longer."""

@@ -102,8 +102,8 @@ class Physics:
         """Raised whenever the positions moved."""
         return self.loop.ticks if self.box.demand.on_demand else int(self.box.shape.sequence[0])
 
-    def positions(self, out: Floats, timeout: float = 0.02) -> int:
-        """Copy the newest positions into out (n, 3) m; returns their tick.
+    def positions(self, out: Floats, timeout: float = 0.02) -> tuple[int, Floats]:
+        """Copy the newest positions into out (n, 3) m; returns their tick, and the (3,) m that the breath adds to them.
 
         With a modal region the loop works them out for this, after its next tick; when it doesn't within timeout s,
         they are the last ones that it did.
@@ -117,8 +117,9 @@ class Physics:
                 time.sleep(2e-4)
         words = np.zeros(len(self.simulation.state.shape), dtype=np.int64)
         mb.take(self._shape, 0, 0, words)
-        out.reshape(-1)[:] = words[1:].view(np.float64)
-        return int(words[0])
+        numbers = words[1:].view(np.float64)
+        out.reshape(-1)[:] = numbers[3:]
+        return int(words[0]), numbers[:3]
 
     # For colours: read beside the running loop, so that a tick may write in between. Nothing else may rest on them.
     def contact_forces(self) -> Floats:
