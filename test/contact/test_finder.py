@@ -1,5 +1,7 @@
 """Contact sets: which points of the surface a tool may touch, and what is left out."""
 
+import os
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,6 +11,7 @@ from helpers.scenes import RADIUS, ball, kidney
 from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.contact_set import MOST_POINTS
+from tissue_sim.ros.probes.soak_watch import resident
 
 STILL = (0.0, 0.0, 0.0, 1.0)
 
@@ -247,3 +250,20 @@ def test_lattice_divides_a_triangle_evenly_without_its_corners(divisions):
         assert weights.max() < 1.0
         np.testing.assert_allclose(weights * m, np.round(weights * m), atol=1e-12)
         assert len(np.unique(np.round(weights, 9), axis=0)) == len(weights)
+
+
+def test_searches_keep_no_memory():
+    """Of a tool near the surface, whose narrow phase is FCL's: python-fcl keeps 32 bytes of every object that goes."""
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left", "sphere", RADIUS))
+    pose = over(organ, (0.0, 0.0, 1.0), 0.0, RADIUS)
+
+    def search(times):
+        for _ in range(times):
+            find(finder, organ, pose)
+        return resident(os.getpid())[0]
+
+    before = search(2_000)
+    asked = finder.counters.narrow_phases
+    assert search(30_000) - before < 0.4, "MB"
+    assert finder.counters.narrow_phases == asked + 30_000

@@ -73,6 +73,8 @@ class ContactFinder:
         self._weight, self._outward = np.zeros((most, 3)), np.zeros((most, 3))
         self._rest = np.array(rest)
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
+        # Made once: python-fcl keeps 32 bytes of every one that goes.
+        self._grown = [fcl.CollisionObject(shape, fcl.Transform()) for shape in tools.grown]
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
@@ -182,9 +184,9 @@ class ContactFinder:
         return bool(fcl.collide(self._model, self._placed(body, origin), _ANY, fcl.CollisionResult()))
 
     def _placed(self, body: int, origin: Floats) -> Any:
-        rotation = self._matrix.reshape(3, 3)
-        at = fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body])
-        return fcl.CollisionObject(self.tools.grown[body], at)
+        rotation, placed = self._matrix.reshape(3, 3), self._grown[body]
+        placed.setTransform(fcl.Transform(rotation, origin + rotation @ self.tools.grown_centre[body]))
+        return placed
 
     def _add_nearest(self, body: int, position: Floats, near: Longs, origin: Floats, count: int) -> int:
         """Where FCL finds each triangle nearest to a body too fine for a lattice, added to the points found.
