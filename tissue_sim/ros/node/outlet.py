@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from tissue_sim.memory import give_back
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.loop_timing import TimingReader
@@ -20,6 +21,7 @@ from tissue_sim.ros.shared.report import Report, Trouble
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
 IDLE_MARKER_RATE = 20.0  # Hz, how often is looked whether anything moved while nothing does
 REPORT_EVERY = 1.0  # s
+GIVE_BACK_EVERY = 60.0  # s
 AFTER_FAILURE = 0.01  # s until the next turn
 
 
@@ -59,7 +61,7 @@ class Outlet:
         self._load = TimingReader(physics)
         self._ladder = degrade.Ladder()
         self._seen: tuple[int, ...] = ()
-        self._next_marker = self._next_look = self._next_report = 0.0
+        self._next_marker = self._next_look = self._next_report = self._next_return = 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="outlet", daemon=True)
 
@@ -78,7 +80,7 @@ class Outlet:
         self._trouble.report(report)
 
     def _run(self) -> None:
-        self._next_marker = self._next_look = self._next_report = time.monotonic()
+        self._next_marker = self._next_look = self._next_report = self._next_return = time.monotonic()
         while not self._stop.is_set():
             wait = AFTER_FAILURE
             with self._trouble.noted():
@@ -112,6 +114,9 @@ class Outlet:
             with noted():
                 self._tell()
                 self._trouble.succeeded()  # unless it goes on failing
+        if now >= self._next_return:
+            self._next_return = now + GIVE_BACK_EVERY
+            give_back()
         wait = min(self._next_marker, self._next_look) - time.monotonic()
         return min(wait, self._physics.tick_time) if fading else wait
 
