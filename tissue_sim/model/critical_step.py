@@ -30,14 +30,14 @@ def largest_frequency(model: Model, iterations: int = 200, tolerance: float = 1e
     length = float(np.ptp(model.rest, axis=0).max())
     eigenvalue = 0.0
     for _ in range(iterations):
-        norm = np.linalg.norm(vector)
+        norm = math.sqrt(_dot(vector, vector))
         if norm == 0.0:
             return 0.0
         vector /= norm
         push = root * vector
         small = 1e-7 * length / max(float(np.abs(push).max()), 1e-300)
         product = -root * (_force(model, held, push * small) - _force(model, held, -push * small)) / (2.0 * small)
-        last, eigenvalue = eigenvalue, float(np.vdot(vector, product))
+        last, eigenvalue = eigenvalue, _dot(vector, product)
         vector = product
         if abs(eigenvalue - last) <= tolerance * abs(eigenvalue):
             break
@@ -88,6 +88,11 @@ def substeps_for(tick_time: float, longest_step: float) -> int:
     if longest_step <= SAFETY * tick_time / MOST_SUBSTEPS:
         return MOST_SUBSTEPS
     return max(1, math.ceil(tick_time / (SAFETY * longest_step)))
+
+
+def _dot(one: Floats, other: Floats) -> float:
+    """Sum of products, without BLAS, whose rounding depends on the processor: replays repeat to the last bit."""
+    return float((one * other).sum())
 
 
 def _force(model: Model, held: Any, displacement: Floats) -> Floats:

@@ -12,7 +12,33 @@ from helpers.paths import ROOT
 BAGS = [str(ROOT / "bags" / name) for name in ("nip", "gripper", "local_force")]
 
 
-KERNELS_OF_BLAS = "Nehalem", "Haswell"  # of OpenBLAS, which has others for other processors; each runs on AVX2
+KERNELS_OF_BLAS = "Prescott", "Nehalem", "Haswell"  # of OpenBLAS, which has others for others; each runs on AVX2
+# Prints what follows from an organ and goes into its ticks.
+MODEL = """
+import hashlib
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+one = Simulation(Organ.load(shipped_organ()))
+tissue = one.model.tissue
+parts = (array.tobytes() for array in (tissue.constants, tissue.fans.constants, one.model.return_target))
+print(one.frequency.hex(), hashlib.sha256(b"".join(parts)).hexdigest())
+"""
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
+def test_a_model_is_the_same_by_any_linear_algebra():
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", MODEL],
+            env=os.environ | ({"OPENBLAS_CORETYPE": kernels} if kernels else {}),
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for kernels in ("", *KERNELS_OF_BLAS)
+    }
+    assert len(told) == 1
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")

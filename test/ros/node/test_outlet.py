@@ -1,7 +1,9 @@
 """The thread that lets forces fade and shows the organ, where showing fails."""
 
+import time
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from helpers.patience import wait_for
@@ -102,3 +104,12 @@ def test_nothing_fails_in_a_report_of_what_works(scene):
     scene.outlet.report(report)
     assert report.failures == []
     assert report.problems == {"outlet_failures": 0}
+
+
+def test_room_that_was_freed_is_given_back_now_and_then(scene, monkeypatch):
+    given = []
+    monkeypatch.setattr(outlet, "GIVE_BACK_EVERY", 0.05)
+    monkeypatch.setattr(outlet, "give_back", lambda: given.append(time.monotonic()))
+    scene.outlet.start()
+    wait_for(lambda: len(given) >= 4)
+    assert min(np.diff(given)) > 0.04, "s: not at every turn"
