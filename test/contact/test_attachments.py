@@ -136,3 +136,18 @@ def test_an_attachment_that_can_not_be_is_named(attachment, told):
 def test_what_does_not_fit_together_is_told(options, told):
     with pytest.raises(UserError, match=told):
         Scene(pair(), TOOL, **options)
+
+
+def test_substeps_that_links_ask_for_follow_the_settings():
+    """Twice the tick takes twice the substeps, or one more; a stiffer organ no fewer."""
+    hung = Attachment((0, None), 1e6, within=0.01, point=ball(2).surface_positions[TOP])
+    scene = Scene(ball(2), TOOL, attachments=[hung])
+    settings = scene.simulation.settings
+    least = int(settings.least_substeps)
+    assert least > settings.substeps
+    settings.tick_time = 2e-3
+    scene.joined.set_substeps()
+    assert 2 * least - 1 <= settings.least_substeps <= 2 * least
+    settings.tick_time, settings.stiffness_scale = 1e-3, 100.0
+    scene.joined.set_substeps()
+    assert settings.least_substeps > least

@@ -8,10 +8,10 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.jit import handle
 from tissue_sim.model.breathing import Breath, breathed_in
-from tissue_sim.model.links import fit_step, make_links
+from tissue_sim.model.links import least_substeps, make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Together, carried_with, tick_together
+from tissue_sim.model.together import Together, carried_with, fastest, tick_together
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 
@@ -33,7 +33,10 @@ class Organs:
                     self.links.point[row, side] = end
             self.links.slack[row], self.links.stiffness[row], self.links.damping[row] = slack, stiffness, damping
         light = [one.model.inverse_mass for one in simulations]
-        fit_step(self.links, light, max(one.frequency for one in simulations), 1e-3)
+        weigh_ends(self.links, light)
+        self.least = least_substeps(self.links, fastest(simulations), 1e-3)
+        for one in simulations:
+            one.settings.least_substeps = self.least
         moves = [*(moves or []), *[0.0] * len(simulations)][: len(simulations)]
         gravity = np.zeros((len(simulations), 3))
         self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
@@ -124,7 +127,7 @@ def test_stiff_links_take_shorter_steps_and_come_to_rest(stiffness):
     organs.step(50)
     assert organ.state.count.faults == 0
     assert np.abs(organ.positions - before).max() < 1e-6
-    assert organ.state.status.substeps >= organs.links.substeps[0]
+    assert organ.state.status.substeps >= organs.least
 
 
 def test_organs_that_links_join_take_as_many_substeps():

@@ -15,7 +15,7 @@ from tissue_sim.model.simulation import Simulation
 def describe_scene(path: Path) -> dict[str, Any]:
     """All figures of a scene, ready for JSON; units stand in the names. Raises UserError for what is no scene."""
     said = SceneFile.read(path)
-    simulations = [Simulation(organ) for organ in said.organs]
+    scene = said.scene([])
     breathing = said.breathing
     organs = zip(said.names, said.organs, said.stiffness, said.breathes, strict=True)
     return {
@@ -35,8 +35,8 @@ def describe_scene(path: Path) -> dict[str, Any]:
             }
             for name, organ, stiffness, breathes in organs
         ],
-        "attachments": [_attachment(one, said, simulations) for one in said.attachments],
-        "substeps_for_attachments": int(links_of(said.attachments, simulations).substeps[0]),
+        "attachments": [_attachment(one, said, scene.simulations) for one in said.attachments],
+        "substeps_for_attachments": int(scene.simulation.settings.least_substeps),
         "breathing": None
         if breathing is None
         else {"rate_per_minute": breathing.rate, "way_mm": (1e3 * np.asarray(breathing.way)).tolist()},

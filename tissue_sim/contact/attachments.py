@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from scipy.spatial import cKDTree
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.model.breathing import Breath
-from tissue_sim.model.links import POINT, Links, fit_step, make_links
+from tissue_sim.model.links import POINT, Links, make_links, weigh_ends
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
@@ -85,9 +84,7 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
         links.damping[rows] = one.damping * area / area.sum()
         links.slack[rows] = np.linalg.norm(ends[1] - ends[0], axis=1) if one.slack is None else one.slack
     if len(links.slack):
-        lightness = [simulation.model.inverse_mass for simulation in simulations]
-        fastest = max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)
-        fit_step(links, lightness, fastest, 1.0 / simulations[0].rate)
+        weigh_ends(links, [simulation.model.inverse_mass for simulation in simulations])
     return links
 
 

@@ -31,7 +31,7 @@ class Links(NamedTuple):
     stiffness: Floats  # (l,) N/m
     damping: Floats  # (l,) N s/m
     lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
-    substeps: Longs  # (1,) in a tick at the least
+    added: Floats  # (1,) (rad/s)^2 that they add at most to the square of a largest frequency
     force: Floats  # (l, 3) N on the first end, in this substep
 
 
@@ -46,17 +46,16 @@ def make_links(count: int) -> Links:
         stiffness=np.zeros(count),
         damping=np.zeros(count),
         lightness=np.zeros(count),
-        substeps=np.ones(1, dtype=np.int64),
+        added=np.zeros(1),
         force=np.zeros((count, 3)),
     )
 
 
-def fit_step(links: Links, lightness: Sequence[Floats], frequency: float, tick_time: float) -> None:
-    """Work out from organs and links what these ask of the step, once both are known.
+def weigh_ends(links: Links, lightness: Sequence[Floats]) -> None:
+    """Work out what links ask of the step, once it is known what they join.
 
-    lightness: 1/kg of every organ's nodes (n,), 0 where they are held; frequency: the organs' largest, rad/s. That of
-    organs and links together is no larger than the root of the sum of the squares (Weyl); that which links add is taken
-    from Gershgorin's circles.
+    lightness: 1/kg of every organ's nodes (n,), 0 where they are held. The square of the largest frequency of organs
+    and links together is no larger than the sum of both (Weyl); what links add is taken from Gershgorin's circles.
     """
     light, load = np.zeros(links.organ.shape), np.zeros(links.organ.shape)
     for organ, inverse in enumerate(lightness):
@@ -70,7 +69,14 @@ def fit_step(links: Links, lightness: Sequence[Floats], frequency: float, tick_t
     for organ, inverse in enumerate(lightness):
         of_it = links.organ == organ
         most = max(most, float(np.bincount(links.node[of_it], row[of_it], len(inverse)).max(initial=0.0)))
-    links.substeps[0] = substeps_for(tick_time, 2.0 / math.sqrt(frequency**2 + most))
+    links.added[0] = most
+
+
+def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
+    """Substeps in a tick of so many s that links ask for; frequency: the organs' largest, rad/s. 0 without links."""
+    if not len(links.slack):
+        return 0
+    return substeps_for(tick_time, 2.0 / math.sqrt(frequency**2 + links.added[0]))
 
 
 @kernel

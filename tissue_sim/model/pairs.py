@@ -121,8 +121,8 @@ def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
 @kernel
 def wake_touched(worlds: Any, pairs: Any) -> None:
     """Load what pairs press with, so that the coming tick advances organs that others touch."""
-    pairs.loaded[:] = 0.0
     for pair in range(pairs.found[0]):
+        pairs.loaded[pair, 0] = pairs.loaded[pair, 1] = pairs.loaded[pair, 2] = 0.0
         first, second = worlds[pairs.organ[pair, 0]], worlds[pairs.organ[pair, 1]]
         if first.state.status.asleep and second.state.status.asleep:
             continue

@@ -43,6 +43,7 @@ class Settings(Record):
     gravity_y: float
     gravity_z: float
     substeps: int  # in a tick, from the critical step
+    least_substeps: int  # that links to other organs or to points ask of all that they join
     region_substeps: int  # in a tick of a local region, whose nodes are never stepped implicitly
     integrator: int  # Integrator
     local_region: int  # LocalRegion

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
 from tissue_sim.jit import handle, kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
-from tissue_sim.model.links import Links, pull_links, wake_linked
+from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
 from tissue_sim.model.pairs import Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
@@ -72,10 +73,19 @@ class Joined:
         self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
         self.worlds = tuple(one.world for one in self.simulations)
         self.handle = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
+        self.set_substeps()
 
     def step(self) -> None:
         """Advance all by one tick."""
         tick_together(self.worlds, self.handle)
+
+    def set_substeps(self) -> None:
+        """Work out the substeps of each, and those that links ask for, after stiffness, damping or the rate changed."""
+        for one in self.simulations:
+            one.set_substeps()
+        least = least_substeps(self.links, fastest(self.simulations), float(self.simulations[0].settings.tick_time))
+        for one in self.simulations:
+            one.settings.least_substeps = least
 
     def take_pairs(self, found: PairSet) -> None:
         """Take up where organs touch each other."""
@@ -94,6 +104,11 @@ class Joined:
 def gravity_of(settings: Settings) -> tuple[float, float, float]:
     """Gravity, m/s^2."""
     return settings.gravity_x, settings.gravity_y, settings.gravity_z
+
+
+def fastest(simulations: Sequence[Simulation]) -> float:
+    """The largest angular frequency of any, rad/s."""
+    return max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)
 
 
 def slowest(simulation: Simulation) -> float:
@@ -136,7 +151,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
         wake_linked(worlds, carried, links, awake, step)
     wake_touched(worlds, pairs)
     touching = pairs.found[0] > 0
-    substeps = plan_together(worlds, awake, linked or touching, links.substeps[0] if linked else 0)
+    substeps = plan_together(worlds, awake, linked or touching)
     for substep in range(substeps):
         if linked:
             pull_links(worlds, carried, links, awake, step / substeps)
@@ -155,12 +170,12 @@ def tick_together(worlds: Any, joined: Any) -> None:
 
 
 @kernel
-def plan_together(worlds: Any, awake: Any, joined: bool, least: int) -> int:
-    """Plan the tick of every organ; returns the most substeps of any, and `least` at the least.
+def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
+    """Plan the tick of every organ; returns the most substeps of any, or those that links ask for.
 
     Those that are joined take as many each.
     """
-    most = least
+    most = worlds[0].settings.least_substeps
     for organ in range(len(worlds)):
         world = worlds[organ]
         planned = plan_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
