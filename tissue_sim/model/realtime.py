@@ -13,14 +13,7 @@ from numba import types
 
 from tissue_sim.jit import kernel, part
 from tissue_sim.model.breathing import note_gravity
-from tissue_sim.model.mailboxes import (
-    fence,
-    note_tick,
-    post_results,
-    post_snapshots,
-    take_inputs,
-    take_joined,
-)
+from tissue_sim.model.mailboxes import fence, note_tick, post_results, post_snapshots, take_inputs, take_joined
 from tissue_sim.model.together import let_go, tick_together
 from tissue_sim.model.tool_motion import freshness
 from tissue_sim.model.world import tick_implied_world, tick_world

@@ -31,8 +31,9 @@ class Loop:
     def __init__(self, simulations: Sequence[Simulation], joined: Joined | None = None) -> None:
         self.simulations, self._joined = tuple(simulations), joined
         self.boxes = tuple(mb.make_mailboxes(one.state) for one in simulations)
-        self.words, self.joined_box = mb.make_loop_words(), mb.make_joined_box()
-        self._pairs = handle(self.joined_box.pairs)
+        self.words = mb.make_loop_words()
+        self.joined_box = None if joined is None else mb.make_joined_box()
+        self._pairs = None if self.joined_box is None else handle(self.joined_box.pairs)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self.ended = False  # though nobody has asked for that
         self.failure: BaseException | None = None  # what ended it
@@ -129,7 +130,7 @@ class Loop:
         return int(self.words.control.resets)
 
     def post_pairs(self, found: PairSet) -> int:
-        """Where organs touch each other; returns its sequence number."""
+        """Where organs that are joined touch each other; returns its sequence number."""
         return int(mb.put(self._pairs, 0, used_words(found)))
 
     def follow_posted_time(self, follow: bool) -> None:
