@@ -7,7 +7,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
-PASSED_ON = ("params_file", "profile", "organ_file", "namespace", "use_sim_time")
+PASSED_ON = ("params_file", "profile", "organ_file", "scene_file", "namespace", "use_sim_time")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -33,6 +33,11 @@ def generate_launch_description() -> LaunchDescription:
                 "organ_file",
                 default_value="",
                 description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
+            ),
+            DeclareLaunchArgument(
+                "scene_file",
+                default_value="",
+                description="Scene of several organs, instead of organ_file; the bridge plays with the first one.",
             ),
             DeclareLaunchArgument(
                 "namespace",

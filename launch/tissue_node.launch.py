@@ -22,8 +22,9 @@ def _start_node(context: LaunchContext) -> list[Node]:
         if profile not in known:
             raise RuntimeError(f"profile '{profile}' is unknown; choose one of {', '.join(known)}")
         parameters.append(str(folder / f"{profile}.yaml"))
-    if organ_file := given("organ_file"):
-        parameters.append({"organ_file": str(Path(organ_file).absolute())})
+    for file in ("organ_file", "scene_file"):
+        if path := given(file):
+            parameters.append({file: str(Path(path).absolute())})
     parameters.append({"use_sim_time": given("use_sim_time").lower() == "true"})
     node = Node(
         package="tissue_sim",
@@ -58,6 +59,11 @@ def generate_launch_description() -> LaunchDescription:
                 "organ_file",
                 default_value="",
                 description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
+            ),
+            DeclareLaunchArgument(
+                "scene_file",
+                default_value="",
+                description="Scene of several organs, instead of organ_file; empty for that of params_file or none.",
             ),
             DeclareLaunchArgument(
                 "namespace",

@@ -102,8 +102,11 @@ def topics() -> dict[str, str]:
     }
     found = {name: types[topic] for topic, name in usual_topics("<tool>").items()} | {"/clock": "Clock"}
     for path in (ROOT / "tissue_sim" / "ros" / "node").rglob("*.py"):
-        made = re.findall(r'create_(?:publisher|subscription|service)\(\s*(\w+), "([~/]\S+)"', path.read_text())
-        found |= {name: kind for kind, name in made}
+        # {below} is the node's name, or in a scene an organ's below it.
+        made = re.findall(
+            r'create_(?:publisher|subscription|service)\(\s*(\w+), f?"((?:~|/|\{below\})\S+)"', path.read_text()
+        )
+        found |= {name.replace("{below}", "~"): kind for kind, name in made}
     return found
 
 

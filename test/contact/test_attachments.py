@@ -125,7 +125,7 @@ def test_an_attachment_that_can_not_be_is_named(attachment, told):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"breathing": Breathing(0.0, [0, 0, 0.01])}, "breathing rate"),
+        ({"breathing": Breathing(0.5, [0, 0, 0.01])}, "breathing rate"),
         ({"breathing": Breathing(15.0, [0, 0])}, "three numbers"),
         ({"breathing": Breathing(15.0, [0, 0, 9.0])}, "three numbers"),
         ({"breathing": Breathing(15.0, [0, 0, 0.01]), "breathes": [1.0]}, "1 numbers for 2 organs"),

@@ -23,5 +23,5 @@ def with_one_stiffer(organ: Organ, place: np.ndarray) -> Organ:
 def most_moved(recording: Recording, organ: Organ) -> np.ndarray:
     """Where the recorded surfaces are farthest from rest, (3,) m."""
     rest = organ.surface_positions
-    moved = max((np.linalg.norm(surface - rest, axis=1) for surface in recording.surfaces), key=np.max)
+    moved = max((np.linalg.norm(surface - rest, axis=1) for surface in recording.organs[0].surfaces), key=np.max)
     return rest[np.argmax(moved)]

@@ -80,3 +80,44 @@ def near(organ, *directions):
     """Surface nodes outermost in some directions from the organ's middle."""
     offset = organ.surface_positions - organ.surface_positions.mean(axis=0)
     return [int(np.argmax(offset @ direction)) for direction in directions]
+
+
+@cache
+def fold(gap: float = 0.006, radius: float = 0.006, leg: float = 0.02) -> Organ:
+    """A tube of tissue bent to a U whose legs, along z, are `gap` m apart; the bend below is held."""
+    bend = radius + 0.5 * gap  # m, of its axis
+    turn = np.linspace(-np.pi, 0.0, 9)
+    up = np.linspace(0.0, leg, 10)[1:]
+    legs = [np.stack([np.full(9, side * bend), np.zeros(9), up], axis=1) for side in (-1.0, 1.0)]
+    axis = np.concatenate(
+        [legs[0][::-1], np.stack([bend * np.cos(turn), 0.0 * turn, bend * np.sin(turn)], axis=1), legs[1]]
+    )
+    along = np.gradient(axis, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    aside = np.array([0.0, 1.0, 0.0])
+    out = np.cross(along, aside)
+    m, count = 10, len(axis)
+    angle = np.linspace(0.0, 2.0 * np.pi, m, endpoint=False)
+    rings = axis[:, None] + radius * (np.cos(angle)[:, None] * aside + np.sin(angle)[:, None] * out[:, None])
+    ends = axis[[0, -1]] + 0.5 * radius * along[[0, -1]] * [[-1.0], [1.0]]
+    surface = np.concatenate([rings.reshape(-1, 3), ends])
+    here = np.arange(m)
+    there = (here + 1) % m
+    quads = [(r * m + here, r * m + there, (r + 1) * m + there, (r + 1) * m + here) for r in range(count - 1)]
+    triangles = [np.stack(corners, axis=1) for a, b, c, d in quads for corners in ((a, b, c), (a, c, d))]
+    triangles += [np.stack([np.full(m, count * m), there, here], axis=1)]
+    triangles += [np.stack([np.full(m, count * m + 1), (count - 1) * m + here, (count - 1) * m + there], axis=1)]
+    mesh = trimesh.Trimesh(surface, np.concatenate(triangles), process=False)
+    if mesh.volume < 0.0:
+        mesh.invert()
+    chosen = np.arange(1, count - 1, 2)
+    return assemble_organ(
+        name="fold",
+        surface_positions=surface,
+        surface_triangles=mesh.faces,
+        atom_positions=axis[chosen],
+        atom_radius=np.full(len(chosen), radius),
+        atom_parent=np.arange(-1, len(chosen) - 1),
+        fixed=np.flatnonzero(surface[:, 2] < -0.6 * bend),
+        provenance={"source": "test"},
+    )

@@ -49,7 +49,7 @@ def check_form(element):
 
 def defaults(**given):
     """The parameters of a node, by name."""
-    values = {spec.name: spec.default for spec in NODE_SPECS} | {"tools": ["left", "right"]} | given
+    values = {spec.name: spec.default for spec in NODE_SPECS} | {"tools": ["left", "right"], "organs": []} | given
     return {f"{tool}.{spec.name}": spec.default for tool in values["tools"] for spec in TOOL_SPECS} | values
 
 
@@ -117,6 +117,17 @@ def test_names_follow_the_nodes_parameters():
     assert inward < found["/ward/organ/bridge"]["publish"]
     assert "/MTML/servo_cf" in found["/ward/organ"]["publish"] & found["/ward/organ/bridge"]["subscribe"]
     assert not any("left" in name for sets in found.values() for names in sets.values() for name in names)
+
+
+def test_a_scene_has_the_topics_of_its_organs():
+    found = allowed(policy.fitted("tissue_sim", defaults(organs=["liver", "spleen"])))
+    shown = {
+        f"/tissue_sim/{organ}/{topic}" for organ in ("liver", "spleen") for topic in ("mesh", "surface", "skeleton")
+    }
+    assert shown < found["/tissue_sim"]["publish"] & found["/tissue_sim/viewer"]["subscribe"]
+    assert {"/tissue_sim/liver/markers", "/tissue_sim/markers"} < found["/tissue_sim"]["publish"]
+    assert "/tissue_sim/mesh" not in found["/tissue_sim"]["publish"]
+    assert "/tissue_sim/respiration" in found["/tissue_sim"]["subscribe"]
 
 
 def test_the_nodes_that_ship_do_what_the_policy_allows_and_nothing_else(tmp_path, graph):

@@ -37,6 +37,8 @@ def describe_scene(path: Path) -> dict[str, Any]:
         ],
         "attachments": [_attachment(one, said, scene.simulations) for one in said.attachments],
         "substeps_for_attachments": int(scene.simulation.settings.least_substeps),
+        "friction": said.friction,
+        "gravity_m_per_s2": list(said.gravity),
         "breathing": None
         if breathing is None
         else {"rate_per_minute": breathing.rate, "way_mm": (1e3 * np.asarray(breathing.way)).tolist()},
@@ -77,5 +79,10 @@ def scene_lines(found: dict[str, Any]) -> list[str]:
         lines.append(f"  substeps for the attachments: {found['substeps_for_attachments']} at the least")
     if found["breathing"]:
         way = ", ".join(f"{v:g}" for v in found["breathing"]["way_mm"])
-        lines.append(f"  breathing: {found['breathing']['rate_per_minute']:g} a minute, {way} mm")
+        rate = found["breathing"]["rate_per_minute"]
+        lines.append(f"  breathing: {f'{rate:g} a minute' if rate else 'as ~/respiration tells'}, {way} mm")
+    if found["friction"]:
+        lines.append(f"  friction between organs: {found['friction']:g}")
+    if any(found["gravity_m_per_s2"]):
+        lines.append(f"  gravity: {', '.join(f'{v:g}' for v in found['gravity_m_per_s2'])} m/s^2")
     return lines

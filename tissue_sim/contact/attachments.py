@@ -40,7 +40,10 @@ class Attachment:
 
 @dataclass(frozen=True)
 class Breathing:
-    """A breath of so many a minute that leads what goes with it by `way` (3,) m, from breathed out to breathed in."""
+    """A breath of so many a minute that leads what goes with it by `way` (3,) m, from breathed out to breathed in.
+
+    rate: 0 for one that goes where it is told to be.
+    """
 
     rate: float
     way: ArrayLike
@@ -48,12 +51,12 @@ class Breathing:
     def breath(self) -> Breath:
         """As the kernels take it. Raises UserError for numbers out of range."""
         way = np.asarray(self.way, dtype=np.float64)
-        if not 1.0 <= self.rate <= 120.0:
+        if self.rate != 0.0 and not 1.0 <= self.rate <= 120.0:
             raise UserError(f"a breathing rate of {self.rate:g} a minute is outside 1..120")
         if way.shape != (3,) or not np.all(np.abs(way) <= 0.2):
             raise UserError(f"breathing moves by {self.way!r}; wanted: three numbers of up to 0.2 m")
         breath = Breath.new()
-        breath.period = 60.0 / self.rate
+        breath.period, breath.follows = 60.0 / self.rate if self.rate else 0.0, self.rate == 0.0
         breath.x, breath.y, breath.z = way
         return breath
 

@@ -1,4 +1,4 @@
-"""Finds where organs of a scene touch, or may before the next search: nodes near triangles of another surface."""
+"""Finds where organs of a scene touch each other or themselves, or may before the next search: nodes near triangles."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.self_finder import SelfFinder
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set
 from tissue_sim.organ.organ import Organ
@@ -35,15 +36,28 @@ class PairFinder:
         self.counters = PairCounters()
         self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
         self._sizes = [organ.n_surface for organ in organs]
+        self._own = [SelfFinder(organ) for organ in organs]
         self._found = pair_set()
 
-    def find(self, positions: Sequence[Floats]) -> PairSet:
-        """The pairs of surfaces at positions, (n, 3) m each in one frame; written anew by the next call."""
+    def forget(self) -> None:
+        """Organs have jumped."""
+        for one in self._own:
+            one.forget()
+
+    def find(self, positions: Sequence[Floats], own: Sequence[bool] = ()) -> PairSet:
+        """The pairs of surfaces at positions, (n, 3) m each in one frame; written anew by the next call.
+
+        own (k,): which organs may touch themselves, by default none.
+        """
         found = self._found
         found.found[0] = 0
         points = [np.asarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
         boxes = [(p.min(axis=0), p.max(axis=0)) for p in points]
-        for first, second in itertools.permutations(range(len(points)), 2):
+        for first, second in itertools.product(range(len(points)), repeat=2):  # in the order of a set
+            if first == second:
+                if own and own[first]:
+                    self._put(first, first, *self._own[first].find(points[first]))
+                continue
             self.counters.searches += 1
             low, high = boxes[second][0] - MARGIN, boxes[second][1] + MARGIN
             if np.any(boxes[first][0] > high) or np.any(boxes[first][1] < low):
@@ -71,16 +85,19 @@ class PairFinder:
         way = points[first][near] - np.einsum("kc,kcx->kx", weights, corners[chosen])
         outside = np.einsum("kx,kx->k", way, normal) >= 0.0
         kept = np.flatnonzero(distance < np.where(outside, MARGIN, DEEPEST))
+        if len(kept) > MOST_PAIRS:  # the nearest ones
+            self.counters.dropped += len(kept) - MOST_PAIRS
+            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MOST_PAIRS]])
+        self._put(first, second, np.column_stack([near[kept], triangles[chosen[kept]]]), weights[kept])
+
+    def _put(self, first: int, second: int, nodes: Longs, weights: Floats) -> None:
+        """Add pairs of two organs, nodes (p, 4), weights (p, 3), as far as there is room."""
         found = self._found
         start = int(found.found[0])
-        room = MOST_PAIRS - start
-        self.counters.dropped += max(0, len(kept) - room)
-        if len(kept) > room:  # the nearest ones
-            kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:room]])
-        rows = slice(start, start + len(kept))
-        found.organ[rows] = first, second
-        found.node[rows, 0], found.node[rows, 1:] = near[kept], triangles[chosen[kept]]
-        found.weight[rows] = weights[kept]
+        count = min(len(nodes), MOST_PAIRS - start)
+        self.counters.dropped += len(nodes) - count
+        rows = slice(start, start + count)
+        found.organ[rows], found.node[rows], found.weight[rows] = (first, second), nodes[:count], weights[:count]
         found.found[0] = rows.stop
 
 

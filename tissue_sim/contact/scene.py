@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.attachments import Attachment, Breathing, links_of
+from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
+from tissue_sim.contact.joining import join
 from tissue_sim.contact.pair_finder import PairFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.contact.touched import TouchedOrgan
-from tissue_sim.model.breathing import Breath
 from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
@@ -28,7 +27,8 @@ class Scene:
     organ: one, or several, where they lie; tools the rigid tools; model, rate, local_region, integrator as in
     Simulation, of every organ; ticks_a_set: ticks for each contact set; stiffness (k,) factors on that of each organ's
     tissue. attachments between organs, or to points; breathing, and how far each organ's clamp goes with it,
-    `breathes` (k,). Several organs touch each other, with the Coulomb coefficient `organ_friction`.
+    `breathes` (k,). Several organs touch each other, with the Coulomb coefficient `organ_friction`. gravity (3,) m/s^2,
+    under which they have their shapes. self_contact: whether an organ's own folds touch.
 
     A tool moves in the room, and touches all organs; each gives way to it by itself, and what a hand feels is the sum.
     Raises UserError where organs and attachments don't fit together.
@@ -48,6 +48,8 @@ class Scene:
         breathing: Breathing | None = None,
         breathes: Sequence[float] = (),
         organ_friction: float = 0.0,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        self_contact: bool = False,
     ) -> None:
         self.tools = ToolSet(tools)
         organs = [organ] if isinstance(organ, Organ) else list(organ)
@@ -60,6 +62,7 @@ class Scene:
                     local_region=local_region,
                     shapes=self.tools.shapes,
                     integrator=integrator,
+                    gravity=gravity,
                 ),
                 self.tools,
                 ticks_a_set,
@@ -73,11 +76,9 @@ class Scene:
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
         self.joined: Joined | None = None  # what joins organs; of one that nothing joins: nothing
         self._pairs: PairFinder | None = None
-        if len(organs) > 1 or attachments or breathing is not None:
-            breath = Breath.new() if breathing is None else breathing.breath()
-            links = links_of(attachments, self.simulations)
-            self.joined = Joined(self.simulations, links, make_pairs(organ_friction), breath, breathes)
-        if len(organs) > 1:
+        if len(organs) > 1 or attachments or breathing is not None or self_contact:
+            self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
+            self._own = [self_contact] * len(organs)
             self._pairs = PairFinder(organs)
 
     @property
@@ -111,6 +112,8 @@ class Scene:
             one.reset()
         if self.joined is not None:
             self.joined.reset()
+        if self._pairs is not None:
+            self._pairs.forget()
         self._ticks = 0
         self._origin[:] = 0.0
 
@@ -183,4 +186,5 @@ class Scene:
         if self._pairs is None or self.joined is None or all(one.asleep for one in self.simulations):
             return
         there = [one.positions + offset for one, offset in zip(self.simulations, self.offsets, strict=True)]
-        self.joined.take_pairs(self._pairs.find(there))
+        own = [one and not simulation.asleep for one, simulation in zip(self._own, self.simulations, strict=True)]
+        self.joined.take_pairs(self._pairs.find(there, own))

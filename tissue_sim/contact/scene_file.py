@@ -13,16 +13,19 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from tissue_sim.contact.attachments import Attachment, Breathing
+from tissue_sim.contact.joining import join
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
+from tissue_sim.model.simulation import MOST_GRAVITY, Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placing import placed
 
 FORMAT = 1
 MOST_ORGANS = 16
 # Keys of a scene, an organ in it, its breathing, an attachment.
-OF_SCENE = "format", "organs", "attachments", "breathing"
+OF_SCENE = "format", "organs", "attachments", "breathing", "friction", "gravity"
 _OF_ORGAN = "name", "file", "position", "quaternion", "stiffness", "breathes"
 _OF_BREATHING = "rate", "way"
 _OF_ATTACHMENT = "between", "of", "point", "moves", "within", "nodes", "stiffness", "damping", "slack"
@@ -33,7 +36,7 @@ class SceneFile:
     """What a scene's file says, its organs where they lie.
 
     names (k,) of the organs; stiffness (k,) factors on their tissue's; breathes (k,) how far their clamps go with the
-    breath.
+    breath; friction: Coulomb coefficient between organs; gravity (3,) m/s^2.
     """
 
     names: tuple[str, ...]
@@ -42,6 +45,8 @@ class SceneFile:
     breathes: tuple[float, ...]
     attachments: tuple[Attachment, ...]
     breathing: Breathing | None
+    friction: float
+    gravity: tuple[float, ...]
 
     @classmethod
     def read(cls, path: Path) -> SceneFile:
@@ -79,7 +84,13 @@ class SceneFile:
             breathes,
             tuple(_attachment(one, names, f"attachments[{number}]") for number, one in enumerate(attached)),
             None if breathing is None else _breathing(breathing),
+            _number(said.get("friction", 0.0), "friction", 0.0, 5.0),
+            tuple(_numbers(said.get("gravity", [0.0, 0.0, 0.0]), "gravity", 3, 0.5 * MOST_GRAVITY)),
         )
+
+    def join(self, simulations: Sequence[Simulation]) -> Joined:
+        """What joins simulations of its organs. Raises UserError where things don't fit together."""
+        return join(simulations, self.attachments, self.breathing, self.breathes, self.friction)
 
     def scene(self, tools: list[Tool], **options: Any) -> Scene:
         """The scene, with tools; options as Scene takes them. Raises UserError where things don't fit together."""
@@ -90,6 +101,9 @@ class SceneFile:
             attachments=self.attachments,
             breathing=self.breathing,
             breathes=self.breathes,
+            organ_friction=self.friction,
+            gravity=self.gravity,
+            self_contact=True,
             **options,
         )
 
@@ -145,7 +159,7 @@ def _attachment(entry: Any, names: Sequence[str], where: str) -> Attachment:
 
 def _breathing(entry: Any) -> Breathing:
     said = _object(entry, "breathing", _OF_BREATHING)
-    rate = _number(said.get("rate"), "breathing.rate", 1.0, 120.0)
+    rate = _number(said["rate"], "breathing.rate", 1.0, 120.0) if "rate" in said else 0.0
     return Breathing(rate, _numbers(said.get("way"), "breathing.way", 3, 0.2))
 
 

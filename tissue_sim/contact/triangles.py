@@ -35,7 +35,7 @@ def nearest_weights(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
 def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> None:
     """Write what `nearest_weights` returns."""
     for t in range(len(corners)):
-        _nearest_of_face(corners[t], points[t], weights[t])
+        nearest_of_face(corners[t], points[t], weights[t])
         square = 0.0
         for c in range(3):
             at = weights[t, 0] * corners[t, 0, c] + weights[t, 1] * corners[t, 1, c] + weights[t, 2] * corners[t, 2, c]
@@ -44,7 +44,7 @@ def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> No
 
 
 @kernel
-def _nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
+def nearest_of_face(corner: Any, point: Any, weight: Any) -> None:
     """Write the weights (3,) of the place right under the point, or of the nearest one of the edges."""
     ax, ay, az = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
     bx, by, bz = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]

@@ -13,15 +13,24 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.records import Record
 
+FOLLOW = 20.0  # 1/s, how fast it goes where it is told to be: 0.1 s behind
+
 
 class Breath(Record):
-    """How a breath goes: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2)."""
+    """How a breath goes: out at time 0, with a pause there, and in after half a period (Lujan et al. 1999, n = 2).
+
+    Or after what is told from outside, smoothly: as a critically damped spring would draw it there.
+    """
 
     period: float  # s; 0: none
+    follows: bool  # what is told
     x: float  # m, the way from breathed out to breathed in
     y: float
     z: float
     time: float  # s
+    told: float  # share of the way
+    share: float  # where it is on the way there
+    speed: float  # 1/s
 
 
 @kernel
@@ -35,11 +44,23 @@ def breathed_in(time: float, period: float) -> tuple[float, float, float]:
 
 
 @kernel
+def follow(breath: Any, step: float) -> tuple[float, float, float]:
+    """Go on for `step` s towards the share that was told; returns share, speed, 1/s, and acceleration, 1/s^2."""
+    change = FOLLOW * (FOLLOW * (breath.told - breath.share) - 2.0 * breath.speed)
+    breath.speed += step * change
+    breath.share += step * breath.speed
+    return breath.share, breath.speed, change
+
+
+@kernel
 def breathe(worlds: Any, carried: Any, step: float) -> None:
     """Carry organs on by one tick of `step` s; carried: see `carried_with`."""
     breath = carried.breath
     breath.time += step
-    share, speed, change = breathed_in(breath.time, breath.period)
+    if breath.follows:
+        share, speed, change = follow(breath, step)
+    else:
+        share, speed, change = breathed_in(breath.time, breath.period)
     carried.share[0], carried.share[1] = share, speed
     for organ in range(len(worlds)):
         state, settings, moves = worlds[organ].state, worlds[organ].settings, carried.moves[organ]

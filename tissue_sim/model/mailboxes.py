@@ -17,7 +17,6 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.contact_set import ContactSet, contact_set
 from tissue_sim.model.inputs import reset_state, take_contacts, take_force, take_pose
-from tissue_sim.model.pairs import PairSet, pair_set, take_pairs
 from tissue_sim.model.records import Record
 from tissue_sim.model.regions import is_shown, show_region
 from tissue_sim.model.settings import Settings
@@ -27,6 +26,7 @@ SLOTS = 4
 JOURNAL_ROWS = 8192
 TIMING_ROWS = 8192
 POSE_WORDS = 8
+CARRIED_ON = 5e-5  # m that the breath carries a sleeping organ by before it is handed out anew
 
 
 class Mailbox(NamedTuple):
@@ -63,13 +63,6 @@ class Control(Record):
     posted_time: int  # ns, newest time of /clock; 0 before the first one
 
 
-class JoinedRow(Record):
-    """What a tick took up that concerns several organs; a sequence number."""
-
-    tick: int
-    pairs: int
-
-
 class Demand(Record):
     """Words about an organ's positions between the loop and Python, each written by one of them."""
 
@@ -77,6 +70,9 @@ class Demand(Record):
     moved: bool  # since they were handed out
     asked: int
     done: int
+    x: float  # m that the breath had carried the organ by when they were handed out
+    y: float
+    z: float
 
 
 class Pace(Record):
@@ -143,16 +139,6 @@ class Mailboxes(NamedTuple):
     taken_contacts: ContactSet
 
 
-class JoinedBox(NamedTuple):
-    """What goes in and out of organs that are joined, beside the mailboxes of each."""
-
-    pairs: Mailbox  # PairSet.words
-    row: JoinedRow  # as the last tick took it up
-    journal_written: Longs  # (1,)
-    journal: Any  # (JOURNAL_ROWS,) of JoinedRow
-    taken: PairSet  # the loop's copy
-
-
 def _longs(*shape: int) -> Longs:
     return np.zeros(shape, dtype=np.int64)
 
@@ -190,18 +176,6 @@ def make_mailboxes(state: State) -> Mailboxes:
         taken_pose=_longs(POSE_WORDS),
         taken_force=np.zeros(3),
         taken_contacts=contact_set(n_bodies),
-    )
-
-
-def make_joined_box() -> JoinedBox:
-    """An empty one."""
-    taken = pair_set()
-    return JoinedBox(
-        pairs=mailbox(len(taken.words)),
-        row=JoinedRow.new(),
-        journal_written=_longs(1),
-        journal=JoinedRow.rows(_longs(JOURNAL_ROWS * JoinedRow.words())),
-        taken=taken,
     )
 
 
@@ -283,20 +257,6 @@ def take_inputs(world: Any, box: Any, resets: int) -> None:
 
 
 @kernel
-def take_joined(joined: Any, box: Any, tick: int) -> None:
-    """Take up new pairs, and note the tick that did."""
-    row = box.row
-    sequence = take(box.pairs, 0, row.pairs, box.taken.words)
-    if sequence != row.pairs:
-        row.pairs, row.tick = sequence, tick
-        take_pairs(joined.pairs, box.taken)
-        box.journal[box.journal_written[0] % JOURNAL_ROWS] = row
-        fence()
-        box.journal_written[0] += 1
-        fence()
-
-
-@kernel
 def write_journal(box: Any, tick: int) -> None:
     """Note what has been taken up by this tick."""
     box.row.tick = tick
@@ -314,7 +274,7 @@ def post_results(world: Any, box: Any) -> None:
     """Hand out wrenches and counters, and the positions when they moved: with a modal region, when asked."""
     state, demand = world.state, box.demand
     put(box.results, 0, state.results)
-    if not state.status.asleep:
+    if not state.status.asleep or is_carried_on(state.carried, demand):
         demand.moved = True
     lazy = not is_shown(state)
     demand.on_demand = lazy
@@ -324,6 +284,7 @@ def post_results(world: Any, box: Any) -> None:
         lazy, demand.moved = False, True
     if demand.moved and not lazy:
         state.shape_tick[0] = state.status.tick
+        demand.x, demand.y, demand.z = state.carried[0], state.carried[1], state.carried[2]
         put(box.shape, 0, state.shape)
     demand.moved = False
     fence()
@@ -331,17 +292,20 @@ def post_results(world: Any, box: Any) -> None:
 
 
 @kernel
-def post_snapshots(worlds: Any, boxes: Any, control: Any) -> None:
-    """Hand out the whole states when they were asked for; the journals tell what they have taken up."""
-    if control.snapshot_asked == control.snapshot_done:
-        return
+def is_carried_on(carried: Any, demand: Any) -> bool:
+    """Whether the breath has carried an organ by more than CARRIED_ON since its positions were handed out."""
+    x, y, z = carried[0] - demand.x, carried[1] - demand.y, carried[2] - demand.z
+    return x * x + y * y + z * z > CARRIED_ON * CARRIED_ON
+
+
+@kernel
+def keep_states(worlds: Any, boxes: Any) -> None:
+    """Copy the whole states; the journals tell what they have taken up."""
     for organ in range(len(worlds)):
         state, box = worlds[organ].state, boxes[organ]
         write_journal(box, state.status.tick)
         for index in range(len(state.words)):
             box.snapshot[index] = state.words[index]
-    fence()
-    control.snapshot_done = control.snapshot_asked
 
 
 @kernel

@@ -13,7 +13,8 @@ from numba import types
 
 from tissue_sim.jit import kernel, part
 from tissue_sim.model.breathing import note_gravity
-from tissue_sim.model.mailboxes import fence, note_tick, post_results, post_snapshots, take_inputs, take_joined
+from tissue_sim.model.joined_box import keep_joined, post_felt, take_joined
+from tissue_sim.model.mailboxes import fence, keep_states, note_tick, post_results, take_inputs
 from tissue_sim.model.together import let_go, tick_together
 from tissue_sim.model.tool_motion import freshness
 from tissue_sim.model.world import tick_implied_world, tick_world
@@ -122,6 +123,18 @@ def take_one(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any)
 
 
 @kernel
+def post_one(worlds: Any, boxes: Any, joined_box: Any) -> None:
+    """Hand out the results of the only organ."""
+    post_results(worlds[0], boxes[0])
+
+
+@kernel
+def keep_one(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+    """Copy the whole state of the only organ."""
+    keep_states(worlds, boxes)
+
+
+@kernel
 def take_together(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
     """Take up what came in for organs that are joined: a reset lets go of all, gravity is what it is without breath."""
     was_reset = resets != boxes[0].row.resets
@@ -136,26 +149,52 @@ def take_together(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box:
 
 
 @kernel
-def post_all(worlds: Any, boxes: Any) -> None:
-    """Hand out the results of every organ."""
+def post_together(worlds: Any, boxes: Any, joined_box: Any) -> None:
+    """Hand out the results of every organ, and what tools feel of all."""
     for organ in range(len(worlds)):
         post_results(worlds[organ], boxes[organ])
+    post_felt(worlds, joined_box)
+
+
+@kernel
+def keep_together(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+    """Copy the whole states, and what joins them."""
+    keep_states(worlds, boxes)
+    keep_joined(joined, joined_box, worlds[0].state.status.tick)
+
+
+@kernel
+def tick_one(worlds: Any, joined: Any) -> None:
+    """Advance the only organ."""
+    tick_world(worlds[0])
+
+
+@kernel
+def tick_implied_one(worlds: Any, joined: Any) -> None:
+    """Advance the only organ, whose return springs pull to the boundary that the skeleton implies."""
+    tick_implied_world(worlds[0])
 
 
 @part
-def _loop(worlds: Any, boxes: Any, loop: Any, take: Any, tick: Any, joined: Any, joined_box: Any) -> None:
-    """Tick worlds (a tuple), each with its mailboxes; take and tick: kernels for them, and for what joins them."""
+def _loop(
+    worlds: Any, boxes: Any, loop: Any, take: Any, tick: Any, post: Any, keep: Any, joined: Any, joined_box: Any
+) -> None:
+    """Tick worlds (a tuple), each with its mailboxes; take, tick, post, keep: kernels for them, and what joins them."""
     settings, control, pace = worlds[0].settings, loop.control, loop.pace
     for organ in range(len(boxes)):
         boxes[organ].demand.moved = True  # the rest shape
-    post_all(worlds, boxes)
+    post(worlds, boxes, joined_box)
     control.looked_up = now(loop.now)
     control.started = True
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
     posted = not control.sim_time
     while not control.stop:
         control.looked_up = now(loop.now)
-        post_snapshots(worlds, boxes, control)
+        asked = control.snapshot_asked
+        if asked != control.snapshot_done:
+            keep(worlds, boxes, joined, joined_box)
+            fence()
+            control.snapshot_done = asked
         if posted != control.sim_time:
             posted = control.sim_time
             due = 0 if posted else now(loop.now)
@@ -185,36 +224,24 @@ def _loop(worlds: Any, boxes: Any, loop: Any, take: Any, tick: Any, joined: Any,
             control.overruns += 1
         take(worlds, boxes, control.resets, joined, joined_box)
         tick(worlds, joined)
-        post_all(worlds, boxes)
+        post(worlds, boxes, joined_box)
         control.standing = False
         note_tick(loop, due, period, late, now(loop.now) - begin)
 
 
 @kernel
-def tick_one(worlds: Any, joined: Any) -> None:
-    """Advance the only organ."""
-    tick_world(worlds[0])
-
-
-@kernel
-def tick_implied_one(worlds: Any, joined: Any) -> None:
-    """Advance the only organ, whose return springs pull to the boundary that the skeleton implies."""
-    tick_implied_world(worlds[0])
-
-
-@kernel
 def run_loop(worlds: Any, boxes: Any, loop: Any) -> None:
     """Tick the only organ every settings.tick_time s until control.stop."""
-    _loop(worlds, boxes, loop, take_one, tick_one, None, None)
+    _loop(worlds, boxes, loop, take_one, tick_one, post_one, keep_one, None, None)
 
 
 @kernel
 def run_implied_loop(worlds: Any, boxes: Any, loop: Any) -> None:
     """The same where return springs pull to the boundary that the skeleton implies."""
-    _loop(worlds, boxes, loop, take_one, tick_implied_one, None, None)
+    _loop(worlds, boxes, loop, take_one, tick_implied_one, post_one, keep_one, None, None)
 
 
 @kernel
 def run_joined_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -> None:
     """The same for several organs, or one that hangs or breathes: joined, see `together.Together`."""
-    _loop(worlds, boxes, loop, take_together, tick_together, joined, joined_box)
+    _loop(worlds, boxes, loop, take_together, tick_together, post_together, keep_together, joined, joined_box)

@@ -14,6 +14,7 @@ from tissue_sim.jit import handle, kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
 from tissue_sim.model.pairs import Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
+from tissue_sim.model.records import words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
@@ -25,6 +26,7 @@ class Carried(NamedTuple):
     """How the breath carries k organs; see `state.carried`."""
 
     breath: Breath
+    breath_words: Longs  # which it views
     share: Floats  # (2,) of its way, and 1/s
     moves: Floats  # (k,) how far each goes with it
     unfelt: Floats  # (k,) m/s^2 up to which none feels it
@@ -96,6 +98,18 @@ class Joined:
         self.simulations[organ].take_settings(settings)
         self.carried.gravity[organ] = gravity_of(settings)
 
+    def tell_breath(self, share: float) -> None:
+        """Where a breath is to be that follows what it is told, as a share of its way."""
+        self.carried.breath.told = share
+
+    def restore(self, breath: Breath, found: PairSet, pressed: Floats, held: Floats) -> None:
+        """Go on from a breath, and from pairs that press and hold with so many N (p,), (p, 3)."""
+        count = int(found.found[0])
+        self.pairs.found[0] = 0
+        self.take_pairs(found)
+        self.pairs.pressed[:count], self.pairs.held[:count] = pressed[:count], held[:count]
+        words_of(self.carried.breath)[:] = words_of(breath)
+
     def reset(self) -> None:
         """Breathed out, untouched by each other; simulations are reset by themselves."""
         let_go(self.worlds, self.handle)
@@ -124,7 +138,7 @@ def carried_with(breath: Breath, moves: Sequence[float], unfelt: Sequence[float]
         return np.zeros((count, 3))
 
     given = np.array(moves, dtype=np.float64), np.array(unfelt, dtype=np.float64)
-    return Carried(breath, np.zeros(2), *given, np.array(gravity, dtype=np.float64), rows(), rows())
+    return Carried(breath, words_of(breath), np.zeros(2), *given, np.array(gravity, dtype=np.float64), rows(), rows())
 
 
 @kernel
@@ -132,7 +146,7 @@ def let_go(worlds: Any, joined: Any) -> None:
     """Breathed out, untouched by each other, without what the breath did to gravity: for organs at rest."""
     carried = joined.carried
     joined.pairs.found[0] = 0
-    carried.breath.time = 0.0
+    carried.breath.time = carried.breath.told = carried.breath.share = carried.breath.speed = 0.0
     carried.share[:] = 0.0
     carried.speed[:] = 0.0
     carried.change[:] = 0.0
@@ -145,7 +159,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
     """Advance several organs, a tuple of worlds, by one tick of the first one's settings."""
     step, carried, links = worlds[0].settings.tick_time, joined.carried, joined.links
     pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
-    if carried.breath.period > 0.0:
+    if carried.breath.period > 0.0 or carried.breath.follows:
         breathe(worlds, carried, step)
     if linked:
         wake_linked(worlds, carried, links, awake, step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 from collections.abc import Mapping
@@ -188,10 +189,10 @@ class Organ:
                 raise UserError(f"organ '{self.name}': {item.name} holds {odd:.3g}, outside {least:g}..{most:g}")
 
     # files -------------------------------------------------------------------------------------
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the organ file (compressed NPZ, schema version and SHA-256 of its content inside).
+    def to_bytes(self) -> bytes:
+        """The organ file: a compressed NPZ with schema version and the SHA-256 of its content inside.
 
-        The same organ gives the same bytes. Raises UserError when the file can't be written.
+        The same organ gives the same bytes.
         """
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
         header = {
@@ -204,15 +205,15 @@ class Organ:
             "density": float(self.density),
             "provenance": dict(self.provenance),
         }
-        text = json.dumps(header, sort_keys=True)
+        text, stream = json.dumps(header, sort_keys=True), io.BytesIO()
+        digest = content_digest(text, arrays)
+        np.savez_compressed(stream, header=np.array(text), sha256=np.array(digest), **arrays)
+        return stream.getvalue()
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the organ file. Raises UserError when it can't be written."""
         try:
-            with open(path, "wb") as stream:
-                np.savez_compressed(
-                    stream,
-                    header=np.array(text),
-                    sha256=np.array(content_digest(text, arrays)),
-                    **arrays,
-                )
+            Path(path).write_bytes(self.to_bytes())
         except OSError as error:
             raise UserError(f"cannot write organ file {path}: {error.strerror}") from None
 

@@ -75,21 +75,29 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     forces = [name for link in links for name in _topics(namespace, link, "measured_cf")]
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
+    shown = _of_organs(own, values, "mesh", "skeleton", "surface")
     return {
         own: Allowed(
             own,
             [own],
             # tf where it is installed, and the clock with use_sim_time.
-            [*wrenches, *_below(own, "markers", "mesh", "skeleton", "surface", "tools"), "/diagnostics", "/rosout"]
-            + ["/tf", "/tf_static"],
-            [*poses, *forces, "/clock", "/tf", "/tf_static"],
+            [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools")]
+            + ["/diagnostics", "/rosout", "/tf", "/tf_static"],
+            [
+                *poses,
+                *forces,
+                "/clock",
+                "/tf",
+                "/tf_static",
+                *_below(own, *(["respiration"] if values["organs"] else [])),
+            ],
             _below(own, "record", "reset", *PARAMETER_SERVICES),
         ),
         f"{own}/bridge": Allowed(
             f"{namespace}/haptic_bridge",
             [f"{namespace}/haptic_bridge", f"{namespace}/haptic_bridge_parameters"],
             [*poses, *forces],
-            [*wrenches, f"{own}/mesh"],
+            [*wrenches, *_of_organs(own, values, "mesh")],
             (),
             [f"{own}/get_parameters"],
         ),
@@ -97,7 +105,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             f"{namespace}/viewer",
             [f"{namespace}/viewer{part}" for part in ("", "_parameters", "_services")],
             poses,  # its page pokes
-            [*_below(own, "mesh", "skeleton", "surface", "tools"), "/diagnostics"],
+            [*shown, f"{own}/tools", "/diagnostics"],
             (),
             _below(own, "get_parameters", "record", "reset"),
         ),
@@ -108,6 +116,12 @@ def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
     """Absolute names of a tool's topics; measured_js only of a gripper."""
     names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
     return [name if name.startswith("/") else f"{namespace}/{name}" for name in names]
+
+
+def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:
+    """Topics of every organ: below its name in a scene."""
+    below = [f"{own}/{organ}" for organ in values["organs"]] or [own]
+    return [topic for one in below for topic in _below(one, *names)]
 
 
 def _below(own: str, *names: str) -> list[str]:

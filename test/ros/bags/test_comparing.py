@@ -11,7 +11,7 @@ def shown(forces, surfaces=((0.0, 0.0, 0.0),)):
     wrenches = np.zeros((len(forces), 6))
     wrenches[:, 0] = forces
     points = np.array(surfaces, dtype=np.float32).reshape(-1, 1, 3)
-    return Shown(["left"], [10 + np.arange(len(forces))], [wrenches], 10 * (1 + np.arange(len(points))), points)
+    return Shown(["left"], [10 + np.arange(len(forces))], [wrenches], [10 * (1 + np.arange(len(points)))], [points])
 
 
 def test_largest_and_first_beyond_are_told_apart():
@@ -61,5 +61,5 @@ def test_ticks_of_several_tools_are_in_order():
 def test_a_part_of_the_ticks():
     part = shown([1.0, 2.0, 3.0], np.zeros((3, 3))).within(11, 20)
     assert part.wrench_ticks[0].tolist() == [11, 12]
-    assert part.surface_ticks.tolist() == [20]
+    assert part.surface_ticks[0].tolist() == [20]
     assert part.later(5).wrench_ticks[0].tolist() == [16, 17]

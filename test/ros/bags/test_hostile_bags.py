@@ -225,14 +225,20 @@ def contents():
         return [(topic.topic, stamp, bytes(raw)) for topic, stamp, raw in reader.messages()]
 
 
+def with_organ(recording, **changed):
+    """The recording with other content of its organ."""
+    return dataclasses.replace(recording, organs=[dataclasses.replace(recording.organs[0], **changed)])
+
+
 def test_lost_settings_are_named(recording):
-    inputs = recording.journal["inputs"].copy()
+    (organ,) = recording.organs
+    inputs = organ.journal["inputs"].copy()
     inputs["settings"][len(inputs) // 2 :] = 77
     with pytest.raises(UserError, match="the bag lacks settings number 77"):
-        replay(dataclasses.replace(recording, journal={**recording.journal, "inputs": inputs}))
+        replay(with_organ(recording, journal={**organ.journal, "inputs": inputs}))
 
 
 def test_surfaces_of_another_organ_are_told(recording):
-    more = [np.concatenate([surface, surface]) for surface in recording.surfaces]
+    more = [np.concatenate([surface, surface]) for surface in recording.organs[0].surfaces]
     with pytest.raises(UserError, match=r"surfaces have .* points, the organ has .*: another organ"):
-        replay(dataclasses.replace(recording, surfaces=more))
+        replay(with_organ(recording, surfaces=more))

@@ -16,7 +16,7 @@ def recording():
 
 
 def check(recording, **changed):
-    check_journal({**recording.journal, **changed}, 1, recording.first_tick, RATE)
+    check_journal({**recording.organs[0].journal, **changed}, 1, recording.first_tick, RATE)
 
 
 def with_tick(rows, tick, at=3):
@@ -27,13 +27,13 @@ def with_tick(rows, tick, at=3):
 
 def test_a_journal_as_it_is_recorded_passes(recording):
     check(recording)
-    check(recording, wrenches=with_tick(recording.journal["wrenches"], -1))
+    check(recording, wrenches=with_tick(recording.organs[0].journal["wrenches"], -1))
 
 
 @pytest.mark.parametrize("kind", ["inputs", "contacts", "wrenches", "surfaces", "body_inputs", "body_contacts"])
 def test_rows_that_are_missing_or_of_another_kind_are_named(recording, kind):
-    rows = recording.journal[kind]
-    without = {name: found for name, found in recording.journal.items() if name != kind}
+    rows = recording.organs[0].journal[kind]
+    without = {name: found for name, found in recording.organs[0].journal.items() if name != kind}
     with pytest.raises(ValueError, match=f"its journal has no {kind}"):
         check_journal(without, 1, recording.first_tick, RATE)
     *others, last = rows.dtype.names
@@ -49,17 +49,17 @@ def test_rows_that_are_missing_or_of_another_kind_are_named(recording, kind):
 
 @pytest.mark.parametrize(("kind", "owner"), [("body_inputs", "inputs"), ("body_contacts", "contacts")])
 def test_unequal_lengths_are_named(recording, kind, owner):
-    rows = recording.journal[kind]
+    rows = recording.organs[0].journal[kind]
     for found in (rows[:-2], np.concatenate([rows, rows[:1]]), np.repeat(rows, 2, axis=1)):
         with pytest.raises(ValueError, match=f"its journal's {kind} are of shape"):
             check(recording, **{kind: found})
     with pytest.raises(ValueError, match=f"its journal's {kind} are of shape"):
-        check(recording, **{owner: recording.journal[owner][:-2]})
+        check(recording, **{owner: recording.organs[0].journal[owner][:-2]})
 
 
 @pytest.mark.parametrize("kind", ["inputs", "wrenches", "surfaces"])
 def test_ticks_that_nobody_waits_for_are_refused(recording, kind):
-    rows = recording.journal[kind]
+    rows = recording.organs[0].journal[kind]
     for tick in (2**31, 2**40, 10**9):
         with pytest.raises(ValueError, match=r"of nothing for [\d.e+]+ hours"):
             check(recording, **{kind: with_tick(rows, tick)})
@@ -72,12 +72,12 @@ def test_ticks_that_nobody_waits_for_are_refused(recording, kind):
 @pytest.mark.parametrize("rate", [0.0, np.nan, 1e-9])
 def test_a_rate_that_is_none_is_refused(recording, rate):
     with pytest.raises((ValueError, ArithmeticError)), np.errstate(all="ignore"):
-        check_journal(recording.journal, 1, recording.first_tick, rate)
+        check_journal(recording.organs[0].journal, 1, recording.first_tick, rate)
 
 
 @pytest.mark.parametrize("margin", [np.nan, np.inf, 1e300])
 def test_a_margin_that_is_not_finite_is_refused(recording, margin):
-    rows = recording.journal["body_contacts"].copy()
+    rows = recording.organs[0].journal["body_contacts"].copy()
     rows["margin"][0] = margin
     with pytest.raises(ValueError, match="'margin' that is not finite"):
         check(recording, body_contacts=rows)

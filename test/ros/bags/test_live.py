@@ -23,7 +23,7 @@ def live(*words):
 def organ(tmp_path):
     """Parameters of a node that has the organ and the tool of the bag."""
     path = tmp_path / "organ.npz"
-    path.write_bytes(Recording.read(BAG).organ)
+    path.write_bytes(Recording.read(BAG).organs[0].file)
     return (f"organ_file:={path}", "tools:=[left]", "marker_rate:=5.0")
 
 

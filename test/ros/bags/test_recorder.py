@@ -2,7 +2,7 @@
 
 import pytest
 
-from tissue_sim.ros.bags.recorder import _Notes
+from tissue_sim.ros.bags.organ_recorder import _Notes
 
 
 @pytest.mark.parametrize("rows", [0, 2])

@@ -15,8 +15,9 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.records import array_of, copy_of
 from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.comparing import compare
+from tissue_sim.ros.bags.organ_recording import settings_of
 from tissue_sim.ros.bags.player import replay
-from tissue_sim.ros.bags.recording import Recording, settings_of
+from tissue_sim.ros.bags.recording import Recording
 
 TOLERANCE = 1e-6
 BAG = ROOT / "bags" / "stroke"
@@ -27,8 +28,13 @@ def recording():
     return Recording.read(BAG)
 
 
-def compared(recording, **changed):
-    replayed = replay(dataclasses.replace(recording, **changed))
+def with_organ(recording, **changed):
+    """The recording with other content of its organ."""
+    return dataclasses.replace(recording, organs=[dataclasses.replace(recording.organs[0], **changed)])
+
+
+def compared(recording):
+    replayed = replay(recording)
     return compare(replayed.wanted, replayed.shown, TOLERANCE, TOLERANCE)
 
 
@@ -36,11 +42,13 @@ def test_a_tick_whose_surface_was_published_twice_repeats_twice(recording):
     """As where markers come faster than ticks, on a slow loop."""
     once = recording.shown()
     twice = dataclasses.replace(
-        once, surface_ticks=np.repeat(once.surface_ticks, 2), surfaces=np.repeat(once.surfaces, 2, axis=0)
+        once,
+        surface_ticks=[np.repeat(once.surface_ticks[0], 2)],
+        surfaces=[np.repeat(once.surfaces[0], 2, axis=0)],
     )
     replayed = replay(recording, wanted=twice)
-    np.testing.assert_array_equal(replayed.shown.surfaces, replayed.wanted.surfaces)
-    assert len(replayed.shown.surfaces) >= 2 * (len(once.surfaces) - 1)
+    np.testing.assert_array_equal(replayed.shown.surfaces[0], replayed.wanted.surfaces[0])
+    assert len(replayed.shown.surfaces[0]) >= 2 * (len(once.surfaces[0]) - 1)
 
 
 def test_replay_repeats_bit_for_bit(recording):
@@ -48,7 +56,7 @@ def test_replay_repeats_bit_for_bit(recording):
     for tool in range(len(first.shown.tools)):
         assert np.array_equal(first.shown.wrenches[tool], second.shown.wrenches[tool])
         assert np.array_equal(first.shown.wrenches[tool], first.wanted.wrenches[tool])
-    assert np.array_equal(first.shown.surfaces, second.shown.surfaces)
+    assert np.array_equal(first.shown.surfaces[0], second.shown.surfaces[0])
     found = compare(first.wanted, first.shown, 0.0, 0.0)
     assert found.passes
     assert found.wrenches > 100
@@ -58,30 +66,30 @@ def test_replay_repeats_bit_for_bit(recording):
 def test_another_tool_path_is_noticed(recording):
     """A tenth of a millimetre at one tool changes forces and shape."""
     moved = [{number: pose + [1e-4, 0, 0, 0, 0, 0, 0] for number, pose in poses.items()} for poses in recording.poses]
-    found = compared(recording, poses=moved)
+    found = compared(dataclasses.replace(recording, poses=moved))
     assert found.force.largest > 1e-3
     assert found.position.largest > 1e-5
     assert 0 < found.force.first_beyond <= found.force.tick
 
 
 def test_other_friction_is_noticed(recording):
-    changed = {number: copy_of(settings) for number, settings in recording.settings.items()}
+    changed = {number: copy_of(settings) for number, settings in recording.organs[0].settings.items()}
     for settings in changed.values():
         settings.friction *= 0.1
-    assert compared(recording, settings=changed).force.largest > 1e-4
+    assert compared(with_organ(recording, settings=changed)).force.largest > 1e-4
 
 
 def test_a_setting_that_one_of_both_lacks_is_named(recording):
-    recorded = array_of(next(iter(recording.settings.values())))
+    recorded = array_of(next(iter(recording.organs[0].settings.values())))
     names = [name for name in recorded.dtype.names if name != "friction"]
     with pytest.raises(UserError, match="setting 'friction' is not in both"):
         settings_of(Path("bag"), recorded[names])
 
 
 def test_a_state_that_lacks_a_field_is_named(recording):
-    state = {name: array for name, array in recording.state.items() if name != "velocity"}
+    state = {name: array for name, array in recording.organs[0].state.items() if name != "velocity"}
     with pytest.raises(UserError, match="another 'velocity'"):
-        replay(dataclasses.replace(recording, state=state))
+        replay(with_organ(recording, state=state))
 
 
 def test_lost_input_is_named(recording):

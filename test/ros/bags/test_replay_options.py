@@ -11,7 +11,6 @@ from rosbags.typesys import Stores, get_typestore
 from helpers.paths import ROOT
 from helpers.planting import most_moved, with_one_stiffer
 from tissue_sim.cli import main
-from tissue_sim.ros.bags.player import recorded_organ
 from tissue_sim.ros.bags.recording import Recording
 
 BAG = ROOT / "bags" / "poke"
@@ -19,7 +18,7 @@ BAG = ROOT / "bags" / "poke"
 
 @pytest.fixture(scope="module")
 def organ():
-    return recorded_organ(Recording.read(BAG))
+    return Recording.read(BAG).organs[0].organ()
 
 
 def copied(target, config=lambda found: found, force=lambda x, index: x):

@@ -8,7 +8,7 @@ import pytest
 from helpers.paths import ROOT
 from helpers.planting import most_moved, with_one_stiffer
 from tissue_sim.cli import main
-from tissue_sim.ros.bags.recording import Recording, recorded_organ
+from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.bags.suite.scenes import GLOBAL, SCENES, spread_over_front
 from tissue_sim.ros.bags.suite.summary import as_text, figures
 
@@ -49,7 +49,7 @@ def test_all_repeat_and_a_table_tells(capsys):
 def test_a_planted_error_is_found(tmp_path, capsys):
     """One cell a percent stiffer; what doesn't come near it, repeats."""
     recording = Recording.read(FOLDER / "poke")
-    organ = recorded_organ(recording)
+    organ = recording.organs[0].organ()
     with_one_stiffer(organ, most_moved(recording, organ)).save(tmp_path / "stiff.npz")
     assert main(["replay", str(FOLDER / "poke"), str(FOLDER / "nip"), "--organ", str(tmp_path / "stiff.npz")]) == 1
     out = capsys.readouterr().out
@@ -81,7 +81,7 @@ def test_forces_alone_are_those_of_the_paper():
     most = [max(np.linalg.norm(force) for force in forces.values()) for forces in recording.forces]
     assert len(most) == 10
     assert sum(most) == pytest.approx(GLOBAL, rel=0.05)
-    nodes, normal = spread_over_front(recorded_organ(recording), 10)
+    nodes, normal = spread_over_front(recording.organs[0].organ(), 10)
     assert len(set(nodes.tolist())) == 10
     assert np.linalg.norm(normal) == pytest.approx(1.0)
 

@@ -20,7 +20,7 @@ from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.bags.writer import BagWriter, Split, Topic, lock
 from tissue_sim.ros.shared.loop import Loop
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 POKE = ROOT / "bags" / "poke"
@@ -145,16 +145,16 @@ def stalled(tmp_path, monkeypatch):
 
     monkeypatch.setattr(BagWriter, "write", when_let_go)
     monkeypatch.setattr(spool, "MOST_WAITING", 8e6)
-    physics = Physics(Loop([Simulation(ball(2))]))
-    recorder = Recorder("/tissue_sim", 0, {"tools": ["left"]})
+    organs = Organs(Loop([Simulation(ball(2))]))
+    recorder = Recorder("/tissue_sim", organs, {"": (ball(2), ball(2).to_bytes)}, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
-    physics.loop.start()
-    recorder.start(tmp_path, physics, b"organ", b"\0" * 16, {})
+    organs.loop.start()
+    recorder.start(tmp_path, {})
     assert stuck.wait(LIMIT)
-    yield recorder, physics, let_go
+    yield recorder, let_go
     let_go.set()
-    physics.loop.stop()
+    organs.loop.stop()
 
 
 def counts(path):
@@ -163,14 +163,14 @@ def counts(path):
 
 
 def test_markers_are_left_out_before_surfaces_and_inputs_never(stalled):
-    recorder, physics, let_go = stalled
+    recorder, let_go = stalled
     large = b"\0" * 100_000
     for tick in range(50):
-        recorder.surface(tick, large, large, large)
+        recorder.of_organ[0].surface(tick, large, large, large)
         recorder.received(POSE, b"\0" * 64)
     assert recorder.active
     let_go.set()
-    path = recorder.stop(physics)
+    path = recorder.stop()
     assert recorder.error == ""
     found = counts(path)
     assert found[POSE] == 50
@@ -183,12 +183,12 @@ def test_markers_are_left_out_before_surfaces_and_inputs_never(stalled):
 
 
 def journal_of(raw):
-    kind = bag.PRIVATE_TOPICS["journal"]
+    kind = bag.ORGAN_TOPICS["journal"]
     return bag.unpack(get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(raw, kind).data)
 
 
 def test_a_disk_that_is_too_far_behind_ends_the_bag_before_an_input_is_lost(stalled):
-    recorder, physics, let_go = stalled
+    recorder, let_go = stalled
     sent = 0
     while recorder.active:
         recorder.received(POSE, sent.to_bytes(4, "little") * 2500)
@@ -196,7 +196,7 @@ def test_a_disk_that_is_too_far_behind_ends_the_bag_before_an_input_is_lost(stal
     assert "the disk can't keep up" in recorder.error
     assert 600 < sent < 900
     let_go.set()
-    path = recorder.stop(physics)
+    path = recorder.stop()
     with Reader(path) as reader:
         topics = [topic for topic in reader.connections if topic.topic == POSE]
         found = [int.from_bytes(raw[:4], "little") for _, _, raw in reader.messages(topics)]

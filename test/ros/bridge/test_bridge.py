@@ -154,7 +154,8 @@ def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, bridge):
 def test_no_node_is_one_line_and_exit_code_1(capfd):
     assert main(["bridge", "--wait", "0.3", "--node", "nobody"]) == 1
     assert capfd.readouterr().err == (
-        "tissue_sim bridge: no mesh on /nobody/mesh in 0.3 s; start tissue_node, or name yours with --node\n"
+        "tissue_sim bridge: no answer from /nobody/get_parameters in 0.3 s;"
+        " start tissue_node, or name yours with --node\n"
     )
 
 

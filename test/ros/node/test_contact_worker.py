@@ -12,7 +12,9 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import BodyStatus
+from tissue_sim.ros.node.contact_search import ContactSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
+from tissue_sim.ros.node.served_organ import ServedOrgan
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
@@ -45,14 +47,9 @@ def scene():
     finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     warned, port = [], Port(top + (0.0, 0.0, 0.006))
-    worker = ContactWorker(
-        finder,
-        physics,
-        [port],
-        SimpleNamespace(contacts=lambda *_: None, together=threading.RLock()),
-        threading.Event(),
-        warned.append,
-    )
+    recorder = SimpleNamespace(contacts=lambda *_: None, together=threading.RLock())
+    search = ContactSearch(finder, ServedOrgan("", organ, physics), [port], recorder, warned.append)
+    worker = ContactWorker([search], None, [port], threading.Event(), warned.append)
     middle = organ.surface_positions.mean(axis=0)
     yield SimpleNamespace(worker=worker, finder=finder, physics=physics, port=port, middle=middle, warned=warned)
     worker.stop()
@@ -101,7 +98,7 @@ def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene,
     scene.worker.start()
     wait_for(lambda: len(calls) > 5)
     (line,) = scene.warned  # not one for every set
-    assert line.startswith("contact search failed: RuntimeError: no such luck (tissue_sim/ros/node/contact_worker.py:")
+    assert line.startswith("contact search failed: RuntimeError: no such luck (tissue_sim/ros/node/contact_search.py:")
     report = report_of(scene.worker)
     assert report.failures == [line]
     assert report.problems["contact_search_failures"] >= 5

@@ -14,6 +14,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
 from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings
+from tissue_sim.ros.node.served_organ import ServedScene
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 
@@ -125,10 +126,9 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
     posted, physics = [], Physics(Loop([simulation]))
     made = LiveSettings(
-        simulation,
-        physics,
+        ServedScene("ball", ("",), (simulation,), (1.0,), None),
         Values(values),
-        lambda one: posted.append((physics.post_settings(one), one)),
+        lambda _, one: posted.append((physics.post_settings(one), one)),
         [SimpleNamespace(period=period) for period in (1e-3, 4e-3)],
     )
     return made, posted

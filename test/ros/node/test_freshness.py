@@ -9,17 +9,17 @@ from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.shared.loop import Loop
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 
 
 @pytest.fixture
 def scene():
     """Freshness by a clock that the test moves, with the settings that a simulation has at first."""
     clock = SimpleNamespace(time=10.0, now=lambda: clock.time, jumped=[])
-    physics = SimpleNamespace(
-        loop=SimpleNamespace(standing=False), settings=Physics(Loop([Simulation(ball(1))])).settings
+    organs = SimpleNamespace(
+        loop=SimpleNamespace(standing=False), settings=Organs(Loop([Simulation(ball(1))])).settings
     )
-    return SimpleNamespace(clock=clock, physics=physics, freshness=Freshness(clock, physics))
+    return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs))
 
 
 def states(scene, *ages):
@@ -43,9 +43,9 @@ def test_what_is_stale_counts_until_it_has_faded(scene):
 def test_nothing_counts_before_the_first_message_nor_while_the_clock_stands(scene):
     assert scene.freshness.age == math.inf
     assert not scene.freshness.counts
-    scene.physics.loop.standing = True
+    scene.organs.loop.standing = True
     assert states(scene, 0.0) == [(False, False)]
-    scene.physics.loop.standing = False
+    scene.organs.loop.standing = False
     assert states(scene, 0.0) == [(True, True)]
 
 

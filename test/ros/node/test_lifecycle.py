@@ -36,7 +36,7 @@ from tissue_sim.ros.bags import spool
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import BagWriter
 from tissue_sim.ros.shared.loop import Loop
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 AWAY = (1.0, 0.0, 0.0)  # m, far from the organ
@@ -304,8 +304,7 @@ def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch)
     """What a slow disk can't take in time is left out and counted; the bag can be read."""
     simulation = Simulation(ball(2))
     loop = Loop([simulation])
-    physics = Physics(loop)
-    recorder = Recorder("/tissue_sim", 0, {"tools": ["left"]})
+    recorder = Recorder("/tissue_sim", Organs(loop), {"": (ball(2), ball(2).to_bytes)}, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")
     write = BagWriter.write
@@ -317,10 +316,10 @@ def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch)
     monkeypatch.setattr(BagWriter, "write", slowly)
     monkeypatch.setattr(spool, "CLOSING_TIME", LIMIT)
     loop.start()
-    path = recorder.start(tmp_path, physics, b"organ", b"\0" * 16, {})
+    path = recorder.start(tmp_path, {})
     for _ in range(20_000):
         recorder.received("/left/measured_cp", b"\0" * 64)
-    assert recorder.stop(physics, 0.3) == path
+    assert recorder.stop(0.3) == path
     loop.stop()
     assert recorder.error == ""
     assert 10_000 < recorder.lost < 20_000

@@ -131,7 +131,7 @@ def test_the_rviz_config_shows_what_the_node_publishes(client):
                 assert end.qos_profile.reliability.name == topic["Reliability Policy"].upper().replace(" ", "_")
                 assert end.qos_profile.durability.name == topic["Durability Policy"].upper().replace(" ", "_")
     markers = next(display for display in config["Displays"] if display["Class"].endswith("MarkerArray"))
-    template = OrganMarkers("organ", shipped(), 2)
+    template = OrganMarkers("organ", {"": shipped()}, 2)
     assert set(markers["Namespaces"]) == {m.ns for m in deserialize_message(template.deletion(), MarkerArray).markers}
 
 

@@ -11,8 +11,9 @@ from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import outlet
 from tissue_sim.ros.node.outlet import Outlet
+from tissue_sim.ros.shared.cdr import check_force, check_position
 from tissue_sim.ros.shared.loop import Loop
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
 
@@ -42,16 +43,13 @@ class Presenter:
 
     fails = True
 
-    def present(self, record, colour):
+    def present(self):
         if self.fails:
-            raise OSError("nobody takes pictures")
+            check_position(np.full(3, 1e9))
 
     def present_tools(self):
         if self.fails:
-            raise ValueError("nor of tools")
-
-    def broadcast_tips(self):
-        pass
+            check_force(np.full(3, 1e12))
 
 
 @pytest.fixture(params=[60.0, 240.0])
@@ -67,13 +65,11 @@ def scene(request, monkeypatch):
         parts.told.append(report)
 
     parts.outlet = Outlet(
-        {"record_markers": False, "marker_colour": "none"},
-        Physics(Loop([Simulation(ball(1))])),
+        Organs(Loop([Simulation(ball(1))])),
         [SimpleNamespace(input=SimpleNamespace(poses=0), output=parts.output)],
-        parts.presenter,
+        [parts.presenter.present, parts.presenter.present_tools],
         live,
         SimpleNamespace(watch=lambda: None),
-        lambda: None,
         tell,
         parts.logger,
     )
@@ -86,11 +82,14 @@ def test_forces_fade_on_although_pictures_fail(scene):
     wait_for(lambda: len(scene.told) >= 2)
     turns = scene.output.turns
     wait_for(lambda: scene.output.turns > turns + 50)
-    lines = ["outlet failed: OSError: nobody takes pictures", "outlet failed: ValueError: nor of tools"]
+    lines = [
+        "outlet failed: ValueError: it lies 1e+09 m away; positions are in metres",
+        "outlet failed: ValueError: it is 1e+12 N; forces are in newtons",
+    ]
     assert [line.partition(" (")[0] for line in scene.told[-1].failures] == lines
     assert scene.told[-1].problems["outlet_failures"] > scene.told[0].problems["outlet_failures"] >= 1
     assert {line.partition(" (")[0] for line in scene.logger.warned} == set(lines)
-    assert all("(tissue_sim/ros/node/outlet.py:" in line for line in scene.logger.warned), "where that was"
+    assert all("(tissue_sim/ros/shared/cdr.py:" in line for line in scene.logger.warned), "where that was"
     wait_for(lambda: len(scene.told) >= 4)
     assert len(scene.logger.warned) == 2, "not one for every picture, nor for every report"
     scene.presenter.fails = False

@@ -37,6 +37,20 @@ def test_for_the_default_node_it_is_the_file_that_ships(kind):
     assert load(fitted(kind, "tissue_sim")) == load(shipped)
 
 
+@pytest.mark.parametrize("kind", LAYOUTS)
+def test_of_a_scene_it_shows_every_organ(kind):
+    text = fitted(kind, "ward/abdomen", organs=["liver", "spleen"])
+    topics = topics_in(kind, text)
+    assert {f"/ward/abdomen/{organ}/surface" for organ in ("liver", "spleen")} < topics
+    assert "/ward/abdomen/markers" in topics
+    assert "/ward/abdomen/surface" not in topics
+    if kind == "rviz":
+        displays = yaml.safe_load(text)["Visualization Manager"]["Displays"]
+        assert [one["Name"] for one in displays] == ["Organ", "Surface of liver", "Surface of spleen", "Tools"]
+        parts = {f"{organ}/{part}" for organ in ("liver", "spleen") for part in ("surface", "skeleton")}
+        assert displays[0]["Namespaces"].keys() == parts | {"contacts"}
+
+
 @pytest.fixture(scope="module")
 def ward(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ward")

@@ -36,9 +36,12 @@ def align(first: Recording, second: Recording) -> Alignment:
     if first.config["tools"] != second.config["tools"]:
         tools = (", ".join(one.config["tools"]) for one in (first, second))
         raise UserError(f"the bags have other tools: {' against '.join(tools)}")
-    sizes = {len(one.surfaces[0]) for one in (first, second) if one.surfaces}
-    if len(sizes) > 1:
-        raise UserError(f"the bags' surfaces have {' and '.join(map(str, sorted(sizes)))} points: other organs")
+    if len(first.organs) != len(second.organs):
+        raise UserError(f"the bags have {len(first.organs)} and {len(second.organs)} organs")
+    for pair in zip(first.organs, second.organs, strict=True):
+        sizes = {len(one.surfaces[0]) for one in pair if one.surfaces}
+        if len(sizes) > 1:
+            raise UserError(f"the bags' surfaces have {' and '.join(map(str, sorted(sizes)))} points: other organs")
     before, after = taken_up(first), taken_up(second)
     both = [key for key in before if key in after]
     if not both:
@@ -51,7 +54,8 @@ def align(first: Recording, second: Recording) -> Alignment:
 def taken_up(recording: Recording) -> dict[tuple[str, bytes], int]:
     """The tick that took up a pose first, by the tool's name and the pose's bytes."""
     found: dict[tuple[str, bytes], int] = {}
-    rows, bodies = recording.journal["inputs"]["tick"], recording.journal["body_inputs"]["pose"]
+    journal = recording.organs[0].journal
+    rows, bodies = journal["inputs"]["tick"], journal["body_inputs"]["pose"]
     body = 0
     for index, tool in enumerate(tools_of(recording.config)):
         sequences, poses = bodies[:, body], recording.poses[index]

@@ -20,18 +20,25 @@ from tissue_sim.npz import read_npz
 # regard to stamps, 3 did not tell what a state had taken up, 4 not where the breath had carried the organ.
 FORMAT = 5
 
-# Topics under the node's name, with their types.
-PRIVATE_TOPICS = {
-    "config": "std_msgs/msg/String",  # JSON
-    "organ": "std_msgs/msg/UInt8MultiArray",  # the organ file
-    "state": "std_msgs/msg/UInt8MultiArray",  # npz: the fields of model.state.State
-    "settings": "std_msgs/msg/UInt8MultiArray",  # npz: sequence, settings
-    "contact_set": "std_msgs/msg/UInt8MultiArray",  # npz: a set found from a surface before the state
-    "journal": "std_msgs/msg/UInt8MultiArray",  # npz: rows of what happened
+OCTETS = "std_msgs/msg/UInt8MultiArray"
+# Topics of an organ, with their types: under its name, or the node's where it is the only one.
+ORGAN_TOPICS = {
+    "organ": OCTETS,  # the organ file
+    "state": OCTETS,  # npz: the fields of model.state.State
+    "settings": OCTETS,  # npz: sequence, settings
+    "contact_set": OCTETS,  # npz: a set found from a surface before the state
+    "journal": OCTETS,  # npz: rows of what happened
     "mesh": "shape_msgs/msg/Mesh",
     "surface": "sensor_msgs/msg/PointCloud2",
     "skeleton": "sensor_msgs/msg/PointCloud2",
     "markers": "visualization_msgs/msg/MarkerArray",
+}
+# Under the node's name.
+NODE_TOPICS = {"config": "std_msgs/msg/String"}  # JSON
+SCENE_TOPICS = {
+    "joined": OCTETS,  # npz: what joins the organs, at the tick of their states
+    "pair_set": OCTETS,  # npz: pairs found from a surface before the state
+    "journal": OCTETS,  # npz: rows of what concerns all of them
 }
 
 
@@ -49,6 +56,19 @@ class BodyContactRow(Record):
     margin: float  # m beyond MARGIN
     engaged: bool
     pushing: bool
+
+
+class PairRow(Record):
+    """What pairs of organs were found from; beside it the tick of each organ's surface."""
+
+    pairs: int  # their number
+
+
+class RespirationRow(Record):
+    """Where the breath was to be."""
+
+    respiration: int  # its number
+    share: float  # of the way
 
 
 class WrenchRow(Record):

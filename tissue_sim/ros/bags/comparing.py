@@ -15,37 +15,37 @@ from tissue_sim.array_types import Floats, Longs
 class Shown:
     """The wrenches and surfaces that were handed out, with the ticks that they show.
 
-    By tool: wrench_ticks (k,), wrenches (k, 6) N and N m about the tool's origin. surface_ticks (s,), surfaces
-    (s, n, 3) m.
+    By tool: wrench_ticks (k,), wrenches (k, 6) N and N m about the tool's origin. By organ: surface_ticks (s,),
+    surfaces (s, n, 3) m.
     """
 
     tools: Sequence[str]
     wrench_ticks: Sequence[Longs]
     wrenches: Sequence[Floats]
-    surface_ticks: Longs
-    surfaces: NDArray[np.float32]
+    surface_ticks: Sequence[Longs]
+    surfaces: Sequence[NDArray[np.float32]]
 
     @property
     def ticks(self) -> Longs:
         """Every tick of which something is shown, ascending."""
-        return np.unique(np.concatenate([*self.wrench_ticks, self.surface_ticks]))
+        return np.unique(np.concatenate([*self.wrench_ticks, *self.surface_ticks]))
 
     def within(self, first: int, last: int) -> Shown:
         """What is shown of the ticks from first to last."""
         wanted = [(ticks >= first) & (ticks <= last) for ticks in self.wrench_ticks]
-        shapes = (self.surface_ticks >= first) & (self.surface_ticks <= last)
+        shapes = [(ticks >= first) & (ticks <= last) for ticks in self.surface_ticks]
         return Shown(
             self.tools,
             [ticks[chosen] for ticks, chosen in zip(self.wrench_ticks, wanted, strict=True)],
             [wrenches[chosen] for wrenches, chosen in zip(self.wrenches, wanted, strict=True)],
-            self.surface_ticks[shapes],
-            self.surfaces[shapes],
+            [ticks[chosen] for ticks, chosen in zip(self.surface_ticks, shapes, strict=True)],
+            [surfaces[chosen] for surfaces, chosen in zip(self.surfaces, shapes, strict=True)],
         )
 
     def later(self, ticks: int) -> Shown:
         """The same, so many ticks later."""
-        moved = [shown + ticks for shown in self.wrench_ticks]
-        return Shown(self.tools, moved, self.wrenches, self.surface_ticks + ticks, self.surfaces)
+        moved = [[shown + ticks for shown in every] for every in (self.wrench_ticks, self.surface_ticks)]
+        return Shown(self.tools, moved[0], self.wrenches, moved[1], self.surfaces)
 
 
 @dataclass(frozen=True)
@@ -116,20 +116,22 @@ def compare(wanted: Shown, found: Shown, force_tolerance: float, position_tolera
     off = _off(
         np.concatenate([*wanted.wrenches, np.zeros((0, 6))]), np.concatenate([*found.wrenches, np.zeros((0, 6))])
     )
-    moved = _off(wanted.surfaces, found.surfaces)
+    moved = [_off(*both).max(axis=(1, 2), initial=0.0) for both in zip(wanted.surfaces, found.surfaces, strict=True)]
+    surface_ticks = np.concatenate([*wanted.surface_ticks, np.zeros(0, dtype=np.int64)])
+    later = np.argsort(surface_ticks, kind="stable")
     parts = (slice(0, 3), slice(3, 6))
     force, torque = (off[order][:, part].max(axis=1, initial=0.0) for part in parts)
     return Comparison(
         wrenches=len(wrench_ticks),
-        surfaces=len(wanted.surface_ticks),
+        surfaces=len(surface_ticks),
         force=Deviation("force", "N", force_tolerance, wrench_ticks[order], force),
         torque=Deviation("torque", "N m", force_tolerance, wrench_ticks[order], torque),
         position=Deviation(
             "position",
             "m",
             position_tolerance,
-            wanted.surface_ticks,
-            moved.max(axis=(1, 2), initial=0.0),
+            surface_ticks[later],
+            np.concatenate([*moved, np.zeros(0)])[later],
         ),
     )
 

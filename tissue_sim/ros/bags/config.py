@@ -23,10 +23,15 @@ def read_config(text: str) -> dict[str, Any]:
 
 def check_config(config: Mapping[str, Any]) -> None:
     """Raise ValueError naming what a configuration of the present format lacks, or has of another type."""
-    wanted: dict[str, Fits] = {"organ": _is_object, "parameters": _is_object, "shape_gravity": _is_vector}
+    wanted: dict[str, Fits] = {"scene": _is_name, "organs": _is_object} if "organs" in config else {"organ": _is_object}
+    wanted |= {"parameters": _is_object, "shape_gravity": _is_vector}
     wanted |= {"tools": _is_names, "topics": _is_object, "first": _is_object}
     _check(config, "", wanted)
-    _check(config["organ"], "organ.", {"name": _is_name, "digest": _is_name})
+    organs = {f"organs.{name}.": organ for name, organ in config["organs"].items()} if "organs" in config else {}
+    for where, organ in (organs or {"organ.": config.get("organ")}).items():
+        if not _is_object(organ):
+            raise ValueError(f"its configuration's '{where[:-1]}' is of another type")
+        _check(organ, where, {"name": _is_name, "digest": _is_name})
     _check(config["topics"], "topics.", dict.fromkeys(config["topics"], _is_name))
     _check(config["first"], "first.", dict.fromkeys(config["first"], _is_whole))
     parameters, of_tool = config["parameters"], {"shape": _is_name, "radius": _is_number, "length": _is_number}

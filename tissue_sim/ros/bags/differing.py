@@ -11,7 +11,7 @@ from tissue_sim.errors import shown
 from tissue_sim.organ.organ import Organ
 
 # Where and whether a bag is written changes nothing; an organ is told by its digest, not by its path.
-BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file"})
+BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file", "scene_file"})
 _LONGEST = 200  # characters of a value in a line
 
 
@@ -28,8 +28,10 @@ class Described:
     @classmethod
     def recorded(cls, config: Mapping[str, Any], how: str = "recorded") -> Described:
         """By a bag's configuration."""
-        organ = config["organ"]
-        return cls(how, organ["name"], organ["digest"], config["package_version"], config["parameters"])
+        organs = config["organs"].values() if "organs" in config else [config["organ"]]
+        name = config["scene"] if "organs" in config else config["organ"]["name"]
+        digest = "".join(organ["digest"] for organ in organs)
+        return cls(how, name, digest, config["package_version"], config["parameters"])
 
     def replayed(self, organ: Organ | None) -> Described:
         """The same run by this package, with another organ if there is one."""

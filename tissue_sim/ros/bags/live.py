@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.differing import Described, differences
-from tissue_sim.ros.bags.recording import Recording, recorded_organ, tools_of
+from tissue_sim.ros.bags.recording import Recording, tools_of
 from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.cdr import parse_stamped
@@ -39,6 +39,8 @@ def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
 
     Raises UserError where the node is not there, does not follow /clock, or has other tools.
     """
+    if recording.joined is not None:
+        raise UserError("--live goes with the bag of one organ alone, and this one holds a scene")
     with client.client_node("replay", target) as node:
         return _Live(node, recording, target).play()
 
@@ -103,9 +105,9 @@ class _Live:
         self._wait(lambda: reset.service_is_ready() or None, f"no service /{target}/reset")
         reset.call_async(Trigger.Request())
         time.sleep(5 * ANSWERED)
-        if not self._recording.state["status"]["asleep"].item():
+        if not self._recording.organs[0].state["status"]["asleep"].item():
             notes.append("the recording begins with the organ in motion, the node's is at rest")
-        rows = recording.journal["inputs"]
+        rows = recording.organs[0].journal["inputs"]
         if len(np.unique(rows["settings"])) > 1 or len(np.unique(rows["resets"])) > 1:
             notes.append("the recording has changes of parameters or resets, which the node is not sent")
         return notes
@@ -117,7 +119,7 @@ class _Live:
         named = Described(recorded.how, recorded.organ, "", recorded.version, known)
         node = Described(f"/{self._target} has", recorded.organ, "", recorded.version, {n: plain[n] for n in known})
         notes = differences(named, node)
-        organ = recorded_organ(self._recording)
+        organ = self._recording.organs[0].organ()
         if not np.array_equal(vertices, organ.surface_positions):
             notes.insert(0, f"organ: recorded {organ.name}, /{self._target} has one of {len(vertices)} surface points")
         return notes
@@ -144,8 +146,8 @@ class _Live:
 
     def _inputs(self) -> dict[int, list[Callable[[int], None]]]:
         """What is sent before a tick, each for a stamp in ns; what the state had already taken up goes first."""
-        rows = self._recording.journal["inputs"]["tick"]
-        bodies = self._recording.journal["body_inputs"]
+        rows = self._recording.organs[0].journal["inputs"]["tick"]
+        bodies = self._recording.organs[0].journal["body_inputs"]
         found: dict[int, list[Callable[[int], None]]] = defaultdict(list)
         body = 0
         for tool, made in enumerate(tools_of(self._recording.config)):
@@ -213,4 +215,4 @@ class _Live:
         shapes = np.array(sorted(self._shapes), dtype=np.int64)
         surfaces = [self._shapes[tick][:, :3] for tick in shapes.tolist()] or np.zeros((0, 0, 3))
         names = self._recording.config["tools"]
-        return Shown(names, ticks, wrenches, shapes, np.array(surfaces, dtype=np.float32))
+        return Shown(names, ticks, wrenches, [shapes], [np.array(surfaces, dtype=np.float32)])

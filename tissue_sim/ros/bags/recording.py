@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,26 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
-from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.settings import Settings
-from tissue_sim.model.state_check import check_settings, contact_set_of
-from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.config import check_config, read_config
-from tissue_sim.ros.bags.journal import SHOWING, check_journal
+from tissue_sim.ros.bags.joined_recording import JoinedRecording
+from tissue_sim.ros.bags.journal import check_journal
+from tissue_sim.ros.bags.organ_recording import OrganRecording
 from tissue_sim.ros.shared.cdr import (
     check_force,
     check_position,
-    parse_cloud,
     parse_number,
-    parse_octets,
     parse_stamped,
     parse_text,
     unit_pose,
@@ -50,17 +44,13 @@ class Recording:
     """The content of a bag, by topic, in the order of recording."""
 
     config: dict[str, Any]
-    organ: bytes
-    state: dict[str, np.ndarray]
-    settings: dict[int, Settings]
-    contact_sets: dict[int, ContactSet]
-    journal: dict[str, np.ndarray]  # records by kind, see recorder
+    organs: list[OrganRecording]
+    joined: JoinedRecording | None  # of a scene
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
     stamps: list[dict[int, int]] = field(default_factory=list)  # ns, of the poses
     angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
     forces: list[dict[int, Floats]] = field(default_factory=list)
     wrenches: list[list[Floats]] = field(default_factory=list)  # per tool
-    surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32
 
     @classmethod
     def read(cls, path: Path) -> Recording:
@@ -78,10 +68,6 @@ class Recording:
         name = next((topic[: -len("/config")] for topic in messages if topic.endswith("/config")), None)
         if name is None:
             raise UserError(f"bag {path} was not recorded by a tissue_sim node: it has no configuration")
-
-        def data(topic: str) -> list[NDArray[np.uint8]]:
-            return [parse_octets(raw) for raw in messages[f"{name}/{topic}"]]
-
         config = read_config(parse_text(messages[f"{name}/config"][0]))
         if config["format"] != bag.FORMAT:
             raise UserError(
@@ -89,27 +75,12 @@ class Recording:
                 f" package reads {bag.FORMAT}: replay it with that version, or record it again"
             )
         check_config(config)
-        if not data("state"):
-            raise UserError(f"bag {path} holds no state to start from: the recording was too short or broken off")
-        if not messages[f"{name}/settings"]:
-            raise UserError(f"bag {path} holds no settings: the recording was too short or broken off")
-        if not data("journal"):
-            raise UserError(f"bag {path} holds nothing that happened: the recording was too short or broken off")
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
-        rows = [bag.unpack(values) for values in data("journal")]
-        kinds = rows[0] if rows else {}
-        state = bag.unpack(data("state")[0])
-        n_nodes = len(state["position"])
-        sets = [contact_set_of(bag.unpack(values), n_bodies, n_nodes) for values in data("contact_set")]
-        settings = [bag.unpack(values) for values in data("settings")]
-        recording = cls(
-            config=config,
-            organ=data("organ")[0].tobytes(),
-            state=state,
-            settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
-            contact_sets={int(found.header.sequence): found for found in sets},
-            journal={kind: np.concatenate([row[kind] for row in rows]) for kind in kinds},
-        )
+        below = [f"{name}/{organ}" for organ in config["organs"]] if "organs" in config else [name]
+        organs = [OrganRecording.parsed(path, messages, one, n_bodies) for one in below]
+        sizes = [len(one.state["position"]) for one in organs]
+        joined = JoinedRecording.parsed(messages, name, sizes) if "organs" in config else None
+        recording = cls(config, organs, joined)
         for tool in config["tools"]:
             topics = {topic: config["topics"][f"{tool}/{topic}"] for topic in TOOL_TOPICS}
             first = {topic: int(config["first"].get(name, 1)) for topic, name in topics.items()}
@@ -124,67 +95,49 @@ class Recording:
             recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))
             recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
-        for raw in messages[f"{name}/surface"]:
-            recording.surfaces.append(parse_cloud(raw))
-        if len({len(surface) for surface in recording.surfaces}) > 1:
-            raise ValueError("its surfaces have different numbers of points")
-        check_journal(recording.journal, n_bodies, recording.first_tick, float(config["parameters"]["rate"]))
+        rate = float(config["parameters"]["rate"])
+        for one in organs:
+            check_journal(one.journal | {"wrenches": recording.wrench_rows}, n_bodies, one.first_tick, rate)
         return recording
 
     @property
+    def wrench_rows(self) -> np.ndarray:
+        """Which tick each wrench shows, records of bag.WrenchRow."""
+        return (self.organs[0] if self.joined is None else self.joined).journal["wrenches"]
+
+    @property
     def first_tick(self) -> int:
-        """That of the state."""
-        return int(self.state["status"]["tick"].item())
+        """That of the states."""
+        return self.organs[0].first_tick
 
     @property
     def last_tick(self) -> int:
         """The last one that the journal knows."""
-        rows = self.journal
-        ticks = [rows[kind]["tick"] for kind in SHOWING]
-        return int(max([np.max(found) for found in ticks if len(found)], default=0))
+        rows = [one.journal[kind]["tick"] for one in self.organs for kind in ("inputs", "surfaces")]
+        return int(max([np.max(found) for found in [*rows, self.wrench_rows["tick"]] if len(found)], default=0))
 
     def shown(self) -> Shown:
         """What the bag shows; rows of the journal whose messages were lost are left out, and messages without a row."""
-        rows, tools = self.journal, self.config["tools"]
-        ticks = [rows["wrenches"]["tick"][rows["wrenches"]["tool"] == tool] for tool in range(len(tools))]
+        rows, tools = self.wrench_rows, self.config["tools"]
+        ticks = [rows["tick"][rows["tool"] == tool] for tool in range(len(tools))]
         lengths = [min(len(found), len(wrenches)) for found, wrenches in zip(ticks, self.wrenches, strict=True)]
-        n_shapes = min(len(rows["surfaces"]), len(self.surfaces))
-        n_surface = len(self.surfaces[0]) if self.surfaces else 0
+        shapes = [min(len(one.journal["surfaces"]), len(one.surfaces)) for one in self.organs]
         return Shown(
             tools,
             [found[:length] for found, length in zip(ticks, lengths, strict=True)],
             [np.array(found[:length]).reshape(-1, 6) for found, length in zip(self.wrenches, lengths, strict=True)],
-            np.asarray(rows["surfaces"]["tick"][:n_shapes]),
-            np.array(self.surfaces[:n_shapes], dtype=np.float32).reshape(n_shapes, n_surface, 3),
+            [one.journal["surfaces"]["tick"][:count] for one, count in zip(self.organs, shapes, strict=True)],
+            [
+                np.array(one.surfaces[:count], dtype=np.float32).reshape(count, len(one.surfaces[0]) if count else 0, 3)
+                for one, count in zip(self.organs, shapes, strict=True)
+            ],
         )
-
-
-def settings_of(path: Path, recorded: np.ndarray) -> Settings:
-    """Settings from a record of them; raises UserError naming a field that one of both lacks."""
-    names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
-    if differing := sorted(set(names) ^ set(wanted)):
-        raise UserError(
-            f"bag {path}: setting '{differing[0]}' is not in both, the bag and this version; record it again"
-        )
-    settings = Settings.new()
-    for name in names:
-        setattr(settings, name, recorded[name][()])
-    check_settings(settings)
-    return settings
 
 
 def tools_of(config: dict[str, Any]) -> list[Tool]:
     """The tools of a bag's configuration."""
     parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")
     return [Tool(name, **{key: parameters[f"{name}.{key}"] for key in keys}) for name in config["tools"]]
-
-
-def recorded_organ(recording: Recording) -> Organ:
-    """The organ that a bag holds."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "organ.npz"
-        path.write_bytes(recording.organ)
-        return Organ.load(path)
 
 
 def _pose_of(values: Sequence[float]) -> Floats:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 from typing import Any
 
+from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.script import ACTIONS, check
 from tissue_sim.ros.shared import client
 
@@ -29,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=client.number(1e-4, 0.1, "m"),
         help="of the tools, m: how far from the organ they begin to touch it (default: the node's largest)",
     )
+    parser.add_argument("--organ", metavar="NAME", help="which of a scene's organs (default: the first one)")
     parser.add_argument(
         "--script",
         type=lambda text: tuple(word.strip() for word in text.split(",")),
@@ -53,12 +56,14 @@ def run(args: argparse.Namespace) -> int:
 
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
         parameters = NodeParameters(node, args.node)
-        meshes = client.Inbox(node, Mesh, f"/{args.node}/mesh", client.latched_qos())
-        mesh = client.wait_until(meshes.take, args.wait, stop)
-        values = None if mesh is None else client.wait_until(parameters.poll, args.wait, stop)
+        values = client.wait_until(parameters.poll, args.wait, stop)
         if values is None:
-            what = f"mesh on /{args.node}/mesh" if mesh is None else f"answer from /{args.node}/get_parameters"
-            return 0 if stop else _not_there(args, what)
+            return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
+        topic = f"/{args.node}/{_organ_of(values, args)}mesh"
+        meshes = client.Inbox(node, Mesh, topic, client.latched_qos())
+        mesh = client.wait_until(meshes.take, args.wait, stop)
+        if mesh is None:
+            return 0 if stop else _not_there(args, f"mesh on {topic}")
         links, script, jaws, radius = cast(values, args)
         tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
         organ: Any = client.mesh_arrays(mesh)
@@ -80,6 +85,17 @@ def run(args: argparse.Namespace) -> int:
         late = f", {player.skipped} skipped" if player.skipped else ""
         print(f"{sent} poses sent{late}, {received} wrenches received, peak force: {peaks}", flush=True)
     return 0
+
+
+def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
+    """What the topics of the organ to play with begin with, below the node's name: of a scene its name."""
+    from tissue_sim.ros.shared.parameters import TOLD
+
+    names = list(values.get(TOLD, ()))  # of a node that tells nothing: one organ
+    if args.organ and args.organ not in names:
+        there = f"it serves {', '.join(names)}" if names else "it serves one organ, without a name"
+        raise UserError(f"/{args.node} has no organ '{args.organ}': {there}")
+    return f"{args.organ or names[0]}/" if names else ""
 
 
 def _not_there(args: argparse.Namespace, what: str) -> int:

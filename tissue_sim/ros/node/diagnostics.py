@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from tissue_sim.model.state import FAULT_NAMES
+from tissue_sim.model.state import FAULT_NAMES, Results
 from tissue_sim.ros.node.loop_timing import MOST_BEHIND, TimingReader
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import STARVED, Report
 
 MOST_LATE = 0.01  # share of late ticks; single ones come with every kernel that is not a real-time one
@@ -48,21 +49,20 @@ class Diagnostics:
 
 
 class LoopReport:
-    """Tells how the physics loop keeps time, and what it did."""
+    """Tells how the physics loop keeps time, and what it did. names: of the organs, or one that is empty."""
 
-    def __init__(self, physics: Physics) -> None:
-        self._physics = physics
-        self._timing = TimingReader(physics)
+    def __init__(self, organs: Organs, names: Sequence[str]) -> None:
+        self._organs, self._names = organs, names
+        self._timing = TimingReader(organs)
 
     def report(self, report: Report) -> None:
         """Add the loop's times and counters since the last report."""
-        timing, (status, count, _, _) = self._timing.read(), self._physics.results()
+        timing, results = self._timing.read(), [one.results() for one in self._organs.each]
         busy = np.percentile(timing.busy, [50.0, 99.0]) if timing.ticks else np.zeros(2)
-        region = "asleep" if status.asleep else ("whole", "frozen", "modal")[status.region]
         report.values |= {
-            "tick": status.tick,
+            "tick": results[0].status.tick,
             "tick_rate_hz": timing.rate,
-            "realtime_priority": self._physics.loop.priority,
+            "realtime_priority": self._organs.loop.priority,
             "tick_p50_us": 1e6 * float(busy[0]),
             "tick_p99_us": 1e6 * float(busy[1]),
             "late_p99_us": 1e6 * float(np.percentile(timing.late, 99.0)) if timing.ticks else 0.0,
@@ -70,25 +70,12 @@ class LoopReport:
             "real_time_factor": timing.real_time_factor,
             "behind_ms": 1e3 * timing.behind,
             "load": timing.load,
-            "region": region,
-            "active_nodes": status.active,
-            "contact_count": status.touching,
-            "substeps": status.substeps,
-            "frozen_ticks": count.frozen_ticks,
-            "modal_ticks": count.modal_ticks,
-            "slewed_ticks": count.slewed_ticks,
-            "steps_found_too_long": count.shivers,  # no problem: each was halved before anything was lost
-            "last_fault": FAULT_NAMES[status.fault_kind],
-            "turned_cells": status.turned,
-            "skipped.asleep": count.asleep_ticks,
-            "skipped.small_load": count.frozen_ticks + count.modal_ticks,
         }
-        report.problems |= {
-            "faults": count.faults,
-            "false_rest_shapes": count.snaps,
-            "clamped_ticks": count.clamped_ticks,
-            "dropped_ticks": timing.dropped,
-        }
+        for name, one in zip(self._names, results, strict=True):
+            _add_organ(report, f"{name}." if name else "", one)
+        if len(results) > 1:
+            _add_all(report, results)
+        report.problems["dropped_ticks"] = timing.dropped
         if timing.behind > MOST_BEHIND or abs(timing.real_time_factor - 1.0) > DRIFT:
             report.warnings.append(
                 f"simulated time was {1e3 * timing.behind:.1f} ms behind,"
@@ -96,10 +83,42 @@ class LoopReport:
             )
         if timing.late_share > MOST_LATE:
             report.warnings.append(f"{timing.late_ticks} ticks were late by more than a period")
-        if not self._physics.loop.alive:
+        if not self._organs.loop.alive:
             report.failures.append("the physics loop has ended")
-        elif not self._physics.answers:
+        elif not self._organs.answers:
             report.failures.append(STARVED)
+
+
+def _add_organ(report: Report, before: str, results: Results) -> None:
+    """What an organ did; `before` stands in front of each name."""
+    status, count = results.status, results.count
+    values = {
+        "region": "asleep" if status.asleep else ("whole", "frozen", "modal")[status.region],
+        "active_nodes": status.active,
+        "contact_count": status.touching,
+        "substeps": status.substeps,
+        "frozen_ticks": count.frozen_ticks,
+        "modal_ticks": count.modal_ticks,
+        "slewed_ticks": count.slewed_ticks,
+        "steps_found_too_long": count.shivers,  # no problem: each was halved before anything was lost
+        "last_fault": FAULT_NAMES[status.fault_kind],
+        "turned_cells": status.turned,
+        "skipped.asleep": count.asleep_ticks,
+        "skipped.small_load": count.frozen_ticks + count.modal_ticks,
+    }
+    problems = {"faults": count.faults, "false_rest_shapes": count.snaps, "clamped_ticks": count.clamped_ticks}
+    report.values |= {f"{before}{name}": value for name, value in values.items()}
+    report.problems |= {f"{before}{name}": value for name, value in problems.items()}
+
+
+def _add_all(report: Report, results: Sequence[Results]) -> None:
+    """What the organs of a scene did together."""
+    awake = sum(not one.status.asleep for one in results)
+    report.values |= {
+        "region": f"{awake} of {len(results)} organs awake" if awake else "asleep",
+        "active_nodes": sum(one.status.active for one in results),
+        "contact_count": sum(one.status.touching for one in results),
+    }
 
 
 def _text(value: Any) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tissue_sim.ros.node.sim_clock import SimClock
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 
 FIRST_PERIOD = 1e-3  # s between two messages, until they come
 LONGEST_PERIOD = 0.1  # s between two messages of a stream
@@ -19,8 +19,8 @@ class Freshness:
     jumps back, or is exchanged, begins anew.
     """
 
-    def __init__(self, clock: SimClock, physics: Physics) -> None:
-        self._clock, self._physics = clock, physics
+    def __init__(self, clock: SimClock, organs: Organs) -> None:
+        self._clock, self._organs = clock, organs
         self._came, self._stamp = -math.inf, 0  # s, ns
         self._period = FIRST_PERIOD  # s, on average
         clock.jumped.append(self._forget)
@@ -40,13 +40,13 @@ class Freshness:
     @property
     def is_fresh(self) -> bool:
         """True until `stale_time` has gone by without a message."""
-        return not self._physics.loop.standing and self.age <= self._physics.settings().stale_time
+        return not self._organs.loop.standing and self.age <= self._organs.settings().stale_time
 
     @property
     def counts(self) -> bool:
         """True until what is stale has faded too, a `ramp_time` later."""
-        settings = self._physics.settings()
-        return not self._physics.loop.standing and self.age < settings.stale_time + settings.ramp_time
+        settings = self._organs.settings()
+        return not self._organs.loop.standing and self.age < settings.stale_time + settings.ramp_time
 
     @property
     def last_stamp(self) -> int:

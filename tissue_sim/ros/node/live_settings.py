@@ -13,8 +13,8 @@ from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.freshness import Freshness
+from tissue_sim.ros.node.served_organ import ServedScene
 from tissue_sim.ros.shared.parameters import Parameters
-from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.report import Report
 
 LEAST_RATE = 50.0  # Hz
@@ -25,19 +25,18 @@ WORTH = 0.9  # share of the substeps a second that half the rate may leave at th
 class LiveSettings:
     """Works out settings from parameters and the level of degradation, and posts them. Any thread may call.
 
-    post takes settings to the loop; poses tells how often those of each tool come.
+    post takes settings of an organ, by its number, to the loop; poses tells how often those of each tool come.
     """
 
     def __init__(
         self,
-        simulation: Simulation,
-        physics: Physics,
+        served: ServedScene,
         parameters: Parameters,
-        post: Callable[[Settings], None],
+        post: Callable[[int, Settings], None],
         poses: Sequence[Freshness],
     ) -> None:
         self._poses = poses
-        self._simulation, self._physics, self._parameters, self._post = simulation, physics, parameters, post
+        self._served, self._parameters, self._post = served, parameters, post
         self._lock = threading.Lock()
         self.level = degrade.NONE
 
@@ -45,16 +44,30 @@ class LiveSettings:
         """Post the settings anew if they changed; level: the new level of degradation."""
         with self._lock:
             self.level = self.level if level is None else level
-            settings = self._simulation.settings
-            before = copy_of(settings)
-            self._parameters.apply(settings)
-            settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
-            settings.coupling_stiffness = min(settings.coupling_stiffness, self._passive(settings.tick_time))
-            if self.level >= degrade.REGION and self._simulation.local_region == "auto":
-                settings.region_force = ANY_FORCE
-            if (words_of(settings) != words_of(before)).any():
-                self._simulation.set_substeps()
-                self._post(copy_of(settings))
+            every = [one.settings for one in self._served.simulations]
+            before = [copy_of(settings) for settings in every]
+            for settings, stiffness in zip(every, self._served.stiffness, strict=True):
+                self._apply(settings, stiffness)
+            if not any(map(_differ, every, before)):
+                return
+            self._served.set_substeps()
+            for organ, (settings, old) in enumerate(zip(every, before, strict=True)):
+                if _differ(settings, old):
+                    self._post(organ, copy_of(settings))
+
+    def _apply(self, settings: Settings, stiffness: float) -> None:
+        """What parameters and level say for an organ; stiffness: the scene's factor on that of its tissue."""
+        self._parameters.apply(settings)
+        settings.stiffness_scale *= stiffness
+        settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
+        settings.coupling_stiffness = min(settings.coupling_stiffness, self._passive(settings.tick_time))
+        if self.level >= degrade.REGION and self._first.local_region == "auto":
+            settings.region_force = ANY_FORCE
+
+    @property
+    def _first(self) -> Simulation:
+        """All have the same rate and local region."""
+        return self._served.simulations[0]
 
     def _passive(self, tick_time: float) -> float:
         """Stiffest coupling, N/m, that the devices whose damping is known render passively.
@@ -70,17 +83,17 @@ class LiveSettings:
     @property
     def coupling_stiffness(self) -> float:
         """N/m between device and tool, as it is in use."""
-        return float(self._simulation.settings.coupling_stiffness)
+        return float(self._first.settings.coupling_stiffness)
 
     def describe(self) -> str:
         """What is given up at the present level, or that nothing is."""
         words = []
         if self.level >= degrade.MARKERS and self._parameters["marker_rate"] > degrade.MARKER_RATE:
             words.append(f"markers at {degrade.MARKER_RATE:g} Hz")
-        if self.level >= degrade.REGION and self._simulation.local_region == "auto":
+        if self.level >= degrade.REGION and self._first.local_region == "auto":
             words.append("a modal region under any load")
         if degrade.halvings(self.level):
-            words.append(f"{1.0 / self._physics.tick_time:g} Hz")
+            words.append(f"{1.0 / float(self._first.settings.tick_time):g} Hz")
         return ", ".join(words) or "nothing is given up"
 
     def report(self, report: Report) -> None:
@@ -108,10 +121,15 @@ class LiveSettings:
         if level == degrade.MARKERS:
             return bool(self._parameters["marker_rate"] > degrade.MARKER_RATE)
         if level == degrade.REGION:  # the other kinds of region either are as small already, or have no tables
-            return self._simulation.local_region == "auto"
+            return self._first.local_region == "auto"
         tick_time = 2.0 ** degrade.halvings(level) / self._parameters["rate"]
         return tick_time * LEAST_RATE <= 1.0 and self._work(tick_time) <= WORTH * self._work(0.5 * tick_time)
 
     def _work(self, tick_time: float) -> float:
         """Substeps a second with ticks of so many s. Beyond one in a tick, fewer ticks leave as many substeps."""
-        return substeps_for(tick_time, self._simulation.longest_step) / tick_time
+        longest = min(one.longest_step for one in self._served.simulations)
+        return substeps_for(tick_time, longest) / tick_time
+
+
+def _differ(one: Settings, other: Settings) -> bool:
+    return bool((words_of(one) != words_of(other)).any())

@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.model import mailboxes as mb
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 
 MOST_BEHIND = 0.005  # s that simulated and wall time may be apart before it is told
 
@@ -48,8 +48,8 @@ class Timing:
 class TimingReader:
     """Looks at what a loop notes now and then; each reader has its own last look."""
 
-    def __init__(self, physics: Physics) -> None:
-        self._physics, self._words = physics, physics.loop.words
+    def __init__(self, organs: Organs) -> None:
+        self._organs, self._words = organs, organs.loop.words
         self._last = self._look()
 
     def read(self) -> Timing:
@@ -94,7 +94,7 @@ class TimingReader:
 
     def _tick_time(self) -> float:
         """s, of the newest settings."""
-        return self._physics.tick_time
+        return self._organs.tick_time
 
 
 @dataclass(frozen=True)

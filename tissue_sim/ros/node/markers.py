@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -106,26 +106,40 @@ class MarkerBytes:
 
 
 class OrganMarkers:
-    """The MarkerArray of a scene: surface, skeleton and an arrow for each tool's contact force.
+    """The MarkerArray of organs: the surface and the skeleton of each, and an arrow for each tool's contact force.
 
-    Coloured, the surface has a colour for each corner of a triangle, which makes the message two thirds longer.
+    organs: by what stands in front of their markers' namespaces, nothing for an only one. Coloured, a surface has a
+    colour for each corner of a triangle, which makes the message two thirds longer.
     """
 
-    def __init__(self, frame_id: str, organ: Organ, n_tools: int, coloured: bool = False) -> None:
-        self._corners = organ.surface_triangles.ravel().astype(np.int64)
-        self._bones = organ.n_surface + skeleton_lines(organ)
-        surface = empty_marker(frame_id, "surface", 0, Marker.TRIANGLE_LIST, SURFACE_COLOUR, (1.0, 1.0, 1.0))
-        skeleton = empty_marker(frame_id, "skeleton", 0, Marker.LINE_LIST, SKELETON_COLOUR, (0.001, 0.0, 0.0))
-        surface.points = [Point()] * len(self._corners)
-        skeleton.points = [Point()] * len(self._bones)
-        if coloured:
-            surface.colors = [ColorRGBA()] * len(self._corners)
-        arrows = [force_arrow(frame_id, "contacts", tool) for tool in range(n_tools)]
-        # A marker with an empty list is refused by RViz: an organ without bones has no skeleton.
-        markers = [surface, *([skeleton] if len(self._bones) else []), *arrows]
+    def __init__(self, frame_id: str, organs: Mapping[str, Organ], n_tools: int, coloured: bool = False) -> None:
+        markers: list[Marker] = []
+        drawn: list[Longs] = []
+        self._surfaces: list[tuple[int, Longs]] = []  # marker of each, and its corners
+        first = 0  # node of an organ
+        for name, organ in organs.items():
+            before = f"{name}/" if name else ""
+            corners = first + organ.surface_triangles.ravel().astype(np.int64)
+            bones = first + organ.n_surface + skeleton_lines(organ)
+            surface = empty_marker(frame_id, f"{before}surface", 0, Marker.TRIANGLE_LIST, SURFACE_COLOUR, (1.0,) * 3)
+            skeleton = empty_marker(
+                frame_id, f"{before}skeleton", 0, Marker.LINE_LIST, SKELETON_COLOUR, (1e-3, 0.0, 0.0)
+            )
+            surface.points, skeleton.points = [Point()] * len(corners), [Point()] * len(bones)
+            if coloured:
+                surface.colors = [ColorRGBA()] * len(corners)
+            self._surfaces.append((len(markers), corners))
+            for marker, nodes in ((surface, corners), (skeleton, bones)):
+                if len(nodes):  # a marker with an empty list is refused by RViz: an organ may have no bones
+                    markers.append(marker)
+                    drawn.append(nodes)
+            first += organ.n_nodes
+        self._nodes = np.concatenate(drawn).astype(np.int64)
+        self._ends = np.cumsum([len(nodes) for nodes in drawn])
+        markers += [force_arrow(frame_id, "contacts", tool) for tool in range(n_tools)]
         self._bytes = MarkerBytes(markers)
         # Compiled here, or while somebody waits for the first message.
-        rest = organ.rest_positions
+        rest = np.concatenate([organ.rest_positions for organ in organs.values()])
         all_finite(rest)
         share = np.zeros(len(rest)) if coloured else None
         if share is not None:
@@ -135,13 +149,13 @@ class OrganMarkers:
     def message(
         self, stamp: int, positions: Floats, centre: Floats, wrench: Floats, share: Floats | None = None
     ) -> bytes:
-        """The message for a stamp in ns and positions (n, 3) m of all nodes.
+        """The message for a stamp in ns and positions (n, 3) m of all nodes, those of one organ behind another's.
 
         centre (T, 3) m where each tool touches, wrench (T, 6) what it feels; a tool without force has its arrow
-        deleted. share (n,): where each node stands on the scale of colours, 0 to 1, if it is coloured.
+        deleted. share (n,): where each node stands on the scale of colours, 0 to 1, if they are coloured.
         """
         template = self._bytes
-        write_organ(
+        write_organs(
             template.words,
             template.numbers,
             template.stamps,
@@ -149,13 +163,14 @@ class OrganMarkers:
             template.starts,
             *divmod(stamp, 1_000_000_000),
             positions,
-            self._corners,
-            self._bones,
+            self._nodes,
+            self._ends,
             centre,
             wrench,
         )
         if share is not None:
-            write_colours(template.colours[0], self._corners, share, SHADES)
+            for marker, corners in self._surfaces:
+                write_colours(template.colours[marker], corners, share, SHADES)
         return template.message()
 
     def deletion(self) -> bytes:
@@ -165,7 +180,7 @@ class OrganMarkers:
 
 # kernels ---------------------------------------------------------------------------------------
 @kernel
-def write_organ(
+def write_organs(
     words: Any,
     numbers: Any,
     stamps: Longs,
@@ -174,19 +189,20 @@ def write_organ(
     seconds: int,
     nanoseconds: int,
     positions: Floats,
-    corners: Longs,
-    bones: Longs,
+    nodes: Longs,
+    ends: Longs,
     centre: Floats,
     wrench: Floats,
 ) -> None:
-    """Write the surface by its corners, the skeleton by the ends of its bones, and an arrow for each tool."""
+    """Write markers by their nodes (k,), of which each has those up to its end (m,), and an arrow for each tool."""
     write_stamp(words, stamps, seconds, nanoseconds)
-    write_points(numbers, starts[0], positions, corners)
-    if len(bones) > 0:
-        write_points(numbers, starts[1], positions, bones)
-    first = len(starts) - len(centre)
+    first = 0
+    for marker in range(len(ends)):
+        write_points(numbers, starts[marker], positions, nodes[first : ends[marker]])
+        first = ends[marker]
     for tool in range(len(centre)):
-        write_force(words, numbers, actions[first + tool], starts[first + tool], centre[tool], wrench[tool])
+        arrow = len(ends) + tool
+        write_force(words, numbers, actions[arrow], starts[arrow], centre[tool], wrench[tool])
 
 
 @kernel

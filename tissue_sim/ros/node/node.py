@@ -1,4 +1,4 @@
-"""`tissue_node`: serves one organ at a fixed rate.
+"""`tissue_node`: serves one organ, or those of a scene, at a fixed rate.
 
 Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the outlet (markers,
 fading wrenches, journal, diagnostics); and the executor here, whose callbacks leave the newest
@@ -20,7 +20,6 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
 from tissue_sim.model.settings import Settings
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import bag
@@ -28,22 +27,26 @@ from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.contact_kernels import compile_beside
+from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
 from tissue_sim.ros.node.guarded import GuardedNode
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
-from tissue_sim.ros.node.presenter import Presenter
+from tissue_sim.ros.node.presenter import OrganPresenter, ScenePresenter
+from tissue_sim.ros.node.respiration import RespirationInput
+from tissue_sim.ros.node.served_organ import ServedOrgan, ServedScene, told
 from tissue_sim.ros.node.served_tool import ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tf_lookup import TfLookup, tf_installed
 from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.node.tool_presenter import ToolPresenter
 from tissue_sim.ros.shared.dds import told_reach
 from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
-from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.report import Report, Reports
 
@@ -62,52 +65,57 @@ class TissueNode(GuardedNode):
         self.parameters = Parameters(self)
         values = self.parameters
         self.frame_id: str = values["frame_id"]
-        self.organ_path = Path(values["organ_file"] or shipped_organ())
-        self.organ = Organ.load(self.organ_path)
-        self._organ_bytes = self.organ_path.read_bytes()
         tools = ToolSet([tool_of(values, name) for name in values.tools])
         if not is_compiled():
             self.get_logger().info("compiling the kernels, once for this machine: half a minute")
-            self._beside = compile_beside(self.organ_path)
-        self.simulation = Simulation(
-            self.organ,
-            model=values["model"],
-            rate=values["rate"],
-            local_region=values["local_region"],
-            shapes=tools.shapes,
-            return_target=values["return_target"],
-            integrator=values["integrator"],
-            gravity=values["gravity"],
-            shape_gravity=[0.0, 0.0, 0.0] if values["shape_is_unloaded"] else None,
-        )
-        values.apply(self.simulation.settings)
-        self.simulation.set_substeps()
-        self.loop = Loop([self.simulation])
-        self.physics = Physics(self.loop)
+            any_organ = Path(values["organ_file"] or shipped_organ())
+            self._beside = compile_beside(any_organ) if any_organ.is_file() else None
+        self.scene = ServedScene.of_parameters(values, tools.shapes)
+        values.tell_organs([name for name in self.scene.names if name])
+        for simulation, stiffness in zip(self.scene.simulations, self.scene.stiffness, strict=True):
+            values.apply(simulation.settings)
+            simulation.settings.stiffness_scale *= stiffness
+        self.scene.set_substeps()
+        self.loop = Loop(self.scene.simulations, self.scene.joined)
+        self.organs = Organs(self.loop)
+        self.served = [
+            ServedOrgan(name, organ, physics)
+            for name, organ, physics in zip(self.scene.names, self.scene.organs, self.organs.each, strict=True)
+        ]
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
         self._woken = threading.Event()
         self.sim_clock = SimClock(self, self.loop)
-        self.recorder = Recorder(self.get_fully_qualified_name(), self.physics.n_bodies, self._config())
+        files = {one.name: (one.organ, one.organ.to_bytes) for one in self.served}
+        self.recorder = Recorder(self.get_fully_qualified_name(), self.organs, files, self._config())
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
-        finder = ContactFinder(self.organ.rest_positions, self.organ.surface_triangles, self.organ.n_surface, tools)
-        self.contacts = ContactWorker(
-            finder, self.physics, self.ports, self.recorder, self._woken, self.get_logger().warning
-        )
-        self.finder = finder
+        warn, of_organ = self.get_logger().warning, self.recorder.of_organ
+        searches = [
+            ContactSearch(self._finder(one.organ, tools), one, self.ports, recorder, warn)
+            for one, recorder in zip(self.served, of_organ, strict=True)
+        ]
+        joined = self.recorder.joined
+        pairs = None if joined is None else PairSearch(self.organs, joined)
+        self.contacts = ContactWorker(searches, pairs, self.ports, self._woken, warn)
+        self._warm_up = [
+            partial(one.finder.warm_up, served.organ.rest_positions)
+            for one, served in zip(searches, self.served, strict=True)
+        ]
+        self.respiration = None
+        if joined is not None and self.scene.joined is not None and self.scene.joined.carried.breath.follows:
+            self.respiration = RespirationInput(self, self.loop, joined, self.sim_clock)
         broadcast = None
         if values["broadcast_tf"] and tf_installed():
             broadcast = TfBroadcast(self, self.frame_id, values.tools, placed_frames(values, values.tools))
-        self.presenter = Presenter(
-            self, self.organ, self.frame_id, self.physics, self.ports, self.recorder, tools, broadcast
-        )
-        self.diagnostics = Diagnostics(self, self.organ.name)
-        self.live = LiveSettings(
-            self.simulation,
-            self.physics,
-            values,
-            self._post_settings,
-            [port.pose_freshness for port in self.ports],
-        )
+        self.presenters: list[OrganPresenter | ScenePresenter] = [
+            OrganPresenter(self, one, self.frame_id, self.ports, recorder, values)
+            for one, recorder in zip(self.served, of_organ, strict=True)
+        ]
+        if self.scene.is_scene:
+            self.presenters.append(ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, values))
+        self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, broadcast)
+        self.diagnostics = Diagnostics(self, self.scene.title)
+        freshness = [port.pose_freshness for port in self.ports]
+        self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
         self.namesakes = Namesakes(self)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
@@ -121,29 +129,25 @@ class TissueNode(GuardedNode):
     def start(self) -> None:
         """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
         self.live.update()
-        self.loop.start()
-        self.finder.warm_up(self.organ.rest_positions)  # after the tick, beside which its kernels were compiled
+        self._start_loop()
+        for warm_up in self._warm_up:  # after the tick, beside which its kernels were compiled
+            warm_up()
         self._prefer(self.parameters["realtime_priority"])
+        tools = self.tool_presenter
+        show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips, self.recorder.poll]
         outlet = self._outlet = Outlet(
-            self.parameters,
-            self.physics,
-            self.ports,
-            self.presenter,
-            self.live,
-            self.sim_clock,
-            partial(self.recorder.poll, self.physics),
-            self._report,
-            self.get_logger(),
+            self.organs, self.ports, show, self.live, self.sim_clock, self._report, self.get_logger()
         )
         self._parts = [
-            LoopReport(self.physics),
+            LoopReport(self.organs, self.scene.names),
             self.sim_clock,
             self.live,
             self.namesakes,
             *self.ports,
             self.recorder,
             self.contacts,
-            self.presenter,
+            *(one for one in self.presenters if isinstance(one, OrganPresenter)),
+            *([self.respiration] if self.respiration is not None else []),
             outlet,
             self.mishaps,
         ]
@@ -152,13 +156,21 @@ class TissueNode(GuardedNode):
         if self.parameters["record"]:
             self.get_logger().info(f"recording to {self._start_recording()}")
         outlet.start()
-        organ = self.organ
+        simulations = self.scene.simulations
+        substeps = max(int(max(one.settings.substeps, one.settings.least_substeps)) for one in simulations)
         self.get_logger().info(
-            f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms;"
-            f" model {self.simulation.variant}, {self.simulation.rate:g} Hz,"
-            f" {int(self.simulation.settings.substeps)} substeps; tools: {', '.join(self.parameters.tools)};"
-            f" {told_reach()}"
+            f"{told(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g} Hz,"
+            f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {told_reach()}"
         )
+
+    def _start_loop(self) -> None:
+        """A scene's loop is compiled for its number of organs."""
+        line = f"compiling the loop of {len(self.served)} organs, once for this machine"
+        slow = threading.Timer(3.0, lambda: self.get_logger().info(line))
+        if self.scene.is_scene:
+            slow.start()
+        self.loop.start()
+        slow.cancel()
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
@@ -168,15 +180,16 @@ class TissueNode(GuardedNode):
         for port in self.ports:
             with noted():
                 port.output.publish_zero()
-        with noted():
-            self.presenter.close()
+        for presenter in (*self.presenters, self.tool_presenter):
+            with noted():
+                presenter.close()
         self.contacts.stop()
         with noted():
             self._close_bag()
         self.loop.stop()
 
     def _close_bag(self) -> None:
-        path = self.recorder.stop(self.physics, BAG_PATIENCE)
+        path = self.recorder.stop(BAG_PATIENCE)
         if path is not None and self.recorder.error:
             self.get_logger().error(self.recorder.error)
         elif path is not None:
@@ -199,18 +212,23 @@ class TissueNode(GuardedNode):
         values = self.parameters
         topics, frames = topics_of(values, name), frames_of(values, name, self._lookup)
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
-        return ToolPort(self, tool, self.physics, self.recorder, self.sim_clock, self._woken)
+        return ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self._woken)
+
+    def _finder(self, organ: Organ, tools: ToolSet) -> ContactFinder:
+        return ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
 
     def _config(self) -> dict[str, Any]:
+        scene = self.scene
+        organs = [{"name": organ.name, "digest": organ.digest()} for organ in scene.organs]
+        of_scene = {"scene": scene.title, "organs": dict(zip(scene.names, organs, strict=True))}
         return {
             "format": bag.FORMAT,
             "package_version": tissue_sim.__version__,
             "node": self.get_fully_qualified_name(),
-            "organ": {"name": self.organ.name, "digest": self.organ.digest()},
             "parameters": self.parameters.values(),
-            "shape_gravity": self.simulation.model.shape_gravity.tolist(),
+            "shape_gravity": scene.simulations[0].model.shape_gravity.tolist(),
             "tools": self.parameters.tools,
-        }
+        } | (of_scene if scene.is_scene else {"organ": organs[0]})
 
     # services and parameters -------------------------------------------------------------------
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -223,7 +241,7 @@ class TissueNode(GuardedNode):
             if request.data:
                 response.success, response.message = True, str(self._start_recording())
             else:
-                path, error = self.recorder.stop(self.physics), self.recorder.error
+                path, error = self.recorder.stop(), self.recorder.error
                 response.success = path is not None and not error
                 response.message = error or (str(path) if path is not None else "nothing was being recorded")
         except UserError as error:
@@ -235,11 +253,11 @@ class TissueNode(GuardedNode):
         values = self.parameters
         folder = self._bags.inside(values["record_folder"])  # a link may lead elsewhere by now
         split = Split(1e6 * values["record_split_size"], values["record_split_duration"])
-        return self.recorder.start(folder, self.physics, self._organ_bytes, self.presenter.mesh_bytes, newest, split)
+        return self.recorder.start(folder, newest, split)
 
-    def _post_settings(self, settings: Settings) -> None:
+    def _post_settings(self, organ: int, settings: Settings) -> None:
         with self.recorder.together:
-            self.recorder.settings(self.physics.post_settings(settings), settings)
+            self.recorder.of_organ[organ].settings(self.organs.each[organ].post_settings(settings), settings)
 
     def _on_parameters(self, _: set[str]) -> None:
         self.contacts.rate = self.parameters["contact_rate"]

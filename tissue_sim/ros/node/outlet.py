@@ -11,11 +11,9 @@ from tissue_sim.memory import give_back
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.loop_timing import TimingReader
-from tissue_sim.ros.node.presenter import Presenter
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_port import ToolPort
-from tissue_sim.ros.shared.parameters import Values
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report, Trouble
 
 SILENCE = 0.003  # s without a wrench after which the outlet goes on publishing it
@@ -44,21 +42,18 @@ class Outlet:
 
     def __init__(
         self,
-        values: Values,
-        physics: Physics,
+        organs: Organs,
         ports: Sequence[ToolPort],
-        presenter: Presenter,
+        show: Sequence[Callable[[], None]],
         live: LiveSettings,
         sim_clock: SimClock,
-        poll_bag: Callable[[], None],
         tell: Callable[[], None],
         logger: Logger,
     ) -> None:
-        self._values, self._physics, self._ports = values, physics, list(ports)
-        self._presenter, self._live, self._sim_clock = presenter, live, sim_clock
-        self._poll_bag, self._tell, self._logger = poll_bag, tell, logger
+        self._organs, self._ports, self._show = organs, list(ports), list(show)
+        self._live, self._sim_clock, self._tell, self._logger = live, sim_clock, tell, logger
         self._trouble = Trouble("outlet", logger.warning)
-        self._load = TimingReader(physics)
+        self._load = TimingReader(organs)
         self._ladder = degrade.Ladder()
         self._seen: tuple[int, ...] = ()
         self._next_marker = self._next_look = self._next_report = self._next_return = 0.0
@@ -97,14 +92,9 @@ class Outlet:
         now = time.monotonic()
         if now >= self._next_marker:
             self._next_marker = max(self._next_marker + 1.0 / self._marker_rate(), now)
-            with noted():
-                self._presenter.present(self._values["record_markers"], self._values["marker_colour"])
-            with noted():
-                self._presenter.present_tools()
-            with noted():
-                self._presenter.broadcast_tips()
-            with noted():
-                self._poll_bag()
+            for show in self._show:
+                with noted():
+                    show()
         if now >= self._next_look:
             self._next_look = max(self._next_look + degrade.LOOK_EVERY, now)
             with noted():
@@ -118,11 +108,11 @@ class Outlet:
             self._next_return = now + GIVE_BACK_EVERY
             give_back()
         wait = min(self._next_marker, self._next_look) - time.monotonic()
-        return min(wait, self._physics.tick_time) if fading else wait
+        return min(wait, self._organs.tick_time) if fading else wait
 
     def _marker_rate(self) -> float:
         """Nothing moves in an organ that sleeps, but somebody may have come to look."""
-        before, self._seen = self._seen, (self._physics.surface_sequence, *(port.input.poses for port in self._ports))
+        before, self._seen = self._seen, (*self._organs.surface_sequences, *(port.input.poses for port in self._ports))
         rate = self._live.marker_rate
         return rate if self._seen != before else min(rate, IDLE_MARKER_RATE)
 

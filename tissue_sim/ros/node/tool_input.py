@@ -22,7 +22,7 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
 from tissue_sim.ros.shared.frames import Transform, UnknownFrame
 from tissue_sim.ros.shared.messages import NumbersTemplate
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_POSE, N_WRENCH, POSE_TYPES, Incoming
 
@@ -48,13 +48,13 @@ class ToolInput:
         self,
         node: Node,
         tool: ServedTool,
-        physics: Physics,
+        organs: Organs,
         recorder: Recorder,
         freshness: tuple[Freshness, Freshness],
         pose_came: Callable[[], None],
         force_came: Callable[[], None],
     ) -> None:
-        self._tool, self._physics, self._recorder = tool, physics, recorder
+        self._tool, self._organs, self._recorder = tool, organs, recorder
         self._pose_freshness, self._force_freshness = freshness
         self._pose_came, self._force_came = pose_came, force_came
         self._log, self._clock = node.get_logger(), node.get_clock()
@@ -115,7 +115,7 @@ class ToolInput:
             if tool.is_gripper:
                 self._recorder.received(self._bagged_angle, angle)
             for body, at in zip(tool.bodies, placed, strict=True):
-                sequence = self._physics.post_pose(body, at, stamp)
+                sequence = self._organs.post_pose(body, at, stamp)
             self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
             self._pose_freshness.came(message.stamp)
             self.poses += 1
@@ -141,7 +141,7 @@ class ToolInput:
             with self._as("hard_force"):
                 check_force(force)
             self._recorder.received(self._bagged_force, raw)
-            self._newest_force = (self._physics.post_force(self._tool.bodies[0], force), raw)
+            self._newest_force = (self._organs.post_force(self._tool.bodies[0], force), raw)
             self._force_came()
 
     def _read(

@@ -16,7 +16,7 @@ from tissue_sim.contact.quaternions import rotate_back
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.messages import NumbersTemplate
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.qos import RELIABLE, STREAM
 from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
@@ -28,8 +28,8 @@ class ToolOutput:
     rate when poses stop, until the wrench is zero.
     """
 
-    def __init__(self, node: Node, tool: ServedTool, physics: Physics, recorder: Recorder) -> None:
-        self._tool, self._physics, self._recorder = tool, physics, recorder
+    def __init__(self, node: Node, tool: ServedTool, organs: Organs, recorder: Recorder) -> None:
+        self._tool, self._organs, self._recorder = tool, organs, recorder
         self._clock = node.get_clock()
         self._pose = tool.nowhere  # what was answered last
         self.force = 0.0  # N, magnitude last published
@@ -72,7 +72,7 @@ class ToolOutput:
             self._send(-1, np.zeros(6))
 
     def _send_newest(self) -> None:
-        tick, wrenches = self._physics.wrenches()
+        tick, wrenches = self._organs.wrenches()
         self._send(tick, self._tool.wrench(wrenches, self._pose))
 
     def _send(self, tick: int, wrench: Floats) -> None:

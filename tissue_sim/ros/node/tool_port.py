@@ -13,7 +13,7 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_input import ToolInput
 from tissue_sim.ros.node.tool_output import ToolOutput
-from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
 
@@ -27,16 +27,16 @@ class ToolPort:
         self,
         node: Node,
         tool: ServedTool,
-        physics: Physics,
+        organs: Organs,
         recorder: Recorder,
         clock: SimClock,
         woken: threading.Event,
     ) -> None:
-        self._tool, self._physics, self._woken = tool, physics, woken
-        self.pose_freshness, self.force_freshness = Freshness(clock, physics), Freshness(clock, physics)
-        self.output = ToolOutput(node, tool, physics, recorder)
+        self._tool, self._organs, self._woken = tool, organs, woken
+        self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
+        self.output = ToolOutput(node, tool, organs, recorder)
         freshness = self.pose_freshness, self.force_freshness
-        self.input = ToolInput(node, tool, physics, recorder, freshness, self._answer, woken.set)
+        self.input = ToolInput(node, tool, organs, recorder, freshness, self._answer, woken.set)
 
     @property
     def name(self) -> str:
@@ -63,7 +63,7 @@ class ToolPort:
             return "none"
         if not self.pose_freshness.is_fresh:
             return "stale"
-        return "fresh" if self._physics.results().bodies[self.bodies[0]].engaged else "refused"
+        return "fresh" if self._organs.engages(self.bodies[0]) else "refused"
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""

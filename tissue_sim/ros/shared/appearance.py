@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 Colour = tuple[int, int, int]
 
 TISSUE: Colour = (146, 52, 46)
+# Of organs, by a word in their names.
+BASE: dict[str, Colour] = {
+    "liver": (122, 58, 44),
+    "spleen": (108, 44, 62),
+    "kidney": TISSUE,
+}
 # Where the surface has moved by more than so many mm, it has this colour.
 BANDS: tuple[tuple[float, Colour], ...] = (
     (0.5, (176, 66, 48)),
@@ -23,6 +29,12 @@ MARKER_COLOURS = ("none", "displacement", "force", "region")
 FULL_DISPLACEMENT = 1e-3 * BANDS[-1][0]  # m with the last colour
 FULL_FORCE = 0.1  # N on a node with the last colour
 MOVING = 0.4  # share of the scale for a node that the last tick moved
+
+
+def tissue_colour(name: str) -> Colour:
+    """Of an organ at rest, by its name."""
+    return next((colour for word, colour in BASE.items() if word in name.lower()), TISSUE)
+
 
 _AT = np.array([0.0, *(level for level, _ in BANDS)]) / BANDS[-1][0]
 _N_SHADES = 256

@@ -8,9 +8,12 @@ import threading
 import time
 from collections.abc import Sequence
 
+import numpy as np
+
 from tissue_sim.jit import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
+from tissue_sim.model.joined_box import make_joined_box
 from tissue_sim.model.pairs import PairSet, used_words
 from tissue_sim.model.records import copy_of
 from tissue_sim.model.simulation import Simulation
@@ -29,11 +32,13 @@ class Loop:
     """
 
     def __init__(self, simulations: Sequence[Simulation], joined: Joined | None = None) -> None:
-        self.simulations, self._joined = tuple(simulations), joined
+        self.simulations, self.joined = tuple(simulations), joined
         self.boxes = tuple(mb.make_mailboxes(one.state) for one in simulations)
         self.words = mb.make_loop_words()
-        self.joined_box = None if joined is None else mb.make_joined_box()
-        self._pairs = None if self.joined_box is None else handle(self.joined_box.pairs)
+        self.joined_box = None if joined is None else make_joined_box(len(simulations[0].shapes.kind))
+        self._pairs = self._respiration = None
+        if self.joined_box is not None:
+            self._pairs, self._respiration = handle(self.joined_box.pairs), handle(self.joined_box.respiration)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self.ended = False  # though nobody has asked for that
         self.failure: BaseException | None = None  # what ended it
@@ -54,8 +59,8 @@ class Loop:
             for one in self.simulations
         )
         loop = worlds, tuple(map(handle, self.boxes)), handle(self.words)
-        if self._joined is not None:
-            rt.run_joined_loop(*loop, self._joined.handle, handle(self.joined_box))
+        if self.joined is not None:
+            rt.run_joined_loop(*loop, self.joined.handle, handle(self.joined_box))
         elif self.simulations[0].implied:
             rt.run_implied_loop(*loop)
         else:
@@ -128,6 +133,10 @@ class Loop:
     def resets(self) -> int:
         """How often it was asked to go back to the rest shape."""
         return int(self.words.control.resets)
+
+    def post_respiration(self, share: float) -> int:
+        """Where the breath is to be, as a share of its way; returns its sequence number."""
+        return int(mb.put(self._respiration, 0, np.array([share]).view(np.int64)))
 
     def post_pairs(self, found: PairSet) -> int:
         """Where organs that are joined touch each other; returns its sequence number."""

@@ -56,6 +56,7 @@ def _check_gravity(value: Any) -> None:
 
 NODE_SPECS = (
     Spec("organ_file", "", "organ file (.npz); empty for the kidney that ships"),
+    Spec("scene_file", "", "scene (.yaml) of several organs, instead of organ_file; empty: an organ alone"),
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
     Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
@@ -134,6 +135,7 @@ TOOL_SPECS = (
 
 
 OFF = "off"  # which YAML, and so rcl and the ros2 command line, take for false
+TOLD = "organs"  # a parameter that says what was found
 OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
 
 
@@ -237,6 +239,19 @@ class Parameters:
                 setattr(settings, spec.setting, self[spec.name])
         settings.gravity_x, settings.gravity_y, settings.gravity_z = self["gravity"]
 
+    def prefer(self, name: str, value: Any) -> None:
+        """Give a live parameter another default; a file of parameters may name the old one."""
+        if _plain(self[name]) == self._specs[name].default:
+            self._node.set_parameters([Parameter(name, value=value)])
+
+    def tell_organs(self, names: Sequence[str]) -> None:
+        """Say what a scene's organs are called; none for one alone. Nobody sets that."""
+        text = "names of a scene's organs, which their topics begin with; empty: an organ alone"
+        # Dynamic: rclpy takes an empty list for one of bytes.
+        descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
+        self._node.declare_parameter(TOLD, list(names), descriptor, ignore_override=True)
+        self._specs[TOLD] = Spec(TOLD, list(names), text)
+
     def values(self) -> dict[str, Any]:
         """All parameters by name, as plain values."""
         return {name: _plain(self[name]) for name in self._specs}
@@ -277,7 +292,7 @@ class Parameters:
     def _warn_of_unknown(self) -> None:
         """A misspelt parameter would change nothing without a word; a file for several nodes may hold others' too."""
         for name in self._node._parameter_overrides:
-            if self._node.has_parameter(name) or name.startswith(OF_RCLPY):
+            if self._node.has_parameter(name) or name.startswith(OF_RCLPY) or name == TOLD:
                 continue
             nearest = difflib.get_close_matches(name, self._specs, 1)
             hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"
@@ -300,6 +315,8 @@ class Parameters:
                 continue  # as in a dump of the node's own that is loaded again
             if not spec.live:
                 reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
+                if parameter.name == TOLD:
+                    reason = f"'{TOLD}' tells what the node serves, and can't be set"
                 return SetParametersResult(successful=False, reason=reason)
             if problem := _problem(parameter.name, spec, parameter.value):
                 return SetParametersResult(successful=False, reason=problem)

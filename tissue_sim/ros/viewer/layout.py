@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tissue_sim.errors import UserError
@@ -14,20 +14,25 @@ LAYOUTS = {"rviz": "config/tissue_sim.rviz", "foxglove": "config/foxglove.json"}
 WAIT = 15.0  # s for the node to tell its parameters
 # What the layouts that ship are made for.
 NODE, FRAME = "tissue_sim", "organ"
+DISPLAY = "    - Class: "  # what a display of RViz begins with
 TOOLS = {"left": "/left/servo_cf", "right": "/right/servo_cf"}
 
 
-def fitted(kind: str, node: str, frame_id: str = FRAME, tools: Mapping[str, str] = TOOLS) -> str:
+def fitted(
+    kind: str, node: str, frame_id: str = FRAME, tools: Mapping[str, str] = TOOLS, organs: Sequence[str] = ()
+) -> str:
     """The text of a layout, of LAYOUTS, for a node.
 
     node: its name with its namespace. frame_id: the organ's. tools: for each the absolute topic of its wrenches.
+    organs: names of a scene's; none for one alone.
     Raises UserError when the layout isn't installed.
     """
     path = shipped_file(LAYOUTS[kind])
     if path is None:
         raise UserError(f"{LAYOUTS[kind]} is not there; install tissue_sim anew")
     text = path.read_text(encoding="utf-8").replace(f"/{NODE}/", f"/{node}/")
-    return (_rviz if kind == "rviz" else _foxglove)(text, frame_id, tools)
+    surfaces = {organ: f"/{node}/{organ}/surface" for organ in organs}
+    return (_rviz if kind == "rviz" else _foxglove)(text, frame_id, tools, f"/{node}/surface", surfaces)
 
 
 def write(kind: str, node: str) -> int:
@@ -42,7 +47,7 @@ def write(kind: str, node: str) -> int:
         return 0
     given = {tool: _told(values, tool, node) for tool in values["tools"]}
     absolute = {tool: topic if topic.startswith("/") else f"{namespace}/{topic}" for tool, topic in given.items()}
-    print(fitted(kind, node, values["frame_id"], absolute), end="")
+    print(fitted(kind, node, values["frame_id"], absolute, list(values["organs"])), end="")
     return 0
 
 
@@ -55,14 +60,34 @@ def _told(values: dict[str, Any], tool: str, node: str) -> str:
     return link.topics.names["servo_cf"]
 
 
-def _rviz(text: str, frame_id: str, tools: Mapping[str, str]) -> str:
+def _rviz(text: str, frame_id: str, tools: Mapping[str, str], surface: str, surfaces: Mapping[str, str]) -> str:
     for line in ("Fixed Frame", "Target Frame"):
         text = text.replace(f"{line}: {FRAME}\n", f"{line}: {frame_id}\n")
     before = "".join(f"        {tool}: true\n" for tool in TOOLS)
-    return text.replace(before, "".join(f"        {tool}: true\n" for tool in tools))
+    text = text.replace(before, "".join(f"        {tool}: true\n" for tool in tools))
+    if surfaces:
+        parts = [f"{organ}/{part}" for organ in surfaces for part in ("skeleton", "surface")]
+        before = "".join(f"        {part}: true\n" for part in ("skeleton", "surface"))
+        text = text.replace(before, "".join(f"        {part}: true\n" for part in parts))
+        display = _display(text, "Surface")
+        text = text.replace(
+            display, "".join(_of_organ(display, organ, surface, topic) for organ, topic in surfaces.items())
+        )
+    return text
 
 
-def _foxglove(text: str, frame_id: str, tools: Mapping[str, str]) -> str:
+def _display(text: str, name: str) -> str:
+    """The lines of one display."""
+    begin = text.rindex(DISPLAY, 0, text.index(f"      Name: {name}\n"))
+    return text[begin : text.index(DISPLAY, begin + 1)]
+
+
+def _of_organ(display: str, organ: str, surface: str, topic: str) -> str:
+    """The display of a surface, for that of an organ."""
+    return display.replace("Name: Surface", f"Name: Surface of {organ}").replace(surface, topic)
+
+
+def _foxglove(text: str, frame_id: str, tools: Mapping[str, str], surface: str, surfaces: Mapping[str, str]) -> str:
     layout = json.loads(text)
     panels = layout["configById"]
     panels["3D!organ"]["followTf"] = frame_id
@@ -71,4 +96,8 @@ def _foxglove(text: str, frame_id: str, tools: Mapping[str, str]) -> str:
     plot["paths"] = [
         like | {"value": f"{topic}.wrench.force.@norm", "label": f"{tool}, N"} for tool, topic in tools.items()
     ]
+    if surfaces:
+        topics = panels["3D!organ"]["topics"]
+        like = topics.pop(surface)
+        topics |= dict.fromkeys(surfaces.values(), like)
     return json.dumps(layout, indent=2) + "\n"

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 import viser
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
-from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
+from tissue_sim.ros.shared.parameters import TOLD
 from tissue_sim.ros.viewer.panel import Panel, headline
-from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, OrganView, SkeletonView, camera_for, light
+from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for, light
 from tissue_sim.ros.viewer.services import Services
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 from tissue_sim.ros.viewer.view import PATIENCE
+from tissue_sim.ros.viewer.viewed_organ import ViewedOrgan
 
 
 class Viewer:
@@ -38,20 +38,14 @@ class Viewer:
         patience: float = PATIENCE,
     ) -> None:
         self._server, self._target = server, target
-        self._mesh = client.Inbox(node, Mesh, f"/{target}/mesh", client.latched_qos())
-        self._surface = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
-        self._atoms = client.Inbox(node, PointCloud2, f"/{target}/skeleton", client.stream_qos())
+        self._node = node
+        self.organs = [ViewedOrgan(server, node, target, "")]
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
         self._services = Services(node, target)
         self._parameters = NodeParameters(node, target)
         self._panel = Panel(server)
         self._tool_markers = client.Inbox(node, MarkerArray, f"/{target}/tools", client.stream_qos())
         self.tools = ToolsView(server, node, target, tools, patience)
-        self._organ: OrganView | None = None
-        self._positions: Any = None  # not drawn yet
-        self._points: Any = None  # where the surface was last
-        self._frame_id = ""
-        self._skeleton = SkeletonView(server)
         self._values: dict[str, str] = {}
         self._headline = ""
         self._heard = -np.inf
@@ -64,48 +58,48 @@ class Viewer:
         """Take what has come; draw it when somebody looks, which is what it returns."""
         now, watchers = time.monotonic(), self._server.get_clients()
         watched = bool(watchers)
-        mesh = self._mesh.take()
-        if mesh is not None:
-            self._take_mesh(*client.mesh_arrays(mesh))
+        if sum(one.take_mesh() for one in self.organs):  # of all of them
+            self._look()
             self._parameters.ask()  # it may be another node of that name
         told = self._parameters.poll()
+        if told is not None:
+            self._name(tuple(told.get(TOLD, ())) or ("",))
         self._take_report()
         self._services.poll(self._panel.wishes, self._tell)
-        surface, atoms = self._surface.take(), self._atoms.take()
-        if surface is not None and self._organ is not None:
-            positions = client.cloud_array(surface)
-            # Another number of nodes belongs to an organ whose mesh is still on its way.
-            if positions.shape == self._organ.rest.shape and np.isfinite(positions).all():
-                self._positions = self._points = positions.astype(np.float64)
-                self._frame_id = surface.header.frame_id
+        for one in self.organs:
+            one.take_surface()
         with self._server.atomic():
-            if watched and self._organ is not None and self._positions is not None:
-                self._organ.show(self._positions)
-                self._positions = None
-            if atoms is not None:
-                columns = client.cloud_array(atoms)
-                self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
-            if self._organ is not None:
-                self._organ.set_opacity(self._panel.opacity.value)
+            for one in self.organs:
+                one.draw(watched, self._panel.opacity.value)
             self.tools.take(self._tool_markers.take(), now)
             if told is not None:
                 self.tools.use(told)
-            self.tools.update(now, watchers, self._points, self._frame_id)
+            self.tools.update(now, watchers, *self._points())
         return watched
 
     def close(self) -> None:
         """Let go of every tool."""
         self.tools.close()
 
-    def _take_mesh(self, vertices: Any, triangles: Any) -> None:
-        if self._organ is not None:
-            if np.array_equal(vertices, self._organ.rest):
-                return
-            self._organ.remove()
-            self._skeleton.remove()
-        self._organ = OrganView(self._server, vertices, triangles)
-        self._positions = self._points = None
-        position, centre = camera_for(vertices)
+    def _name(self, names: tuple[str, ...]) -> None:
+        """View the organs of these names, which a node has told."""
+        if names == tuple(one.name for one in self.organs):
+            return
+        for one in self.organs:
+            one.remove()
+        self.organs = [ViewedOrgan(self._server, self._node, self._target, name) for name in names]
+
+    def _points(self) -> tuple[Floats | None, str]:
+        """Where all surfaces were last, (n, 3) m, in which frame; None before they have come."""
+        known = [one for one in self.organs if one.points is not None]
+        if len(known) < len(self.organs):
+            return None, ""
+        return np.concatenate([one.points for one in known if one.points is not None]), known[0].frame_id
+
+    def _look(self) -> None:
+        """Let the camera see all organs."""
+        rest = np.concatenate([one.view.rest for one in self.organs if one.view is not None])
+        position, centre = camera_for(rest)
         self._server.initial_camera.position, self._server.initial_camera.look_at = position, centre
         for watcher in self._server.get_clients().values():
             watcher.camera.position, watcher.camera.look_at = position, centre
@@ -114,11 +108,13 @@ class Viewer:
         status = client.newest_status(self._reports.take_all(), self._target)
         now = time.monotonic()
         if status is not None:
+            if now - self._heard >= SILENT_AFTER:
+                self._parameters.ask()  # it may serve other organs by now
             self._values, self._heard = {item.key: item.value for item in status.values}, now
             self._headline = headline(self._target, int.from_bytes(status.level, "little"), status.message)
         if now - self._heard < SILENT_AFTER:
             self._panel.say(self._headline, self._values)
-        elif self._organ is None:
+        elif all(one.view is None for one in self.organs):
             self._panel.say(f"<b>Waiting for the mesh of /{self._target}.</b> Start tissue_node.", {})
         else:
             self._panel.say(f"<b>/{self._target} is silent.</b> The picture shows where it stood.", {})

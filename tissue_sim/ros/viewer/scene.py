@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.ros.shared.appearance import BANDS, TISSUE, Colour
+from tissue_sim.ros.shared.appearance import BANDS, Colour, tissue_colour
 from tissue_sim.ros.viewer.bands import cut_into_bands
 
 SKELETON: Colour = (20, 30, 60)
@@ -56,32 +56,44 @@ def outermost_first(vertices: Floats, triangles: Longs) -> Longs:
 
 
 class OrganView:
-    """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3).
+    """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3); name: in a scene.
 
     A mesh of viser has one colour, so each band of displacement is a mesh of its own; updating a mesh
     that is there keeps its buffers and doesn't flicker.
     """
 
-    def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: NDArray[np.int64]) -> None:
+    def __init__(
+        self, server: viser.ViserServer, vertices: Floats, triangles: NDArray[np.int64], name: str = ""
+    ) -> None:
+        below = f"/organ/{name}" if name else "/organ"
+        self._is_carried = bool(name)
         self.rest = np.asarray(vertices, dtype=np.float64)
         self._triangles = outermost_first(self.rest, triangles)
         self._levels = [level * 1e-3 for level, _ in BANDS]
         self._meshes = [
             server.scene.add_mesh_simple(
-                f"/organ/{name}",
+                f"{below}/{band}",
                 self.rest,
                 self._triangles,
                 color=colour,
                 cast_shadow=False,
                 receive_shadow=False,
             )
-            for name, colour in [("at_rest", TISSUE), *((f"over_{level:g}_mm", colour) for level, colour in BANDS)]
+            for band, colour in [
+                ("at_rest", tissue_colour(name)),
+                *((f"over_{level:g}_mm", colour) for level, colour in BANDS),
+            ]
         ]
+        top = self.rest[np.argmax(self.rest[:, 2])]
+        self._label = server.scene.add_label(f"{below}/name", name, position=top + (0.0, 0.0, 0.01)) if name else None
         self.show(self.rest)
 
     def show(self, positions: Floats) -> None:
         """Draw the surface at positions (n, 3) m."""
-        displacement = np.linalg.norm(positions - self.rest, axis=1)
+        moved = positions - self.rest
+        if self._is_carried:  # by the breath: as most of it is
+            moved = moved - np.median(moved, axis=0)
+        displacement = np.linalg.norm(moved, axis=1)
         bands = cut_into_bands(positions, self._triangles, displacement, self._levels)
         for mesh, (vertices, faces) in zip(self._meshes, bands, strict=True):
             if len(faces) == 0:  # a triangle without area: to hide the mesh would show a hole for a moment
@@ -102,13 +114,15 @@ class OrganView:
         """Take it out of the picture."""
         for mesh in self._meshes:
             mesh.remove()
+        if self._label is not None:
+            self._label.remove()
 
 
 class SkeletonView:
     """Medial atoms as small spheres, each joined with its parent."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, server: viser.ViserServer, name: str = "") -> None:
+        self._server, self._below = server, f"/skeleton/{name}" if name else "/skeleton"
         self._handles: list[Any] = []
 
     def show(self, atoms: Floats, parent: Longs) -> None:
@@ -121,10 +135,10 @@ class SkeletonView:
             ball = _icosphere(0.0008)
             self._handles = [
                 self._server.scene.add_line_segments(
-                    "/skeleton/bones", bones, SKELETON, thickness=0.0006, thickness_units="world"
+                    f"{self._below}/bones", bones, SKELETON, thickness=0.0006, thickness_units="world"
                 ),
                 self._server.scene.add_batched_meshes_simple(
-                    "/skeleton/atoms",
+                    f"{self._below}/atoms",
                     *ball,
                     batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (len(atoms), 1)),
                     batched_positions=atoms,

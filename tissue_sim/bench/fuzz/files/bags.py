@@ -57,7 +57,7 @@ def use(path: Path) -> str:
             recovery.complete(path)
         outcome = replay_bag(path, _ASKED)
     found, shown = outcome.comparison, outcome.replayed.shown
-    if not all(bool(np.isfinite(np.asarray(values)).all()) for values in (*shown.wrenches, shown.surfaces)):
+    if not all(bool(np.isfinite(np.asarray(values)).all()) for values in (*shown.wrenches, *shown.surfaces)):
         raise Broken("a replay that shows numbers that are not finite")
     same = "repeats" if found.passes else "differs"
     return f"{outcome.replayed.ticks} ticks, {found.wrenches} wrenches, {found.surfaces} surfaces: {same}"

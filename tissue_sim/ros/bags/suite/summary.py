@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.model.records import copy_of
 from tissue_sim.organ.organ import signed_volume
 from tissue_sim.ros.bags.player import Player
-from tissue_sim.ros.bags.recording import Recording, recorded_organ
+from tissue_sim.ros.bags.recording import Recording
 
 LOOK_EVERY = 10  # ticks between two looks at the surface
 
@@ -19,14 +19,14 @@ class _Watch:
     """Looks at a replay after each of its ticks."""
 
     def __init__(self, player: Player) -> None:
-        self._player, organ = player, player.simulation.organ
+        self._player, organ = player, player.organs[0].simulation.organ
         self._rest, self._triangles = organ.surface_positions, organ.surface_triangles
         n_tools = len(player.tools.tools)
         self.peak, self.impulse, self.dent = np.zeros(n_tools), np.zeros(n_tools), 0.0
         self.volumes: list[float] = []
 
     def __call__(self, tick: int) -> None:
-        simulation, tools = self._player.simulation, self._player.tools
+        simulation, tools = self._player.organs[0].simulation, self._player.tools
         if simulation.asleep:
             return
         for tool, bodies in enumerate(tools.bodies):
@@ -41,12 +41,15 @@ class _Watch:
 
 def figures(recording: Recording, refused: Mapping[str, int]) -> dict[str, Any]:
     """Replay a bag and sum it up: N, N s, mm, percent of the volume, ticks. refused: inputs that it therefore lacks."""
-    organ = recorded_organ(recording)
-    player = Player(recording, organ)
-    before = copy_of(player.simulation.state.count)
+    (organ,) = (one.organ() for one in recording.organs)
+    player = Player(recording, [organ])
+    before = copy_of(player.organs[0].simulation.state.count)
     watch = _Watch(player)
     replayed = player.run(recording.shown(), watch)
-    after, volume = player.simulation.state.count, signed_volume(organ.surface_positions, organ.surface_triangles)
+    after, volume = (
+        player.organs[0].simulation.state.count,
+        signed_volume(organ.surface_positions, organ.surface_triangles),
+    )
     found: dict[str, Any] = {"organ": recording.config["organ"]["digest"][:12], "ticks": replayed.ticks}
     found |= {"ticks asleep": int(after.asleep_ticks - before.asleep_ticks), "inputs": replayed.inputs}
     found |= {"contact sets": replayed.contact_sets, "faults": int(after.faults - before.faults)}

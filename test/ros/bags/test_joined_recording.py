@@ -1,0 +1,95 @@
+"""What joins the organs of a scene, in a bag: it comes back as it was, and what can't be is refused."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from helpers.patience import wait_for
+from helpers.scenes import ball
+from tissue_sim.contact.attachments import Attachment, Breathing
+from tissue_sim.contact.joining import join
+from tissue_sim.contact.pair_finder import PairFinder
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.placing import placed
+from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
+from tissue_sim.ros.bags.joined_recording import JoinedRecording, _check_fields
+from tissue_sim.ros.shared.loop import Loop
+
+SIZES = [ball(2).n_nodes] * 2
+
+
+def simulations():
+    return [Simulation(organ) for organ in (ball(2), placed(ball(2), [0.0592, 0.0, 0.0]))]
+
+
+@pytest.fixture(scope="module")
+def written():
+    """What a recorder writes of two balls that touch, hang on each other and have breathed, by topic; and the loop."""
+    both = simulations()
+    hang = Attachment((0, 1), stiffness=5.0, within=0.01, slack=0.0)
+    loop = Loop(both, join(both, [hang], Breathing(60.0, [0.0, 0.0, 0.01]), [1.0, 0.0], 0.3))
+    messages, topics = SimpleNamespace(together=None, active=True), {}
+    messages.packed = lambda name, arrays: topics.setdefault(name.rpartition("/")[2], []).append(arrays)
+    recorder = JoinedRecorder(messages, "/node", loop)
+    loop.start()
+    found = PairFinder([one.organ for one in both]).find([one.organ.rest_positions for one in both])
+    recorder.pairs(loop.post_pairs(found), [0, 0], found)
+    wait_for(lambda: loop.ticks > 300)
+    loop.take_snapshots()
+    recorder.state(300)
+    recorder.write_journal({"wrenches": np.zeros(0)})
+    loop.stop()
+    return topics, loop
+
+
+def test_it_comes_back_as_it_was(written):
+    topics, loop = written
+    (fields,) = topics["joined"]
+    _check_fields(fields, SIZES)
+    again = JoinedRecording(fields, {}, {}).join(simulations())
+    kept, links = loop.joined_box.kept, loop.joined.links
+    count = int(kept.pairs.found[0])
+    assert count > 0
+    assert again.pairs.found[0] == count
+    np.testing.assert_array_equal(again.pairs.node[:count], kept.pairs.node[:count])
+    np.testing.assert_array_equal(again.pairs.pressed[:count], kept.pressed[:count])
+    np.testing.assert_array_equal(again.links.stiffness, links.stiffness)
+    assert again.carried.breath.time > 0.2
+    assert again.carried.breath.period == 1.0
+    (rows,) = topics["journal"]
+    assert rows["pairs"]["pairs"].tolist() == [1]
+    assert rows["joined"]["pairs"].max() == 1
+    assert int(topics["pair_set"][0]["sequence"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "told"),
+    [
+        ("links.organ", lambda a: a + 5, "an organ that isn't there"),
+        ("links.node", lambda a: a + 10_000, "a node that isn't there"),
+        ("links.node", lambda a: a - 10_000, "a node that isn't there"),
+        ("links.stiffness", lambda a: np.nan * a, "not finite"),
+        ("links.stiffness", lambda a: a[:-1], "is of shape"),
+        ("links.point", lambda a: a.astype(np.float32), "is of shape"),
+        ("moves", lambda a: a[:1], "is of shape"),
+        ("friction", lambda a: a * np.inf, "not finite"),
+        ("breath", lambda a: np.zeros(3), "is of shape"),
+        ("pairs", lambda a: a[:-1], "and holds others"),
+        ("pairs", lambda a: a.astype(float), "are no words"),
+        ("pairs", lambda a: np.where(np.arange(len(a)) == 1, 9, a), "an organ that isn't there"),
+        ("pairs", lambda a: np.where(np.arange(len(a)) == 3, -7, a), "a node that isn't there"),
+        ("held", lambda a: a[:, :2], "is of shape"),
+    ],
+)
+def test_what_can_not_be_is_refused(written, name, change, told):
+    (fields,) = written[0]["joined"]
+    with pytest.raises(ValueError, match=told), np.errstate(invalid="ignore"):
+        _check_fields({**fields, name: change(fields[name])}, SIZES)
+
+
+def test_what_is_missing_is_refused(written):
+    (fields,) = written[0]["joined"]
+    for name in fields:
+        with pytest.raises(LookupError):
+            _check_fields({key: value for key, value in fields.items() if key != name}, SIZES)

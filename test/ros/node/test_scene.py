@@ -1,0 +1,210 @@
+"""A node that serves a scene: topics of each organ, what tools feel, a bag that repeats to the last bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import JointState, PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import MarkerArray
+
+from helpers.ros.clients import Client
+from helpers.ros.processes import UNHURRIED, Process, running_node, start_node
+from helpers.scenes import ball
+from tissue_sim.cli import main
+from tissue_sim.ros.bags.comparing import compare
+from tissue_sim.ros.bags.player import replay
+from tissue_sim.ros.bags.recording import Recording
+from tissue_sim.ros.shared import client as beside
+
+SCENE = """
+format: 1
+organs:
+  - {name: liver, file: ball.npz, breathes: 1.0}
+  - {name: kidney, file: ball.npz, position: [0.0592, 0.0, 0.0]}
+attachments:
+  - {between: [liver, kidney], within: 0.01, stiffness: 5.0, damping: 0.01, slack: 0.0}
+breathing: {rate: 60, way: [0.0, 0.0, 0.005]}
+friction: 0.3
+gravity: [0.0, 0.0, -1.0]
+"""
+TOP = 0.03  # m, of the balls
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scene")
+    ball(2).save(folder / "ball.npz")
+    path = folder / "two.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def node(scene_file, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("node")
+    with running_node(
+        folder, UNHURRIED, f"scene_file:={scene_file}", f"record_folder:={folder}", "left.radius:=0.005"
+    ) as process:
+        yield process
+
+
+@pytest.fixture
+def client(node):
+    made = Client(markers=False)
+    yield made
+    made.close()
+
+
+def heard(client, kind, topics, qos):
+    """A list for each topic of the node that its messages are added to."""
+    lists = {name: [] for name in topics}
+    for name, messages in lists.items():
+        client.node.create_subscription(kind, f"/tissue_sim/{name}", messages.append, qos)
+    return lists
+
+
+def first(client, messages):
+    """The first message of a topic."""
+    assert client.spin_until(lambda: messages)
+    return messages[0]
+
+
+def press(client, *wheres, deepest=0.004):
+    """Press the tool from above into places (2,) m, one after the other; the largest force, N, at each."""
+    peaks = []
+    for where in wheres:
+        first = len(client.wrenches)
+        for height in [*np.linspace(0.012, 0.005 - deepest, 80), *np.linspace(0.005 - deepest, 0.012, 20)]:
+            client.ask((*where, TOP + height))
+        peaks.append(max(np.linalg.norm(wrench[:3]) for _, wrench in client.wrenches[first:]))
+    return peaks
+
+
+def test_each_organ_has_its_topics_and_all_have_one(node, client):
+    assert "organs liver, kidney: 324 surface nodes" in node.text()
+    meshes = heard(client, Mesh, ["liver/mesh", "kidney/mesh"], beside.latched_qos())
+    rest = {name: beside.mesh_arrays(first(client, messages))[0] for name, messages in meshes.items()}
+    np.testing.assert_allclose(
+        rest["kidney/mesh"] - rest["liver/mesh"], np.tile([0.0592, 0.0, 0.0], (162, 1)), atol=1e-12
+    )
+    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface", "liver/skeleton"], beside.stream_qos())
+    assert [len(beside.cloud_array(first(client, messages))) for messages in clouds.values()] == [162, 162, 5]
+    everything = heard(client, MarkerArray, ["markers", "kidney/markers"], beside.latched_qos())
+    of_all = first(client, everything["markers"]).markers
+    organs = [f"{name}/{part}" for name in ("liver", "kidney") for part in ("surface", "skeleton")]
+    assert [marker.ns for marker in of_all] == [*organs, "contacts", "contacts"]
+    (own, *_) = first(client, everything["kidney/markers"]).markers
+    assert own.ns == "surface"
+    assert len(own.points) == len(of_all[2].points)
+
+
+def test_breathing_is_shown_and_is_no_displacement(client):
+    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
+
+    def span(name):
+        heights = [beside.cloud_array(cloud)[:, 2].mean() for cloud in clouds[name]]
+        return np.ptp(heights) if len(heights) > 5 else 0.0
+
+    assert client.spin_until(lambda: span("liver/surface") > 0.0035 and clouds["kidney/surface"])
+    assert span("kidney/surface") < 0.002, "it only hangs on the other"
+
+
+def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
+    liver, kidney = press(client, (0.0, 0.0), (0.0592, 0.0))
+    assert min(liver, kidney) > 0.05, "N"
+    assert client.spin_until(lambda: "liver.region" in client.diagnostics)
+    assert {"kidney.contact_count", "pair_searches", "skipped.organs_far"} <= client.diagnostics.keys()
+
+
+def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
+    bag = Path(client.record(True).message)
+    press(client, (0.0, 0.0), (0.0592, 0.0), (0.0296, 0.0))
+    client.reset()
+    press(client, (0.0, 0.0))
+    assert client.record(False).success
+    recording = Recording.read(bag)
+    assert recording.config["organs"].keys() == {"liver", "kidney"}
+    assert len(recording.joined.fields["links.slack"]) > 0
+    replayed = replay(recording)
+    found = compare(replayed.wanted, replayed.shown, 0.0, 0.0)
+    assert found.passes, [str(one) for one in found.quantities]
+    assert found.wrenches > 300
+    assert min(len(surfaces) for surfaces in replayed.shown.surfaces) > 20
+    assert max(np.abs(wrenches).max() for wrenches in replayed.shown.wrenches if len(wrenches)) > 0.05
+    assert main(["replay", str(bag), "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
+    assert "repeats" in capsys.readouterr().out
+    # Without what joins them it is another scene.
+    recording.joined.fields["links.stiffness"] = 0.0 * recording.joined.fields["links.stiffness"]
+    replayed = replay(recording)
+    assert not compare(replayed.wanted, replayed.shown, 1e-6, 1e-6).passes
+
+
+def test_the_bridge_plays_with_an_organ_that_is_named(node, tmp_path):
+    words = ["-m", "tissue_sim", "bridge", "--seconds", "2", "--script", "poke", "--organ"]
+    bridge = Process([*words, "kidney"], tmp_path / "bridge.log")
+    assert bridge.wait() == 0, bridge.text()
+    assert "organ of 162 nodes: poke" in bridge.text()
+    unknown = Process([*words, "heart"], tmp_path / "unknown.log")
+    assert unknown.wait() == 2, unknown.text()
+    assert "has no organ 'heart': it serves liver, kidney" in unknown.text()
+
+
+def test_an_organ_and_a_scene_are_not_both_served(scene_file, tmp_path):
+    both = start_node(
+        tmp_path, f"scene_file:={scene_file}", f"organ_file:={scene_file.parent / 'ball.npz'}", wait=False
+    )
+    assert both.wait() == 2
+    assert "organ_file and scene_file are both given" in both.text()
+    none = start_node(tmp_path, f"scene_file:={tmp_path / 'none.yaml'}", wait=False)
+    assert none.wait() == 2
+    assert "none.yaml can't be read" in none.text()
+    assert "Traceback" not in both.text() + none.text()
+
+
+def test_a_breath_that_is_told_is_followed_and_refused_where_it_is_none(scene_file, tmp_path):
+    told = tmp_path / "told.yaml"
+    told.write_text(SCENE.replace("rate: 60, ", "").replace("ball.npz", str(scene_file.parent / "ball.npz")))
+    # In a namespace: the other node of this file is there, too.
+    words = UNHURRIED, f"scene_file:={told}", f"record_folder:={tmp_path}"
+    process = start_node(tmp_path, *words, remap=("__ns:=/told",))
+    client = Client("/told", markers=False)
+    try:
+        clouds: list[PointCloud2] = []
+        node = client.node
+        node.create_subscription(PointCloud2, "/told/tissue_sim/liver/surface", clouds.append, beside.stream_qos())
+        publisher = node.create_publisher(JointState, "/told/tissue_sim/respiration", beside.stream_qos())
+        seconds = iter(range(1, 10**9))
+        started = client.record(True)
+        assert started.success, started.message
+        bag = next(tmp_path.glob("tissue_sim-*"))
+
+        def tell(*shares, stamp=None):
+            message = JointState(position=list(shares))
+            message.header.stamp.sec = next(seconds) if stamp is None else stamp
+            publisher.publish(message)
+            return height()
+
+        def height():
+            return beside.cloud_array(clouds[-1])[:, 2].mean() if clouds else 0.0025
+
+        assert client.spin_until(lambda: tell(0.8) > 0.00385), height()
+        assert client.spin_until(lambda: tell(0.2) < 0.00115), height()
+        for wrong in ((), (1.5,), (float("nan"),)):
+            name = "no_share" if wrong else "no_position"
+            key = f"respiration.refused.{name}"
+            before = int(client.diagnostics.get(key, 0))
+            assert client.spin_until(
+                lambda w=wrong, k=key, b=before: tell(*w) and int(client.diagnostics.get(k, 0)) > b
+            )
+        assert client.spin_until(lambda: tell(0.9, stamp=0) and "respiration.refused.no_stamp" in client.diagnostics)
+        assert height() < 0.002, "what is refused moves nothing"
+        stopped = client.record(False)
+        assert stopped.success, f"{stopped.message}\n{process.text()}"
+        assert "a message on ~/respiration is refused: " in process.text()
+    finally:
+        client.close()
+        assert process.stop() == 0, process.text()
+    replayed = replay(Recording.read(bag))
+    assert compare(replayed.wanted, replayed.shown, 0.0, 0.0).passes
+    assert np.ptp([surface[:, 2].mean() for surface in replayed.shown.surfaces[0]]) > 0.002

@@ -1,0 +1,92 @@
+"""Organs of a scene as tools meet them: what is felt is the sum."""
+
+import numpy as np
+import pytest
+
+from helpers.patience import wait_for
+from helpers.scenes import ball
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.joining import join
+from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.placing import placed
+from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.ros.shared.organs import Organs
+
+TOOLS = ToolSet([Tool("left", "sphere", 0.02)])
+APART = 0.08  # m between the middles of two balls: the tool in between reaches 10 mm into both
+
+
+@pytest.fixture
+def organs():
+    """Two balls, and room for half a tool between them."""
+    bodies = [placed(ball(2), [side * 0.5 * APART, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]) for side in (-1.0, 1.0)]
+    simulations = [Simulation(organ, shapes=TOOLS.shapes) for organ in bodies]
+    for one in simulations:
+        one.settings.stale_time = 1e9
+        one.settings.friction = 0.0
+    joined = join(simulations)
+    joined.set_substeps()
+    made = Organs(Loop(simulations, joined))
+    made.loop.start()
+    yield made
+    made.loop.stop()
+
+
+def press(organs):
+    """Put the tool between both, and tell where it touches them."""
+    pose = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    sequence, all_of_it = organs.post_pose(0, pose[0]), np.ones(1, dtype=np.int64)
+    for one in organs.each:
+        wait_for(lambda taken=one: taken.results().bodies[0].pose_sequence == sequence)
+        organ = one.simulation.organ
+        finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, TOOLS)
+        one.post_contacts(finder.find(organ.rest_positions, pose, np.zeros(1), all_of_it, 0 * all_of_it))
+    wait_for(lambda: all(one.results().status.touching > 0 for one in organs.each))
+
+
+def both_at_one_tick(organs):
+    """What a tool feels of both, and of each, (6,), handed out by the same tick."""
+    for _ in range(1000):
+        before, of_each = organs.wrenches(), [one.results() for one in organs.each]
+        if {before[0]} == {one.status.tick for one in of_each}:
+            return before[1][0], [one.wrench[0] for one in of_each]
+    raise AssertionError("the results never belong together")
+
+
+def test_a_tool_feels_the_sum_of_all_organs(organs):
+    press(organs)
+    wait_for(lambda: np.abs(organs.wrenches()[1]).max() > 0.1)
+    total, parts = both_at_one_tick(organs)
+    assert np.array_equal(total, parts[0] + parts[1])
+    assert parts[0][0] > 0.0 > parts[1][0], "N: each pushes to its own side"
+    assert organs.engages(0)
+
+
+def test_the_sum_is_clamped(organs):
+    for one, most in zip(organs.each, (0.1, 0.5), strict=True):
+        settings = one.settings()
+        settings.force_clamp = most
+        one.post_settings(settings)
+    press(organs)
+    wait_for(lambda: np.linalg.norm(organs.wrenches()[1][0, :3]) > 0.09)
+    wait_for(lambda: np.linalg.norm(organs.each[1].wrenches()[1][0, :3]) > 0.4)
+    for _ in range(200):
+        assert np.linalg.norm(organs.wrenches()[1][0, :3]) <= 0.1 * (1.0 + 1e-12), "N, as the first organ has it"
+
+
+def test_nothing_is_felt_of_a_loop_that_has_ended(organs):
+    press(organs)
+    wait_for(lambda: np.abs(organs.wrenches()[1]).max() > 0.1)
+    organs.loop.stop()
+    wait_for(lambda: organs.wrenches()[0] == -1)
+    assert not organs.wrenches()[1].any()
+
+
+def test_one_organ_alone_is_felt_as_it_is():
+    organs = Organs(Loop([Simulation(ball(1), shapes=TOOLS.shapes)]))
+    organs.loop.start()
+    wait_for(lambda: organs.loop.ticks > 5)
+    assert organs.wrenches()[1].shape == (1, 6)
+    assert len(organs.each) == len(organs.surface_sequences) == 1
+    organs.loop.stop()

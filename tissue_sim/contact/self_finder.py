@@ -1,0 +1,270 @@
+"""Finds where the surface of an organ comes near itself: the walls of a fold that closes."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.triangles import nearest_of_face
+from tissue_sim.jit import kernel
+from tissue_sim.organ.organ import Organ
+
+FACING = -0.2  # cosine between the outward normals of two nodes, below which they face each other, or turn their backs
+BEHIND = 0.3  # sine of the angle by which a node may be behind another one's plane, and still face it
+MARGIN = 0.002  # m in front of a wall within which a node is looked at
+DEEPEST = 0.004  # m that it may lie behind a wall that it was in front of before
+
+
+class SelfFinder:
+    """Finds pairs of nodes and triangles of one surface that face each other.
+
+    A node may be behind a triangle only where it was found in front of that wall the last time: the far wall of a thin
+    organ is behind, too, and always was.
+    """
+
+    def __init__(self, organ: Organ) -> None:
+        self._triangles = np.ascontiguousarray(organ.surface_triangles, dtype=np.int64)
+        n = organ.n_surface
+        corner = organ.surface_positions[self._triangles]
+        longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
+        self._reach = MARGIN + 0.6 * longest  # m between nodes; no place on a triangle is farther from all its corners
+        self._order = np.argsort(organ.surface_positions[:, 0]).astype(np.int64)
+        self._normal, self._partner, self._apart = np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n)
+        self._was = np.full(n, -1, dtype=np.int64)  # the triangle that each node was found at the last time, or -1
+        self._wall, self._weight, self._room = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, 3))
+        start, end = self._triangles.ravel(), np.roll(self._triangles, -1, axis=1).ravel()
+        edges = csr_array((np.ones(2 * len(start)), (np.r_[start, end], np.r_[end, start])), shape=(n, n))
+        self._near = _Lists.of(edges + edges @ edges + eye_array(n, format="csr"))
+        order = np.argsort(start, kind="stable")
+        owner = csr_array((np.ones(len(start)), order // 3, np.searchsorted(start[order], np.arange(n + 1))))
+        self._around = _Lists.of(owner + edges @ owner)
+
+    def forget(self) -> None:
+        """Nothing was in front of anything: the organ has jumped."""
+        self._was[:] = -1
+
+    def find(self, surface: Floats) -> tuple[Longs, Floats]:
+        """Pairs on a surface (n, 3) m: nodes (p, 4), one and a triangle's three, by the first; weights (p, 3)."""
+        surface = np.ascontiguousarray(surface)
+        near, around = self._near, self._around
+        count = facing_nodes(
+            surface,
+            self._triangles,
+            self._order,
+            *near,
+            self._was,
+            self._reach,
+            self._normal,
+            self._partner,
+            self._apart,
+        )
+        if count:
+            count = facing_walls(
+                surface,
+                self._triangles,
+                *near,
+                *around,
+                self._normal,
+                self._partner,
+                self._was,
+                self._room,
+                self._wall,
+                self._weight,
+            )
+        else:
+            self.forget()
+        if count == 0:
+            return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 3))
+        found = np.flatnonzero(self._wall >= 0)
+        return np.column_stack([found, self._triangles[self._wall[found]]]), self._weight[found]
+
+
+class _Lists(NamedTuple):
+    """A sorted list for each of n."""
+
+    start: Longs  # (n + 1,)
+    items: Longs
+
+    @classmethod
+    def of(cls, table: Any) -> _Lists:
+        """The columns that each row of a sparse table has."""
+        made = csr_array(table)
+        made.sort_indices()
+        return cls(made.indptr.astype(np.int64), made.indices.astype(np.int64))
+
+
+@kernel
+def facing_walls(
+    position: Any,
+    triangles: Any,
+    near_start: Any,
+    near: Any,
+    around_start: Any,
+    around: Any,
+    normal: Any,
+    partner: Any,
+    was: Any,
+    room: Any,
+    wall: Any,
+    weight: Any,
+) -> int:
+    """Write of each node (n,) the triangle that it is in front of, or behind since the last time; returns how many are.
+
+    wall: triangles, or -1; weight (n, 3) of the nearest place on it. around: triangles near each node, from
+    around_start (n + 1,) on; room (4, 3).
+    """
+    count = 0
+    for node in range(len(wall)):
+        best, least, before = -1, np.inf, was[node]
+        if partner[node] >= 0:
+            for index in range(around_start[partner[node]], around_start[partner[node] + 1]):
+                triangle = around[index]
+                if is_beside(triangles[triangle], near_start, near, node):
+                    continue
+                apart = reach_triangle(position, triangles[triangle], position[node], room)
+                if apart < least:
+                    best, least = triangle, apart
+                    for corner in range(3):
+                        weight[node, corner] = room[3, corner]
+        wall[node] = -1
+        if best < 0:
+            continue
+        ahead, facing = stand(position, triangles[best], position[node], normal[node])
+        if facing >= 0.0:
+            continue
+        if ahead < 0.0:
+            goes_on = False
+            if before >= 0:
+                for corner in range(3):
+                    goes_on = goes_on or is_beside(triangles[before], near_start, near, triangles[best, corner])
+            if not goes_on or least >= DEEPEST * DEEPEST:
+                continue
+        elif least >= MARGIN * MARGIN:
+            continue
+        wall[node] = best
+        count += 1
+    for node in range(len(wall)):
+        was[node] = wall[node]
+    return count
+
+
+@kernel
+def is_beside(triangle: Any, near_start: Any, near: Any, node: int) -> bool:
+    """Whether a corner of a triangle is a neighbour of a node."""
+    beside = False
+    for corner in range(3):
+        beside = beside or is_near(near_start, near, node, triangle[corner])
+    return beside
+
+
+@kernel
+def reach_triangle(position: Any, triangle: Any, point: Any, room: Any) -> float:
+    """How near a triangle comes to a point, m^2; the weights of the place are written to room[3]."""
+    for corner in range(3):
+        for axis in range(3):
+            room[corner, axis] = position[triangle[corner], axis]
+    nearest_of_face(room[:3], point, room[3])
+    apart = 0.0
+    for axis in range(3):
+        at = room[3, 0] * room[0, axis] + room[3, 1] * room[1, axis] + room[3, 2] * room[2, axis]
+        apart += (point[axis] - at) ** 2
+    return apart
+
+
+@kernel
+def stand(position: Any, triangle: Any, point: Any, outward: Any) -> tuple[float, float]:
+    """How far a point is in front of a triangle's plane, and how its own normal goes with that; neither to scale."""
+    a, b, c = position[triangle[0]], position[triangle[1]], position[triangle[2]]
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    ahead = (point[0] - a[0]) * x + (point[1] - a[1]) * y + (point[2] - a[2]) * z
+    return ahead, outward[0] * x + outward[1] * y + outward[2] * z
+
+
+@kernel
+def facing_nodes(
+    position: Any,
+    triangles: Any,
+    order: Any,
+    near_start: Any,
+    near: Any,
+    was: Any,
+    reach: float,
+    normal: Any,
+    partner: Any,
+    apart: Any,
+) -> int:
+    """Write of each node (n,) the nearest one that faces it within reach, m, or -1; returns how many have one.
+
+    Those that turn their backs on each other, through the organ, count where they did before: was (n,) >= 0. order:
+    nodes by their first coordinate, put in order from where it was; near: what is no partner of each node, sorted, from
+    near_start (n + 1,) on; normal (n, 3) and apart (n,) m^2 are room.
+    """
+    n = len(normal)
+    normal[:] = 0.0
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy, uz = position[b, 0] - position[a, 0], position[b, 1] - position[a, 1], position[b, 2] - position[a, 2]
+        vx, vy, vz = position[c, 0] - position[a, 0], position[c, 1] - position[a, 1], position[c, 2] - position[a, 2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for corner in range(3):
+            node = triangles[t, corner]
+            normal[node, 0] += x
+            normal[node, 1] += y
+            normal[node, 2] += z
+    for node in range(n):
+        size = 0.0
+        for axis in range(3):
+            size += normal[node, axis] ** 2
+        for axis in range(3):
+            normal[node, axis] /= max(size, 1e-300) ** 0.5
+        partner[node], apart[node] = -1, reach * reach
+    for place in range(1, n):
+        node = order[place]
+        here = place
+        while here > 0 and position[order[here - 1], 0] > position[node, 0]:
+            order[here] = order[here - 1]
+            here -= 1
+        order[here] = node
+    for place in range(n):
+        i = order[place]
+        for later in range(place + 1, n):
+            j = order[later]
+            x = position[j, 0] - position[i, 0]
+            if x > reach:
+                break
+            y, z = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+            square = x * x + y * y + z * z
+            if square >= apart[i] and square >= apart[j]:
+                continue
+            ahead_i = x * normal[i, 0] + y * normal[i, 1] + z * normal[i, 2]
+            ahead_j = -(x * normal[j, 0] + y * normal[j, 1] + z * normal[j, 2])
+            if min(ahead_i, ahead_j) < -BEHIND * square**0.5 and was[i] < 0 and was[j] < 0:
+                continue
+            facing = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] + normal[i, 2] * normal[j, 2]
+            if facing < FACING and not is_near(near_start, near, i, j):
+                if square < apart[i]:
+                    apart[i], partner[i] = square, j
+                if square < apart[j]:
+                    apart[j], partner[j] = square, i
+    count = 0
+    for node in range(n):
+        count += partner[node] >= 0
+    return count
+
+
+@kernel
+def is_near(near_start: Any, near: Any, node: int, other: int) -> bool:
+    """Whether one of two nodes is in the other's list, which is sorted."""
+    low, high = near_start[node], near_start[node + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if near[middle] < other:
+            low = middle + 1
+        else:
+            high = middle
+    return low < near_start[node + 1] and near[low] == other

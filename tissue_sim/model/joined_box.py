@@ -1,0 +1,134 @@
+"""What goes in and out of organs that are joined, beside the mailboxes of each: where they touch, what tools feel."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.jit import kernel
+from tissue_sim.model.breathing import Breath
+from tissue_sim.model.felt import clamp_share
+from tissue_sim.model.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
+from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set, take_pairs
+from tissue_sim.model.records import Record
+
+
+class JoinedRow(Record):
+    """What a tick took up that concerns several organs; a sequence number."""
+
+    tick: int
+    pairs: int
+    respiration: int
+
+
+class Kept(NamedTuple):
+    """What joins organs after a tick, as far as it changes."""
+
+    breath: Longs  # the words of a Breath
+    pairs: PairSet
+    pressed: Floats  # (p,) N, as in pairs.Pairs
+    held: Floats  # (p, 3) N
+
+
+class JoinedBox(NamedTuple):
+    """Mailboxes of organs that are joined. T rigid bodies."""
+
+    pairs: Mailbox  # PairSet.words
+    respiration: Mailbox  # (1,) a share of the breath's way
+    felt: Mailbox  # felt_words
+    row: JoinedRow  # as the last tick took it up
+    journal_written: Longs  # (1,)
+    journal: Any  # (JOURNAL_ROWS,) of JoinedRow
+    kept: Kept  # when asked
+    # The loop's own.
+    taken: PairSet
+    taken_share: Floats  # (1,)
+    felt_words: Longs  # (1 + 6 T,) the tick, and the wrench
+    wrench: Floats  # (T, 6) N, N m, which views them
+
+
+def make_joined_box(n_bodies: int) -> JoinedBox:
+    """An empty one."""
+    taken, words = pair_set(), np.zeros(1 + 6 * n_bodies, dtype=np.int64)
+    return JoinedBox(
+        pairs=mailbox(len(taken.words)),
+        respiration=mailbox(1),
+        felt=mailbox(len(words)),
+        row=JoinedRow.new(),
+        journal_written=np.zeros(1, dtype=np.int64),
+        journal=JoinedRow.rows(np.zeros(JOURNAL_ROWS * JoinedRow.words(), dtype=np.int64)),
+        kept=Kept(
+            np.zeros(Breath.words(), dtype=np.int64), pair_set(), np.zeros(MOST_PAIRS), np.zeros((MOST_PAIRS, 3))
+        ),
+        taken=taken,
+        taken_share=np.zeros(1),
+        felt_words=words,
+        wrench=words[1:].view(np.float64).reshape(n_bodies, 6),
+    )
+
+
+@kernel
+def take_joined(joined: Any, box: Any, tick: int) -> None:
+    """Take up new pairs and where the breath is to be, and note the tick that did."""
+    row, changed = box.row, False
+    sequence = take(box.respiration, 0, row.respiration, box.taken_share.view(np.int64))
+    if sequence != row.respiration:
+        row.respiration, changed = sequence, True
+        joined.carried.breath.told = box.taken_share[0]
+    sequence = take(box.pairs, 0, row.pairs, box.taken.words)
+    if sequence != row.pairs:
+        row.pairs, changed = sequence, True
+        take_pairs(joined.pairs, box.taken)
+    if changed:
+        note_joined(box, tick)
+
+
+@kernel
+def note_joined(box: Any, tick: int) -> None:
+    """Note what has been taken up by this tick."""
+    box.row.tick = tick
+    box.journal[box.journal_written[0] % JOURNAL_ROWS] = box.row
+    fence()
+    box.journal_written[0] += 1
+    fence()
+
+
+@kernel
+def post_felt(worlds: Any, box: Any) -> None:
+    """Hand out the sum of what a tool feels of each organ, no more than the clamp."""
+    wrench, first = box.wrench, worlds[0]
+    box.felt_words[0] = first.state.status.tick
+    for body in range(len(wrench)):
+        for axis in range(6):
+            total = 0.0
+            for organ in range(len(worlds)):
+                total += worlds[organ].state.wrench[body, axis]
+            wrench[body, axis] = total
+    for tool in range(len(wrench)):
+        share = clamp_share(wrench, first.shapes.tool, tool, first.settings.force_clamp)
+        for body in range(len(wrench)):
+            if first.shapes.tool[body] == tool and share < 1.0:
+                for axis in range(6):
+                    wrench[body, axis] *= share
+    put(box.felt, 0, box.felt_words)
+
+
+@kernel
+def keep_joined(joined: Any, box: Any, tick: int) -> None:
+    """Copy what joins organs; the journal tells what it has taken up."""
+    note_joined(box, tick)
+    pairs, kept, words = joined.pairs, box.kept, joined.carried.breath_words
+    for index in range(len(words)):
+        kept.breath[index] = words[index]
+    kept.pairs.found[0] = pairs.found[0]
+    for pair in range(pairs.found[0]):
+        kept.pressed[pair] = pairs.pressed[pair]
+        for end in range(2):
+            kept.pairs.organ[pair, end] = pairs.organ[pair, end]
+        for corner in range(4):
+            kept.pairs.node[pair, corner] = pairs.node[pair, corner]
+        for axis in range(3):
+            kept.pairs.weight[pair, axis] = pairs.weight[pair, axis]
+            kept.held[pair, axis] = pairs.held[pair, axis]

@@ -1,0 +1,97 @@
+"""What joins the organs of a scene, as a part of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.array_types import Longs
+from tissue_sim.model.breathing import Breath
+from tissue_sim.model.mailboxes import JOURNAL_ROWS
+from tissue_sim.model.pairs import PairSet, used_words
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.bag_messages import BagMessages
+from tissue_sim.ros.shared.loop import Loop
+
+
+class JoinedRecorder:
+    """Writes where organs touch, and what they hang on. below: the topics' beginning, absolute."""
+
+    def __init__(self, messages: BagMessages, below: str, loop: Loop) -> None:
+        assert loop.joined is not None
+        assert loop.joined_box is not None
+        self.names = {name: f"{below}/{name}" for name in bag.SCENE_TOPICS}
+        self.together = messages.together
+        self._messages, self._joined, self._box = messages, loop.joined, loop.joined_box
+        self._read = 0  # rows of the loop's journal
+        self._notes: list[tuple[int, Sequence[int]]] = []
+        self._newest: tuple[int, Longs] | None = None  # number and words of a set
+        self._newest_share = (0, 0.0)  # number, and share of the breath's way
+        self._shares = [self._newest_share]
+        self._state_tick = -1
+
+    def begin(self) -> None:
+        """A bag begins; to be called with `together` held."""
+        self._read, self._notes, self._state_tick = int(self._box.journal_written[0]), [], -1
+        self._shares = [self._newest_share]
+        if self._newest is not None:
+            self._whole_set(*self._newest)
+
+    def state(self, tick: int) -> None:
+        """What joined organs at the tick of the states that the loop has handed out, and all that doesn't change."""
+        joined, kept = self._joined, self._box.kept
+        count = int(kept.pairs.found[0])
+        fields: dict[str, NDArray[Any]] = {f"links.{name}": array for name, array in joined.links._asdict().items()}
+        fields |= {
+            "breath": Breath.rows(kept.breath.copy()),
+            "moves": joined.carried.moves,
+            "friction": joined.pairs.friction,
+            "pairs": used_words(kept.pairs).copy(),
+            "pressed": kept.pressed[:count].copy(),
+            "held": kept.held[:count].copy(),
+        }
+        self._messages.packed(self.names["joined"], fields)
+        self._state_tick = tick
+
+    def pairs(self, sequence: int, ticks: Sequence[int], found: PairSet) -> None:
+        """Pairs, and the ticks (k,) of the surfaces that they were found from.
+
+        Or all of them while a surface may not be in the bag. To be called with `together` held since they were posted.
+        """
+        self._newest = sequence, used_words(found).copy()
+        if not self._messages.active:
+            return
+        self._notes.append((sequence, ticks))
+        # Where an organ touches itself, it matters where it was found the last time.
+        touches_itself = bool(np.any(found.organ[: found.found[0], 0] == found.organ[: found.found[0], 1]))
+        if self._state_tick < 0 or min(ticks) <= self._state_tick or touches_itself:
+            self._whole_set(*self._newest)
+
+    def respiration(self, sequence: int, share: float) -> None:
+        """Where the breath is to be; to be called with `together` held since it was posted."""
+        self._newest_share = sequence, share
+        if self._messages.active:
+            self._shares.append(self._newest_share)
+
+    def write_journal(self, of_all: dict[str, NDArray[Any]]) -> None:
+        """The rows since the last call, with those that don't concern one organ alone; `together` is held."""
+        written = int(self._box.journal_written[0])
+        chosen = np.arange(max(self._read, written - JOURNAL_ROWS + 64), written) % JOURNAL_ROWS
+        self._read = written
+        noted, self._notes = self._notes, []
+        shares, self._shares = self._shares, []
+        n_organs = len(self._joined.simulations)
+        rows = of_all | {
+            "joined": self._box.journal[chosen],
+            "respiration": np.array(shares, dtype=bag.RespirationRow.dtype),
+            "pairs": np.array([(sequence,) for sequence, _ in noted], dtype=bag.PairRow.dtype),
+            "pair_ticks": np.array([ticks for _, ticks in noted], dtype=np.int64).reshape(-1, n_organs),
+        }
+        if any(len(found) for found in rows.values()):
+            self._messages.packed(self.names["journal"], rows)
+
+    def _whole_set(self, sequence: int, words: Longs) -> None:
+        self._messages.packed(self.names["pair_set"], {"sequence": np.array(sequence), "words": words})

@@ -1,0 +1,130 @@
+"""What a bag says of what joins the organs of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissue_sim.array_types import Longs
+from tissue_sim.model.breathing import Breath
+from tissue_sim.model.joined_box import JoinedRow
+from tissue_sim.model.links import POINT, Links, make_links
+from tissue_sim.model.pairs import MOST_PAIRS, PairSet, make_pairs, pair_set
+from tissue_sim.model.records import copy_of
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.state_check import MOST
+from tissue_sim.model.together import Joined
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.shared.cdr import parse_octets
+
+_ROWS = {
+    "joined": JoinedRow,
+    "pairs": bag.PairRow,
+    "respiration": bag.RespirationRow,
+    "wrenches": bag.WrenchRow,
+}
+
+
+@dataclass
+class JoinedRecording:
+    """What joined organs at the tick of their states, by name (see joined_recorder), and what happened since.
+
+    pair_sets: those that are whole, by number; journal: records by kind, see joined_recorder.
+    """
+
+    fields: dict[str, np.ndarray]
+    pair_sets: dict[int, PairSet]
+    journal: dict[str, np.ndarray]
+
+    @classmethod
+    def parsed(cls, messages: Mapping[str, Sequence[bytes]], below: str, sizes: Sequence[int]) -> JoinedRecording:
+        """From the messages of the topics below a name; sizes: nodes of each organ. Raises ValueError for damage."""
+        unpacked = {
+            name: [bag.unpack(parse_octets(raw)) for raw in messages[f"{below}/{name}"]] for name in bag.SCENE_TOPICS
+        }
+        if not unpacked["joined"] or not unpacked["journal"]:
+            raise ValueError("it does not tell what joins its organs: the recording was too short or broken off")
+        journal = {
+            kind: np.concatenate([rows[kind] for rows in unpacked["journal"]]) for kind in (*_ROWS, "pair_ticks")
+        }
+        _check_journal(journal, len(sizes))
+        fields = unpacked["joined"][0]
+        sets = {int(found["sequence"]): _pairs_of(found["words"], sizes) for found in unpacked["pair_set"]}
+        _check_fields(fields, sizes)
+        return cls(fields, sets, journal)
+
+    def join(self, simulations: Sequence[Simulation]) -> Joined:
+        """Simulations in the states of the bag, joined as they were. Raises UserError where they don't fit."""
+        fields = self.fields
+        links = Links(**{name: fields[f"links.{name}"].copy() for name in Links._fields})
+        breath = Breath.at(fields["breath"].view(np.int64).reshape(-1).copy())
+        joined = Joined(simulations, links, make_pairs(float(fields["friction"][0])), breath, fields["moves"].tolist())
+        joined.restore(copy_of(breath), _in_words(fields["pairs"]), fields["pressed"], fields["held"])
+        return joined
+
+
+def _in_words(words: Longs) -> PairSet:
+    made = pair_set()
+    made.words[: len(words)] = words
+    return made
+
+
+def _pairs_of(words: np.ndarray, sizes: Sequence[int]) -> PairSet:
+    """Pairs from the words of a set; raises ValueError for one that names what isn't there."""
+    made = pair_set()
+    if words.ndim != 1 or words.dtype != np.int64 or not 1 <= len(words) <= len(made.words):
+        raise ValueError("its pairs of organs are no words")
+    count = int(words[0])
+    if not 0 <= count <= MOST_PAIRS or len(words) != 1 + count * ((len(made.words) - 1) // MOST_PAIRS):
+        raise ValueError(f"it counts {count} pairs of organs, and holds others")
+    made.words[: len(words)] = words
+    _check_ends(made.organ[:count], made.node[:count, :1], made.node[:count, 1:], sizes)
+    if count and not np.abs(made.weight[:count]).max() <= 2.0:
+        raise ValueError("its pairs of organs have weights that are none")
+    return made
+
+
+def _check_ends(organ: Longs, near: Longs, far: Longs, sizes: Sequence[int]) -> None:
+    """Raise ValueError where nodes of two organs, (p, 2), aren't there: near (p, a) of the first, far (p, b)."""
+    if organ.size and (organ.min() < 0 or organ.max() >= len(sizes)):
+        raise ValueError("it joins an organ that isn't there")
+    count = np.array(sizes)
+    for nodes, own in ((near, organ[:, 0]), (far, organ[:, 1])):
+        if nodes.size and (nodes.min() < 0 or np.any(nodes >= count[own][:, None])):
+            raise ValueError("it joins a node that isn't there")
+
+
+def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[int]) -> None:
+    count = int(_pairs_of(fields["pairs"], sizes).found[0])
+    like: dict[str, np.ndarray] = {f"links.{k}": v for k, v in make_links(len(fields["links.slack"]))._asdict().items()}
+    like |= {
+        "breath": Breath.rows(np.zeros(Breath.words(), dtype=np.int64)),
+        "moves": np.zeros(len(sizes)),
+        "friction": np.zeros(1),
+    }
+    like |= {"pressed": np.zeros(count), "held": np.zeros((count, 3))}
+    for name, wanted in like.items():
+        found = fields[name]
+        if found.shape != wanted.shape or found.dtype != wanted.dtype:
+            raise ValueError(f"its '{name}' is of shape {found.shape}, wanted {wanted.shape}")
+        parts = [found] if found.dtype.names is None else [found[part] for part in found.dtype.names]
+        if any(part.dtype.kind == "f" and part.size and not np.abs(part).max() <= MOST for part in parts):
+            raise ValueError(f"its '{name}' holds numbers that are not finite, or beyond {MOST:g}")
+    organ, node = fields["links.organ"], fields["links.node"]
+    ends = organ.copy()
+    ends[:, 1] = np.where(organ[:, 1] == POINT, organ[:, 0], organ[:, 1])
+    far = np.where(organ[:, 1] == POINT, node[:, 0], node[:, 1])
+    _check_ends(ends, node[:, :1], far[:, None], sizes)
+
+
+def _check_journal(journal: Mapping[str, np.ndarray], n_organs: int) -> None:
+    for kind, record in _ROWS.items():
+        if journal[kind].dtype != record.dtype or journal[kind].ndim != 1:
+            raise ValueError(f"its journal's {kind} are of another kind")
+    if not np.all(np.abs(journal["respiration"]["share"]) <= MOST):
+        raise ValueError("its journal tells of a breath that is not finite")
+    ticks = journal["pair_ticks"]
+    if ticks.shape != (len(journal["pairs"]), n_organs) or ticks.dtype != np.int64:
+        raise ValueError("its journal's pair_ticks are of another kind")

@@ -1,0 +1,160 @@
+"""One organ of a recording that is run again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.tools import ToolSet
+from tissue_sim.errors import UserError
+from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags.organ_recording import OrganRecording
+from tissue_sim.ros.bags.recording import Recording
+
+
+class ToolInputs(NamedTuple):
+    """Poses (7,), stamps, ns, and forces (3,) N of each body, by sequence."""
+
+    poses: list[dict[int, Floats]]
+    stamps: list[dict[int, int]]
+    forces: list[dict[int, Floats]]
+
+    @classmethod
+    def of(cls, recording: Recording, tools: ToolSet) -> ToolInputs:
+        """Of each body: a tool's own, or those of a gripper's jaws, whose first one takes its forces."""
+        made = cls([], [], [])
+        for tool, bodies in enumerate(tools.bodies):
+            poses, angles = recording.poses[tool], recording.angles[tool]
+            placed = {n: tools.poses(tool, pose, angles.get(n, 0.0)) for n, pose in poses.items()}
+            made.poses.extend({n: at[k] for n, at in placed.items()} for k in range(len(bodies)))
+            made.stamps.extend(recording.stamps[tool] for _ in bodies)
+            made.forces.extend([recording.forces[tool], *({} for _ in bodies[1:])])
+        return made
+
+
+class Taken(NamedTuple):
+    """What a tick took up, beside inputs."""
+
+    reset: bool
+    contact_set: bool
+
+
+class OrganPlayer:
+    """A simulation that takes up what the journal names."""
+
+    def __init__(
+        self, recording: OrganRecording, organ: Organ, config: dict[str, Any], tools: ToolSet, tool_inputs: ToolInputs
+    ) -> None:
+        parameters = config["parameters"]
+        self.recording, self.n_surface, self._tool_inputs = recording, organ.n_surface, tool_inputs
+        self.simulation = Simulation(
+            organ,
+            model=parameters["model"],
+            rate=parameters["rate"],
+            local_region=parameters["local_region"],
+            shapes=tools.shapes,
+            return_target=parameters.get("return_target", "rest"),
+            integrator=parameters.get("integrator", "symplectic"),
+            shape_gravity=config["shape_gravity"],
+        )
+        self.simulation.restore(recording.state)
+        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+        first = self.tick = int(self.simulation.state.status.tick)
+        journal = recording.journal
+        self.inputs = {
+            int(row["tick"]): (row, bodies)
+            for row, bodies in zip(journal["inputs"], journal["body_inputs"], strict=True)
+        }
+        self.found_from = {
+            int(row["contact_set"]): (int(row["surface_tick"]), bodies)
+            for row, bodies in zip(journal["contacts"], journal["body_contacts"], strict=True)
+        }
+        self._needed = {
+            tick for tick, _ in self.found_from.values()
+        }  # ticks whose surface a contact set was found from
+        self._kept: dict[int, tuple[Floats, Floats]] = {}  # positions, and where the breath had carried them
+        self._nowhere = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(tool_inputs.poses), 1))
+        # Only what is new in a row is taken up again.
+        before = max((tick for tick in self.inputs if tick <= first), default=None)
+        if before is None:
+            raise UserError("the bag doesn't tell what its state had taken up; its recording lost messages")
+        self._taken = self.inputs[before]
+
+    def begin(self, take_settings: Callable[[Settings], None]) -> None:
+        """Use the settings that the state had."""
+        settings = self.recording.settings
+        start = max((number for number in settings if number <= self._taken[0]["settings"]), default=min(settings))
+        take_settings(settings[start])
+
+    def take(self, tick: int, take_settings: Callable[[Settings], None]) -> Taken | None:
+        """Take up what a tick's row in the journal has new, in the order of the node's loop; None without a row."""
+        found = self.inputs.get(tick)
+        if found is None:
+            return None
+        row, bodies = found
+        last, last_bodies = self._taken
+        simulation, given = self.simulation, self._tool_inputs
+        was_reset = bool(row["resets"] != last["resets"])
+        if was_reset:
+            simulation.reset()
+        if row["settings"] != last["settings"]:
+            take_settings(self._settings(int(row["settings"])))
+        for body in range(len(given.poses)):
+            pose, force = int(bodies["pose"][body]), int(bodies["force"][body])
+            if pose != last_bodies["pose"][body]:
+                at = _input(given.poses[body], pose, "pose").copy()
+                at[:3] -= simulation.state.carried
+                simulation.take_pose(body, at, pose, given.stamps[body][pose])
+            if force != last_bodies["force"][body]:
+                simulation.take_force(body, _input(given.forces[body], force, "force"), force)
+        contacts = int(row["contact_set"])
+        is_new = bool(contacts != last["contact_set"])
+        if is_new:
+            simulation.take_contacts(self._contact_set(contacts), contacts)
+        self._taken = row, bodies
+        return Taken(was_reset, is_new)
+
+    def keep(self, tick: int) -> None:
+        """Keep the positions of a tick that a contact set was found from."""
+        if tick in self._needed:
+            self._kept[tick] = self.simulation.positions.copy(), self.simulation.state.carried.copy()
+
+    def surface(self) -> Floats:
+        """The surface (n, 3) m where it is."""
+        return np.asarray(self.simulation.positions[: self.n_surface] + self.simulation.state.carried)
+
+    def _settings(self, sequence: int) -> Settings:
+        if sequence not in self.recording.settings:
+            raise UserError(f"the bag lacks settings number {sequence}; its recording lost messages")
+        return self.recording.settings[sequence]
+
+    def _contact_set(self, sequence: int) -> ContactSet:
+        whole = self.recording.contact_sets.get(sequence)
+        if whole is not None:
+            return whole
+        tick, bodies = self.found_from.get(sequence, (-1, None))
+        if bodies is None or tick not in self._kept:
+            raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
+        while next(iter(self._kept)) < tick:  # sets come in the order of their surfaces
+            del self._kept[next(iter(self._kept))]
+        positions, carried = self._kept[tick]
+        poses = self._nowhere.copy()
+        for body, number in enumerate(bodies["pose"].tolist()):
+            if number:
+                poses[body] = _input(self._tool_inputs.poses[body], number, "pose")
+        poses[:, :3] -= carried
+        engaged, pushing = (bodies[name].astype(np.int64) for name in ("engaged", "pushing"))
+        return self.finder.find(positions, poses, np.ascontiguousarray(bodies["margin"]), engaged, pushing)
+
+
+def _input(values: dict[int, Floats], sequence: int, what: str) -> Floats:
+    if sequence not in values:
+        raise UserError(f"the bag lacks {what} number {sequence}; its recording lost messages")
+    return values[sequence]

@@ -1,0 +1,135 @@
+"""An organ's part of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.records import array_of
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.state import fields_of, make_state
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.bags.bag_messages import BagMessages
+from tissue_sim.ros.shared.messages import rest_mesh
+from tissue_sim.ros.shared.physics import Physics
+
+BodyContact = tuple[int, float, bool, bool]  # the fields of bag.BodyContactRow
+
+
+@dataclass
+class _Notes:
+    """Rows that wait for the journal."""
+
+    contacts: list[tuple[int, int]] = field(default_factory=list)
+    body_contacts: list[list[BodyContact]] = field(default_factory=list)
+    surfaces: list[tuple[int]] = field(default_factory=list)
+
+    def arrays(self, n_bodies: int) -> dict[str, NDArray[Any]]:
+        """The rows as arrays of records."""
+        by_body = np.array(self.body_contacts, dtype=bag.BodyContactRow.dtype)
+        return {
+            "contacts": np.array(self.contacts, dtype=bag.ContactRow.dtype),
+            "body_contacts": by_body.reshape(len(self.body_contacts), n_bodies),
+            "surfaces": np.array(self.surfaces, dtype=bag.SurfaceRow.dtype),
+        }
+
+
+class OrganRecorder:
+    """Writes what an organ took up and showed, while `messages` has a bag open.
+
+    below: the topics' beginning, absolute; as_file: the organ file's bytes.
+    """
+
+    def __init__(
+        self, messages: BagMessages, below: str, organ: Organ, physics: Physics, as_file: Callable[[], bytes]
+    ) -> None:
+        self.together, self.physics = messages.together, physics
+        self.names = {name: f"{below}/{name}" for name in bag.ORGAN_TOPICS}
+        self._messages, self._organ, self._as_file = messages, organ, as_file
+        self._file = b""
+        self._notes = _Notes()
+        self._newest_set: tuple[int, ContactSet] | None = None
+        self._state_tick = -1
+
+    @property
+    def active(self) -> bool:
+        """Whether messages are recorded."""
+        return self._messages.active
+
+    # life --------------------------------------------------------------------------------------
+    def prepare(self) -> None:
+        """What takes a while, before a bag begins."""
+        self._file = self._file or self._as_file()
+
+    def begin(self) -> None:
+        """A bag begins: the organ itself; to be called with `together` held, as those that follow."""
+        self.physics.journal()  # rows of ticks before this bag
+        self._notes, self._state_tick = _Notes(), -1
+        self._messages.octets(self.names["organ"], np.frombuffer(self._file, dtype=np.uint8))
+        self._messages.put(self.names["mesh"], rest_mesh(self._organ))
+
+    def begin_inputs(self) -> None:
+        """The newest of every input: the loop may take it up only after the state, when the machine is busy."""
+        if self._newest_set is not None:
+            self._whole_set(*self._newest_set)
+        self.settings(int(self.physics.box.settings.sequence[0]), self.physics.settings())
+
+    def state(self) -> int:
+        """The state that the loop has handed out; returns its tick."""
+        before = self.physics.simulation.state
+        n_bodies, n_modes = self.physics.n_bodies, len(before.mode_position)
+        state = make_state(len(before.position), n_bodies, n_modes, len(before.is_turned))
+        state.words[:] = self.physics.box.snapshot
+        self._messages.packed(self.names["state"], fields_of(state))
+        self._state_tick = int(state.status.tick)
+        return self._state_tick
+
+    def rows(self) -> dict[str, NDArray[Any]]:
+        """The journal's rows since the last call; to be called with `together` held."""
+        inputs, body_inputs = self.physics.journal()
+        noted, self._notes = self._notes, _Notes()
+        return {"inputs": inputs, "body_inputs": body_inputs} | noted.arrays(self.physics.n_bodies)
+
+    # what happens ------------------------------------------------------------------------------
+    def surface(self, tick: int, surface: bytes, skeleton: bytes, markers: bytes | None) -> None:
+        """A published surface, skeleton and, if wanted, markers, and the tick that they show."""
+        with self.together:
+            if not self.active:
+                return
+            if self._messages.put(self.names["surface"], surface):
+                self._notes.surfaces.append((tick,))
+            self._messages.put(self.names["skeleton"], skeleton)
+            if markers is not None:
+                self._messages.put(self.names["markers"], markers)
+
+    def settings(self, sequence: int, settings: Settings) -> None:
+        """New settings; to be called with `together` held since they were posted."""
+        if self.active:
+            fields = {"sequence": np.array(sequence), "settings": array_of(settings)}
+            self._messages.packed(self.names["settings"], fields)
+
+    def contacts(self, sequence: int, surface_tick: int, found: ContactSet, bodies: Sequence[BodyContact]) -> None:
+        """A contact set: what it was found from, or all of it while its surface may not be in the bag.
+
+        To be called with `together` held since it was posted.
+        """
+        self._newest_set = sequence, found
+        if not self.active:
+            return
+        self._notes.contacts.append((sequence, surface_tick))
+        self._notes.body_contacts.append(list(bodies))
+        if self._state_tick < 0 or surface_tick <= self._state_tick:
+            self._whole_set(sequence, found)
+
+    def _whole_set(self, sequence: int, found: ContactSet) -> None:
+        found.header.sequence = sequence
+        fields: Mapping[str, NDArray[Any]] = {
+            name: array_of(value) for name, value in found._asdict().items() if name != "words"
+        }
+        self._messages.packed(self.names["contact_set"], fields)

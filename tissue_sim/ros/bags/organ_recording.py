@@ -1,0 +1,86 @@
+"""What a bag says of one organ."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tissue_sim.errors import UserError
+from tissue_sim.model.contact_set import ContactSet
+from tissue_sim.model.settings import Settings
+from tissue_sim.model.state_check import check_settings, contact_set_of
+from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags import bag
+from tissue_sim.ros.shared.cdr import parse_cloud, parse_octets
+
+
+@dataclass
+class OrganRecording:
+    """Its content by topic, in the order of recording."""
+
+    file: bytes  # the organ file
+    state: dict[str, np.ndarray]
+    settings: dict[int, Settings]
+    contact_sets: dict[int, ContactSet]
+    journal: dict[str, np.ndarray]  # records by kind, see organ_recorder
+    surfaces: list[np.ndarray] = field(default_factory=list)  # (n_surface, 3) float32
+
+    @classmethod
+    def parsed(cls, path: Path, messages: Mapping[str, Sequence[bytes]], below: str, n_bodies: int) -> OrganRecording:
+        """From the messages of the topics below a name. Raises UserError naming the bag at path and what it lacks."""
+        octets = {
+            name: [parse_octets(raw) for raw in messages[f"{below}/{name}"]]
+            for name, kind in bag.ORGAN_TOPICS.items()
+            if kind == bag.OCTETS
+        }
+        for name, lack in (("state", "state to start from"), ("settings", "settings")):
+            if not octets[name]:
+                raise UserError(f"bag {path} holds no {lack}: the recording was too short or broken off")
+        if not octets["journal"]:
+            raise UserError(f"bag {path} holds nothing that happened: the recording was too short or broken off")
+        rows = [bag.unpack(values) for values in octets["journal"]]
+        state = bag.unpack(octets["state"][0])
+        n_nodes = len(state["position"])
+        sets = [contact_set_of(bag.unpack(values), n_bodies, n_nodes) for values in octets["contact_set"]]
+        settings = [bag.unpack(values) for values in octets["settings"]]
+        recording = cls(
+            file=octets["organ"][0].tobytes(),
+            state=state,
+            settings={int(found["sequence"]): settings_of(path, found["settings"]) for found in settings},
+            contact_sets={int(found.header.sequence): found for found in sets},
+            journal={kind: np.concatenate([row[kind] for row in rows]) for kind in rows[0]},
+            surfaces=[parse_cloud(raw) for raw in messages[f"{below}/surface"]],
+        )
+        if len({len(surface) for surface in recording.surfaces}) > 1:
+            raise ValueError("its surfaces have different numbers of points")
+        return recording
+
+    @property
+    def first_tick(self) -> int:
+        """That of the state."""
+        return int(self.state["status"]["tick"].item())
+
+    def organ(self) -> Organ:
+        """The organ that the bag holds."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "organ.npz"
+            path.write_bytes(self.file)
+            return Organ.load(path)
+
+
+def settings_of(path: Path, recorded: np.ndarray) -> Settings:
+    """Settings from a record of them; raises UserError naming a field that one of both lacks."""
+    names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
+    if differing := sorted(set(names) ^ set(wanted)):
+        raise UserError(
+            f"bag {path}: setting '{differing[0]}' is not in both, the bag and this version; record it again"
+        )
+    settings = Settings.new()
+    for name in names:
+        setattr(settings, name, recorded[name][()])
+    check_settings(settings)
+    return settings

@@ -1,0 +1,96 @@
+"""What the node serves: one organ, or those of a scene and what joins them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tissue_sim.contact.scene_file import SceneFile
+from tissue_sim.errors import UserError
+from tissue_sim.model.shapes import Shapes
+from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.shared.parameters import Parameters
+from tissue_sim.ros.shared.physics import Physics
+
+
+@dataclass(frozen=True)
+class ServedOrgan:
+    """An organ of the node; name: empty for an only one that no scene names."""
+
+    name: str
+    organ: Organ
+    physics: Physics
+
+    @property
+    def below(self) -> str:
+        """What its topics begin with."""
+        return f"~/{self.name}" if self.name else "~"
+
+
+@dataclass(frozen=True)
+class ServedScene:
+    """The organs that `organ_file` or `scene_file` names, k of them.
+
+    title: what all of it is called; names (k,), those of a scene, or one that is empty; stiffness (k,) factors on that
+    of their tissue, beside the parameter's; joined: None for an organ alone.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    simulations: tuple[Simulation, ...]
+    stiffness: tuple[float, ...]
+    joined: Joined | None
+
+    @property
+    def organs(self) -> list[Organ]:
+        """Of each."""
+        return [one.organ for one in self.simulations]
+
+    @property
+    def is_scene(self) -> bool:
+        """True when organs have names, and topics below these."""
+        return self.names != ("",)
+
+    @classmethod
+    def of_parameters(cls, values: Parameters, shapes: Shapes) -> ServedScene:
+        """What a node's parameters say, for tools of these shapes. Raises UserError for what can't be used."""
+        scene_file, organ_file = values["scene_file"], values["organ_file"]
+        if scene_file and organ_file:
+            raise UserError("organ_file and scene_file are both given; a scene names its organs itself")
+        said = SceneFile.read(Path(scene_file)) if scene_file else None
+        if said is not None:
+            values.prefer("gravity", list(said.gravity))
+        options = {
+            "model": values["model"],
+            "rate": values["rate"],
+            "local_region": values["local_region"],
+            "shapes": shapes,
+            "return_target": values["return_target"],
+            "integrator": values["integrator"],
+            "gravity": values["gravity"],
+            "shape_gravity": [0.0, 0.0, 0.0] if values["shape_is_unloaded"] else None,
+        }
+        if said is None:
+            organ = Organ.load(Path(organ_file or shipped_organ()))
+            return cls(organ.name, ("",), (Simulation(organ, **options),), (1.0,), None)
+        simulations = tuple(Simulation(organ, **options) for organ in said.organs)
+        return cls(Path(scene_file).stem, said.names, simulations, said.stiffness, said.join(simulations))
+
+    def set_substeps(self) -> None:
+        """Work out substeps after settings changed."""
+        if self.joined is not None:
+            self.joined.set_substeps()
+        else:
+            self.simulations[0].set_substeps()
+
+
+def told(names: Sequence[str], organs: Sequence[Organ]) -> str:
+    """What is served, for people."""
+    if names == ("",):
+        organ = organs[0]
+        return f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms"
+    return f"organs {', '.join(names)}: {sum(organ.n_surface for organ in organs)} surface nodes"

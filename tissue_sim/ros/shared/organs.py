@@ -1,0 +1,68 @@
+"""All organs of a running loop, as tools meet them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.jit import handle
+from tissue_sim.model import mailboxes as mb
+from tissue_sim.model.settings import Settings
+from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.ros.shared.physics import Physics
+
+
+class Organs:
+    """Each organ takes up what a tool sends; what the tool feels is the sum. Any one thread may call a method.
+
+    each: by their number in the loop.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self.loop = loop
+        self.each = tuple(Physics(loop, organ) for organ in range(len(loop.simulations)))
+        self.n_bodies = self.each[0].n_bodies
+        self._felt = None if loop.joined_box is None else handle(loop.joined_box.felt)
+
+    # in ----------------------------------------------------------------------------------------
+    def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
+        """The newest pose (7,) of a tool's body, and its stamp, ns; returns its sequence number, the same of all."""
+        return max([one.post_pose(body, pose, stamp) for one in self.each])
+
+    def post_force(self, body: int, force: Floats) -> int:
+        """The newest external force (3,) N at the tip of a body; returns its sequence number, the same of all."""
+        return max([one.post_force(body, force) for one in self.each])
+
+    # out ---------------------------------------------------------------------------------------
+    def settings(self) -> Settings:
+        """The newest settings of the first organ, a copy: what concerns tools and ticks is the same of all."""
+        return self.each[0].settings()
+
+    @property
+    def tick_time(self) -> float:
+        """Simulated time of a tick, s, by the newest settings."""
+        return self.each[0].tick_time
+
+    @property
+    def answers(self) -> bool:
+        """See Physics.answers."""
+        return self.each[0].answers
+
+    def wrenches(self) -> tuple[int, Floats]:
+        """The newest tick and what tools feel of all organs, (T, 6) N, N m; as Physics.wrenches."""
+        if self._felt is None:
+            return self.each[0].wrenches()
+        if self.loop.standing or not self.answers:
+            return -1, np.zeros((self.n_bodies, 6))
+        words = np.zeros(1 + 6 * self.n_bodies, dtype=np.int64)
+        mb.take(self._felt, 0, 0, words)
+        return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)
+
+    def engages(self, body: int) -> bool:
+        """Whether any organ may feel a body: it was outside when it appeared."""
+        return any(one.results().bodies[body].engaged for one in self.each)
+
+    @property
+    def surface_sequences(self) -> tuple[int, ...]:
+        """See Physics.surface_sequence; of each."""
+        return tuple(one.surface_sequence for one in self.each)

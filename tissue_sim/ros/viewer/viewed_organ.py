@@ -1,0 +1,74 @@
+"""One organ of the page: its topics, and how it is drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+
+from tissue_sim.array_types import Floats
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.viewer.scene import OrganView, SkeletonView
+
+
+class ViewedOrgan:
+    """An organ whose topics lie below a node's name, or below its own there; name: empty for an only one."""
+
+    def __init__(self, server: viser.ViserServer, node: Node, target: str, name: str) -> None:
+        below = f"/{target}/{name}" if name else f"/{target}"
+        self.name, self._server = name, server
+        self._mesh = client.Inbox(node, Mesh, f"{below}/mesh", client.latched_qos())
+        self._surface = client.Inbox(node, PointCloud2, f"{below}/surface", client.stream_qos())
+        self._atoms = client.Inbox(node, PointCloud2, f"{below}/skeleton", client.stream_qos())
+        self._skeleton = SkeletonView(server, name)
+        self.view: OrganView | None = None
+        self.points: Floats | None = None  # where the surface was last, (n, 3) m
+        self.frame_id = ""
+        self._drawn: Floats | None = None
+
+    def take_mesh(self) -> bool:
+        """Take the surface at rest, if it has come; returns whether it is another one."""
+        mesh = self._mesh.take()
+        if mesh is None:
+            return False
+        vertices, triangles = client.mesh_arrays(mesh)
+        if self.view is not None:
+            if np.array_equal(vertices, self.view.rest):
+                return False
+            self.view.remove()
+            self._skeleton.remove()
+        self.view = OrganView(self._server, vertices, triangles, self.name)
+        self.points = self._drawn = None
+        return True
+
+    def take_surface(self) -> None:
+        """Take where it is now."""
+        surface = self._surface.take()
+        if surface is None or self.view is None:
+            return
+        positions = client.cloud_array(surface)
+        # Another number of nodes belongs to an organ whose mesh is still on its way.
+        if positions.shape == self.view.rest.shape and np.isfinite(positions).all():
+            self.points, self.frame_id = positions.astype(np.float64), surface.header.frame_id
+
+    def draw(self, watched: bool, opacity: float) -> None:
+        """Draw what has changed; surfaces only while somebody looks."""
+        if self.view is not None:
+            if watched and self.points is not None and self.points is not self._drawn:
+                self.view.show(self.points)
+                self._drawn = self.points
+            self.view.set_opacity(opacity)
+        atoms = self._atoms.take()
+        if atoms is not None:
+            columns = client.cloud_array(atoms)
+            self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
+
+    def remove(self) -> None:
+        """Take it out of the picture, and hear no more of it."""
+        for inbox in (self._mesh, self._surface, self._atoms):
+            inbox.close()
+        if self.view is not None:
+            self.view.remove()
+        self._skeleton.remove()
