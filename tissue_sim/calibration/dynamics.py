@@ -77,12 +77,12 @@ def swing(
     smoothed: int = 0,
     watch: Callable[[], None] | None = None,
     velocity: Floats | None = None,
-    load: Floats | None = None,
+    load: Floats | Callable[[float], Floats] | None = None,
 ) -> Motion:
     """Motion of a solid from displacements (n, 3) m, of which nodes (k,) are followed.
 
-    velocity (n, 3) m/s that it begins with, none if None; load: dead forces (n, 3) N, none if None. The energy is
-    without theirs.
+    velocity (n, 3) m/s that it begins with, none if None; load: dead forces (n, 3) N, or those at a time, s, none if
+    None. The energy is without theirs.
 
     Implicit midpoint rule: second order, symplectic, and for the linear solid it keeps the energy exactly. With
     d the displacement over half a step, (4/h^2 + 2c/h) M d + f(u + d) = (2/h) M v + p, where p is the load and c the
@@ -100,11 +100,13 @@ def swing(
     factor = solid.factor(np.zeros_like(solid.nodes), shift)
     moved = np.where(solid.held, 0.0, start)
     velocity = np.zeros_like(start) if velocity is None else np.where(solid.held, 0.0, velocity)
-    pull = np.zeros_like(start) if load is None else load
+    pull = np.zeros_like(start) if load is None or callable(load) else load
     half = np.zeros_like(start)
     history, energies = [moved[nodes]], [_energy(solid, moved, velocity, linear)]
     for number in range(count):
-        for _ in range(2 if number < smoothed else 1):
+        for part in range(2 if number < smoothed else 1):
+            if callable(load):  # at the end of a half step of Euler's, which is the middle of a whole one
+                pull = load(step * (number + 0.5 * (part + 1)))
             push = (2.0 / step) * (solid.mass @ velocity) + pull
             if linear:
                 right = np.where(solid.held, 0.0, push - (solid.stiffness @ moved.ravel()).reshape(moved.shape))

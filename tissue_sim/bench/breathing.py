@@ -1,0 +1,108 @@
+"""`tissue_sim bench breathing`: an organ whose clamp breathes, against implicit finite elements.
+
+Both in the frame of the clamp, where the organ feels the frame's acceleration: linear elements step it implicitly
+and always; the real-time organ by its tick, and asleep where the acceleration would hardly bend it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.timing import in_one_thread
+from tissue_sim.calibration.dynamics import swing
+from tissue_sim.calibration.fem import Body
+from tissue_sim.contact.attachments import Breathing
+from tissue_sim.contact.scene import Scene
+from tissue_sim.model.breathing import breathed_in
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+RATES = (15.0, 30.0, 60.0)  # breaths a minute
+WAY = 0.015  # m
+WAYS = {"along z": (0.0, 0.0, 1.0), "along x": (1.0, 0.0, 0.0)}
+STEP, LOOK_EVERY = 0.005, 0.02  # s, of the finite elements; between two looks at both
+MOST_OFF = 5.0  # % of the way
+
+
+class Breathed(NamedTuple):
+    """One breath. Lengths in m, of all surface nodes at all looks."""
+
+    rate: float
+    way: str
+    bent: float  # by how much finite elements move against their clamp at the most
+    off: float  # how far the real-time organ is from them, root mean square over nodes, at the worst look
+    most_off: float  # of any node
+    asleep: float  # share of the ticks
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, check=True)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Breathe, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    organ = Organ.load(args.organ or shipped_organ())
+    found = as_json(in_one_thread(measure, organ))
+    emit(found, text(organ, found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(
+    organ: Organ, rates: Sequence[float] = RATES, ways: Mapping[str, tuple[float, ...]] = WAYS
+) -> list[Breathed]:
+    """A breath at each rate, in each way. Raises UserError for an organ that finite elements can't fill."""
+    body = Body(organ)
+    return [_breathed(organ, body, rate, name, np.array(way)) for rate in rates for name, way in ways.items()]
+
+
+def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> Breathed:
+    period, surface = 60.0 / rate, np.arange(organ.n_surface)
+    breathing = Breathing(rate, WAY * way)
+    scene = Scene(organ, [], breathing=breathing, breathes=[1.0])
+    simulation = scene.simulation
+
+    def weight(time: float) -> Floats:
+        return body.loads(np.zeros((organ.n_surface, 3)), -WAY * breathed_in(time, period)[2] * way)
+
+    rest, damping = np.zeros_like(body.solid.nodes), float(simulation.model.damping_rate)
+    elements = swing(body.solid, rest, period, STEP, damping, surface, linear=True, load=weight)
+    every, ticks = round(LOOK_EVERY / STEP), round(LOOK_EVERY * simulation.rate)
+    bent = off = most_off = 0.0
+    for look in range(every, len(elements.time), every):
+        for _ in range(ticks):
+            scene.step()
+        carried = WAY * breathed_in(float(elements.time[look]), period)[0] * way
+        there = simulation.positions[surface] - organ.surface_positions + scene.offsets[0]
+        apart = np.linalg.norm(there - (carried + elements.displacement[look]), axis=1)
+        bent = max(bent, float(np.linalg.norm(elements.displacement[look], axis=1).max()))
+        off, most_off = max(off, float(np.sqrt(np.mean(apart**2)))), max(most_off, float(apart.max()))
+    count = simulation.state.count
+    return Breathed(rate, name, bent, off, most_off, float(count.asleep_ticks) / float(simulation.state.status.tick))
+
+
+def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
+    """All figures, and the bound on the slowest breath."""
+    slow = [one for one in found if one.rate == min(row.rate for row in found)]
+    worst = 100.0 * max(one.most_off for one in slow) / WAY
+    bounds = [Bound(f"farthest node off, at {slow[0].rate:g} a minute, of the way", worst, MOST_OFF, "%")]
+    return {"way_m": WAY, "breaths": [one._asdict() for one in found], "bounds": [one.as_json() for one in bounds]}
+
+
+def text(organ: Organ, found: dict[str, Any]) -> str:
+    """The figures as a table, a row for each breath."""
+    rows = [["breaths a minute", "way", "bends mm", "off mm rms", "off mm worst", "of the way %", "asleep %"]]
+    for one in found["breaths"]:
+        lengths = [f"{1e3 * one[key]:.3f}" for key in ("bent", "off", "most_off")]
+        share = 100.0 * one["most_off"] / found["way_m"]
+        rows.append([f"{one['rate']:g}", one["way"], *lengths, f"{share:.2f}", f"{100.0 * one['asleep']:.0f}"])
+    line = f"organ '{organ.name}': its clamp breathes by {1e3 * found['way_m']:g} mm, against implicit finite elements"
+    return "\n".join([line, *aligned(rows), "", *bound_lines(found["bounds"])])
