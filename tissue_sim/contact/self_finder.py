@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.broad_phase import add_normals
 from tissue_sim.contact.triangles import nearest_of_face
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
@@ -206,16 +207,7 @@ def facing_nodes(
     """
     n = len(normal)
     normal[:] = 0.0
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy, uz = position[b, 0] - position[a, 0], position[b, 1] - position[a, 1], position[b, 2] - position[a, 2]
-        vx, vy, vz = position[c, 0] - position[a, 0], position[c, 1] - position[a, 1], position[c, 2] - position[a, 2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for corner in range(3):
-            node = triangles[t, corner]
-            normal[node, 0] += x
-            normal[node, 1] += y
-            normal[node, 2] += z
+    add_normals(position, triangles, normal)
     for node in range(n):
         size = 0.0
         for axis in range(3):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from tqdm import tqdm
@@ -13,6 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.felt import clamp_share
+from tissue_sim.model.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.joined_player import JoinedPlayer
@@ -55,6 +57,7 @@ class Player:
         ]
         self.joined = None if recording.joined is None else JoinedPlayer(recording.joined, self.organs)
         self.tick = self.organs[0].tick
+        self._take_settings = [self._settings_of(number) for number in range(len(self.organs))]
 
     def _wrench(self, tool: int, recorded: Floats) -> Floats:
         """A tool's wrench, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
@@ -98,8 +101,8 @@ class Player:
                     f"the bag's surfaces have {surfaces.shape[1]} points, the organ has {one.n_surface}: another organ"
                 )
         result = Replayed(wanted, shown)
-        for one in self.organs:
-            one.begin(self._take_settings(one))
+        for one, take_settings in zip(self.organs, self._take_settings, strict=True):
+            one.begin(take_settings)
         for tick in tqdm(range(self.tick + 1, last + 1), disable=None, desc="replay", unit="tick", mininterval=0.5):
             self._take(tick, result)
             result.ticks += 1
@@ -116,8 +119,8 @@ class Player:
     def _take(self, tick: int, result: Replayed) -> None:
         """Take up what is new, in the order of the node's loop, and advance by a tick."""
         was_reset = False
-        for one in self.organs:
-            taken = one.take(tick, self._take_settings(one))
+        for one, take_settings in zip(self.organs, self._take_settings, strict=True):
+            taken = one.take(tick, take_settings)
             if taken is not None:
                 result.inputs += 1
                 result.contact_sets += taken.contact_set
@@ -127,11 +130,11 @@ class Player:
         else:
             self.organs[0].simulation.step()
 
-    def _take_settings(self, one: OrganPlayer) -> Callable[..., None]:
+    def _settings_of(self, number: int) -> Callable[[Settings], None]:
+        """What takes settings of an organ."""
         if self.joined is None:
-            return one.simulation.take_settings
-        joined, organ = self.joined.joined, self.organs.index(one)
-        return lambda settings: joined.take_settings(organ, settings)
+            return self.organs[number].simulation.take_settings
+        return partial(self.joined.joined.take_settings, number)
 
 
 def _by_tick(ticks: Sequence[np.ndarray]) -> dict[int, list[tuple[int, int]]]:

@@ -46,8 +46,9 @@ class LiveSettings:
             self.level = self.level if level is None else level
             every = [one.settings for one in self._served.simulations]
             before = [copy_of(settings) for settings in every]
-            for settings, stiffness in zip(every, self._served.stiffness, strict=True):
-                self._apply(settings, stiffness)
+            self._served.apply(self._parameters)
+            for settings in every:
+                self._give_up(settings)
             if not any(map(_differ, every, before)):
                 return
             self._served.set_substeps()
@@ -55,10 +56,8 @@ class LiveSettings:
                 if _differ(settings, old):
                     self._post(organ, copy_of(settings))
 
-    def _apply(self, settings: Settings, stiffness: float) -> None:
-        """What parameters and level say for an organ; stiffness: the scene's factor on that of its tissue."""
-        self._parameters.apply(settings)
-        settings.stiffness_scale *= stiffness
+    def _give_up(self, settings: Settings) -> None:
+        """Less than the parameters say, where the machine is too slow or a device can't bear it."""
         settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
         settings.coupling_stiffness = min(settings.coupling_stiffness, self._passive(settings.tick_time))
         if self.level >= degrade.REGION and self._first.local_region == "auto":

@@ -72,9 +72,7 @@ class TissueNode(GuardedNode):
             self._beside = compile_beside(any_organ) if any_organ.is_file() else None
         self.scene = ServedScene.of_parameters(values, tools.shapes)
         values.tell_organs([name for name in self.scene.names if name])
-        for simulation, stiffness in zip(self.scene.simulations, self.scene.stiffness, strict=True):
-            values.apply(simulation.settings)
-            simulation.settings.stiffness_scale *= stiffness
+        self.scene.apply(values)
         self.scene.set_substeps()
         self.loop = Loop(self.scene.simulations, self.scene.joined)
         self.organs = Organs(self.loop)

@@ -80,6 +80,12 @@ class ServedScene:
         simulations = tuple(Simulation(organ, **options) for organ in said.organs)
         return cls(Path(scene_file).stem, said.names, simulations, said.stiffness, said.join(simulations))
 
+    def apply(self, values: Parameters) -> None:
+        """Write the parameters that are settings, with the scene's own factors; substeps are yet to be worked out."""
+        for simulation, stiffness in zip(self.simulations, self.stiffness, strict=True):
+            values.apply(simulation.settings)
+            simulation.settings.stiffness_scale *= stiffness
+
     def set_substeps(self) -> None:
         """Work out substeps after settings changed."""
         if self.joined is not None:
