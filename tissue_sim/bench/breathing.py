@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
@@ -27,7 +28,7 @@ from tissue_sim.organ.shipped import shipped_organ
 RATES = (15.0, 30.0, 60.0)  # breaths a minute
 WAY = 0.015  # m
 WAYS = {"along z": (0.0, 0.0, 1.0), "along x": (1.0, 0.0, 0.0)}
-STEP, LOOK_EVERY = 0.005, 0.02  # s, of the finite elements; between two looks at both
+LOOKS, STEPS = 50, 4  # at both in a breath; steps of the finite elements from one look to the next
 MOST_OFF = 5.0  # % of the way
 
 
@@ -74,10 +75,14 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
         return body.loads(np.zeros((organ.n_surface, 3)), -WAY * breathed_in(time, period)[2] * way)
 
     rest, damping = np.zeros_like(body.solid.nodes), float(simulation.model.damping_rate)
-    elements = swing(body.solid, rest, period, STEP, damping, surface, linear=True, load=weight)
-    every, ticks = round(LOOK_EVERY / STEP), round(LOOK_EVERY * simulation.rate)
+    ticks = round(period * simulation.rate / LOOKS)
+    step = ticks / simulation.rate / STEPS
+    with tqdm(total=STEPS * LOOKS, desc=f"{rate:g} a minute, {name}", disable=None) as bar:
+        elements = swing(
+            body.solid, rest, LOOKS * STEPS * step, step, damping, surface, linear=True, watch=bar.update, load=weight
+        )
     bent = off = most_off = 0.0
-    for look in range(every, len(elements.time), every):
+    for look in range(STEPS, len(elements.time), STEPS):
         for _ in range(ticks):
             scene.step()
         carried = WAY * breathed_in(float(elements.time[look]), period)[0] * way
