@@ -1,5 +1,7 @@
 """A fold that closes doesn't pass through itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,23 @@ def test_a_node_may_be_behind_a_wall_that_it_was_in_front_of(depth):
     assert farthest_behind(at_once.find(apart(depth))[0], apart(depth)) == 0.0
     followed.forget()
     assert farthest_behind(followed.find(apart(depth))[0], apart(depth)) == 0.0
+
+
+def test_a_fold_that_claps_together_keeps_its_momentum():
+    """Nothing holds it, nothing damps it, and its legs fly against each other."""
+    organ = fold()
+    free = replace(organ, fixed=organ.fixed[:0], damping=0.0 * organ.damping, return_stiffness=0.0 * organ.damping)
+    scene = Scene(free, [], self_contact=True, organ_friction=0.5)
+    simulation = scene.simulation
+    x, _, z = free.rest_positions.T
+    simulation.velocities[:, 0] = -2.0 * np.sign(x) * np.clip(z / 0.02, 0.0, 1.0) + 0.05
+    simulation.state.status.asleep = False
+    before, touched = free.mass @ simulation.velocities, 0
+    size = float(free.mass @ np.abs(simulation.velocities[:, 0]))
+    for _ in range(60):
+        scene.step()
+        pairs = scene.joined.pairs
+        touched += np.any(pairs.pressed[: pairs.found[0]] > 0.0)
+        np.testing.assert_allclose(free.mass @ simulation.velocities, before, atol=1e-9 * size)
+    assert touched > 3, "ticks in which it touched itself"
+    assert simulation.state.count.faults == 0
