@@ -95,6 +95,7 @@ FILES = {
     "bag": Kind(
         "tissue_sim.bench.fuzz.files.bags",
         "bags: completed where they were broken off, replayed, compared",
+        seconds=300.0,  # one may list a part thrice
         needs=SCENE,
     ),
 }
