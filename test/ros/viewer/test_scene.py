@@ -1,4 +1,4 @@
-"""The viewer's picture."""
+"""The viewer's picture: what is seen, and when."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,110 @@ import trimesh
 
 pytest.importorskip("viser")
 
-from tissue_sim.ros.viewer.scene import outermost_first
+from helpers.ros.stand_in import ball
+from tissue_sim.ros.shared.appearance import SCALE, TISSUE
+from tissue_sim.ros.viewer.coloured_surface import light_of
+from tissue_sim.ros.viewer.scene import InclusionView, OrganView
 
 
-def test_triangles_of_a_fold_are_drawn_after_those_before_it():
-    mesh = trimesh.creation.icosphere(2, 0.03)
-    vertices, triangles = np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64)
-    vertices[7] *= 0.3
-    ordered = outermost_first(vertices, triangles)
-    np.testing.assert_array_equal(np.sort(ordered, axis=0), np.sort(triangles, axis=0))
-    inward = np.any(ordered == 7, axis=1)
-    assert np.all(np.flatnonzero(inward) >= len(triangles) - inward.sum())
+class Handle:
+    """What viser gives for something in the picture."""
+
+    def __init__(self, **given):
+        self.__dict__.update(given)
+        self.removed = False
+
+    def remove(self):
+        self.removed = True
+
+
+class Server:
+    """Keeps what is in the picture, by name."""
+
+    def __init__(self):
+        self.drawn, self.scene = {}, self
+
+    def add_glb(self, name, glb_data, **given):
+        return self.drawn.setdefault(name, Handle(glb_data=glb_data, **given))
+
+    def add_mesh_simple(self, name, vertices, faces, **given):
+        return self.drawn.setdefault(name, Handle(vertices=vertices, faces=faces, **given))
+
+    def add_label(self, name, text, **given):
+        return self.drawn.setdefault(name, Handle(text=text, **given))
+
+    def seen(self):
+        """The surface that is seen."""
+        (one,) = (handle for name, handle in self.drawn.items() if "/organ" in name and getattr(handle, "visible", 0))
+        loaded = trimesh.load(trimesh.util.wrap_as_stream(one.glb_data), file_type="glb", process=False)
+        (mesh,) = loaded.geometry.values()
+        return np.asarray(mesh.vertices), np.asarray(mesh.visual.vertex_attributes["color"])[:, :3]
+
+
+def test_what_is_drawn_is_seen_from_the_next_turn_on_and_one_surface_at_any_time():
+    server, (vertices, triangles) = Server(), ball()
+    view = OrganView(server, vertices, triangles)
+    before = server.seen()[0]
+    np.testing.assert_allclose(before, vertices, atol=1e-7)
+    for size in (0.004, 0.012, 0.0):
+        moved = vertices + size * np.exp(-np.sum((vertices - vertices[0]) ** 2, axis=1) / 2e-4)[:, None]
+        view.show(moved)
+        np.testing.assert_array_equal(server.seen()[0], before)
+        view.turn()
+        before = server.seen()[0]
+        np.testing.assert_allclose(before, moved, atol=1e-7)
+        view.turn()
+        np.testing.assert_array_equal(server.seen()[0], before)
+    view.remove()
+    assert all(handle.removed for handle in server.drawn.values())
+
+
+def test_colours_run_from_the_tissues_over_the_scale():
+    server, (vertices, triangles) = Server(), ball()
+    view = OrganView(server, vertices, triangles)
+    moved = vertices.copy()
+    moved[3, 2] += 0.004
+    moved[5, 2] += 0.02
+    view.show(moved)
+    view.turn()
+    _, colours = server.seen()
+    np.testing.assert_allclose(colours[0], light_of(TISSUE), atol=0.005)
+    np.testing.assert_allclose(colours[3], light_of(dict(SCALE)[4.0]), atol=0.02)
+    np.testing.assert_allclose(colours[5], light_of(SCALE[-1][1]), atol=0.005)
+
+
+def test_what_the_breath_carries_has_not_moved_in_itself():
+    server, (vertices, triangles) = Server(), ball()
+    view = OrganView(server, vertices, triangles, "liver")
+    view.show(vertices + [0.0, 0.0, 0.02])
+    view.turn()
+    positions, colours = server.seen()
+    np.testing.assert_allclose(positions, vertices + [0.0, 0.0, 0.02], atol=1e-7)
+    assert np.ptp(colours, axis=0).max() == 0.0
+    assert server.drawn["/organ/liver/name"].text == "liver"
+
+
+def test_another_opacity_is_drawn_anew_once():
+    server, (vertices, triangles) = Server(), ball()
+    view = OrganView(server, vertices, triangles)
+    assert not view.set_opacity(1.0)
+    assert view.set_opacity(0.4)
+    assert not view.set_opacity(0.4)
+    view.show(vertices)
+    view.turn()
+    (one,) = (handle for handle in server.drawn.values() if handle.visible)
+    assert b'"alphaMode": "BLEND"' in one.glb_data
+    assert b"0.4]" in one.glb_data
+
+
+def test_inclusions_go_along_with_their_organ():
+    server, (vertices, triangles) = Server(), ball()
+    inner = trimesh.creation.icosphere(1, 0.2 * np.abs(vertices).max())
+    view = InclusionView(
+        server, np.asarray(inner.vertices), np.asarray(inner.faces), OrganView(server, vertices, triangles)
+    )
+    view.show(1.2 * vertices + [0.0, 0.01, 0.0])
+    mesh = server.drawn["/inclusions"]
+    np.testing.assert_allclose(mesh.vertices, 1.2 * inner.vertices + [0.0, 0.01, 0.0], atol=1e-6)
+    view.remove()
+    assert mesh.removed

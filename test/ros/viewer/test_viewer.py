@@ -1,4 +1,4 @@
-"""The viewer: bands of colour, texts, messages as arrays, and the real process with a page behind it."""
+"""The viewer: its camera, texts, messages as arrays, and the real process with a page behind it."""
 
 import re
 import signal
@@ -21,75 +21,12 @@ from helpers.ros.processes import STAND_IN, Process, free_port
 from helpers.ros.stand_in import ball, cloud
 from tissue_sim.cli import main
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.appearance import SCALE
 from tissue_sim.ros.viewer import scene as drawing
-from tissue_sim.ros.viewer.bands import cut_into_bands
 from tissue_sim.ros.viewer.tool_view import ToolView, arrow
 
 pytest.importorskip("viser")
 from tissue_sim.ros.viewer import panel
-
-
-def area(vertices, triangles):
-    corners = vertices[triangles]
-    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-
-
-# bands -----------------------------------------------------------------------------------------
-def test_bands_cover_the_surface_once_and_keep_to_their_levels():
-    vertices, triangles = ball()
-    levels = [-0.041, -0.02, 0.0, 0.0001, 0.03, 0.06]
-    bands = cut_into_bands(vertices, triangles, vertices[:, 2], levels)
-    assert len(bands) == len(levels) + 1
-    assert sum(area(*band) for band in bands) == pytest.approx(area(vertices, triangles), rel=1e-9)
-    edges = [-np.inf, *levels, np.inf]
-    for (points, _), low, high in zip(bands, edges[:-1], edges[1:], strict=True):
-        if len(points):
-            assert points[:, 2].min() >= low - 1e-12
-            assert points[:, 2].max() <= high + 1e-12
-    assert [len(faces) > 0 for _, faces in bands] == [True] * 6 + [False]
-
-
-def test_bands_keep_their_outside_out():
-    vertices, triangles = ball()
-    for points, faces in cut_into_bands(vertices, triangles, vertices[:, 0], [-0.01, 0.004]):
-        corners = points[faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        assert np.einsum("ij,ij->i", normals, corners.mean(axis=1)).min() > -1e-15
-
-
-def test_nothing_to_cut_is_one_band():
-    vertices, triangles = ball()
-    first, second = cut_into_bands(vertices, triangles, np.zeros(len(vertices)), [0.001])
-    assert len(first[1]) == len(triangles)
-    assert len(second[0]) == len(second[1]) == 0
-
-
-def test_a_face_never_names_a_vertex_that_is_not_there():
-    """Each update of one property leaves a drawable mesh, whether bands grow or shrink."""
-
-    class Recorded:
-        def __init__(self, **given):
-            self.__dict__.update(given)
-
-        def __setattr__(self, name, value):
-            self.__dict__[name] = value
-            if name in ("vertices", "faces"):
-                assert len(self.faces) == 0 or self.faces.max() < len(self.vertices)
-
-    class Scene:
-        def add_mesh_simple(self, name, vertices, faces, **_):
-            return Recorded(vertices=vertices, faces=faces)
-
-    class Server:
-        scene = Scene()
-
-    vertices, triangles = ball()
-    view = drawing.OrganView(Server(), vertices, triangles)
-    for size in (0.0, 0.004, 0.012, 0.002, 0.0):
-        near = np.exp(-np.sum((vertices - vertices[0]) ** 2, axis=1) / (2 * 0.01**2))
-        view.show(vertices + size * near[:, None] * (0.0, 0.0, 1.0))
-        assert sum(area(mesh.vertices, mesh.faces) for mesh in view._meshes) >= 0.99 * area(vertices, triangles)
-    assert sum(area(mesh.vertices, mesh.faces) > 0.0 for mesh in view._meshes) == 1
 
 
 # the picture -----------------------------------------------------------------------------------
@@ -194,7 +131,7 @@ def test_a_tool_of_another_node_is_drawn_anew_and_can_still_be_dragged(tool):
 
 def test_the_legend_names_every_band():
     legend = panel.legend_html()
-    for level, colour in drawing.BANDS:
+    for level, colour in SCALE:
         assert f">{level:g}<" in legend
         assert f"rgb{colour}" in legend
 

@@ -14,8 +14,8 @@ BASE: dict[str, Colour] = {
     "spleen": (108, 44, 62),
     "kidney": TISSUE,
 }
-# Where the surface has moved by more than so many mm, it has this colour.
-BANDS: tuple[tuple[float, Colour], ...] = (
+# Where the surface has moved by so many mm it has this colour, and what is between them in between.
+SCALE: tuple[tuple[float, Colour], ...] = (
     (0.5, (176, 66, 48)),
     (1.0, (201, 86, 48)),
     (2.0, (222, 110, 49)),
@@ -26,7 +26,7 @@ BANDS: tuple[tuple[float, Colour], ...] = (
     (10.0, (255, 244, 178)),
 )
 MARKER_COLOURS = ("none", "displacement", "force", "region")
-FULL_DISPLACEMENT = 1e-3 * BANDS[-1][0]  # m with the last colour
+FULL_DISPLACEMENT = 1e-3 * SCALE[-1][0]  # m with the last colour
 FULL_FORCE = 0.1  # N on a node with the last colour
 MOVING = 0.4  # share of the scale for a node that the last tick moved
 
@@ -36,15 +36,16 @@ def tissue_colour(name: str) -> Colour:
     return next((colour for word, colour in BASE.items() if word in name.lower()), TISSUE)
 
 
-_AT = np.array([0.0, *(level for level, _ in BANDS)]) / BANDS[-1][0]
+_AT = np.array([0.0, *(level for level, _ in SCALE)]) / SCALE[-1][0]
 _N_SHADES = 256
 
 
-def _shades() -> NDArray[np.float32]:
+def shades(tissue: Colour) -> NDArray[np.float64]:
+    """Colours (256, 3), 0 to 255, along the scale, which begins with that of the tissue at rest."""
     ramp = np.linspace(0.0, 1.0, _N_SHADES)
-    colours = np.array([TISSUE, *(colour for _, colour in BANDS)]) / 255.0
-    channels = [np.interp(ramp, _AT, channel) for channel in colours.T]
-    return np.stack([*channels, np.ones(_N_SHADES)], axis=1).astype(np.float32)
+    colours = np.array([tissue, *(colour for _, colour in SCALE)], dtype=np.float64)
+    return np.stack([np.interp(ramp, _AT, channel) for channel in colours.T], axis=1)
 
 
-SHADES = _shades()  # (256, 4) red, green, blue, alpha along the scale
+# (256, 4) red, green, blue, alpha along the scale
+SHADES = np.column_stack([shades(TISSUE) / 255.0, np.ones(_N_SHADES)]).astype(np.float32)

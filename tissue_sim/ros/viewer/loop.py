@@ -67,6 +67,7 @@ class Viewer:
         self._take_report()
         self._services.poll(self._panel.wishes, self._tell)
         for one in self.organs:
+            one.take_inclusions()
             one.take_surface()
         with self._server.atomic():
             for one in self.organs:

@@ -9,7 +9,7 @@ from enum import Enum
 
 import viser
 
-from tissue_sim.ros.shared.appearance import BANDS, TISSUE, Colour
+from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour
 
 NO_VALUE = "-"
 LINES = 3  # that the headline has room for; more can be scrolled to
@@ -79,7 +79,7 @@ def legend_html() -> str:
             f'<span style="font-size:11px">{text}</span></div>'
         )
 
-    cells = swatch(TISSUE, "0") + "".join(swatch(colour, f"{level:g}") for level, colour in BANDS)
+    cells = swatch(TISSUE, "0") + "".join(swatch(colour, f"{level:g}") for level, colour in SCALE)
     return (
         '<div style="padding:0 0.9em 0.6em"><div style="font-size:12px;padding-bottom:3px">'
         f'Displacement from rest, mm (from)</div><div style="display:flex">{cells}</div></div>'

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import viser
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.ros.shared.appearance import BANDS, Colour, tissue_colour
-from tissue_sim.ros.viewer.bands import cut_into_bands
+from tissue_sim.organ.mean_value import mean_value_weights
+from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, Colour, shades, tissue_colour
+from tissue_sim.ros.viewer.coloured_surface import ColouredSurface, light_of
 
 SKELETON: Colour = (20, 30, 60)
+INCLUSION: Colour = (214, 196, 150)
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the front, the side and above
 
@@ -41,81 +42,85 @@ def light(server: viser.ViserServer) -> None:
         scene.add_light_directional(f"/lights/{name}", position=way, intensity=strength, cast_shadow=False)
 
 
-def outermost_first(vertices: Floats, triangles: Longs) -> Longs:
-    """Triangles (t, 3) in the order of their depth under the convex hull of vertices (n, 3).
-
-    A translucent surface then hides its own folds behind what lies before them: drawn first, that fills the depth
-    buffer. In another order, pieces of a fold's far wall shine through.
-    """
-    hull = ConvexHull(vertices).equations
-    middle = vertices[triangles].mean(axis=1)
-    depth = np.full(len(middle), np.inf)
-    for plane in hull:
-        np.minimum(depth, -(middle @ plane[:3] + plane[3]), out=depth)
-    return triangles[np.argsort(depth, kind="stable")]
-
-
 class OrganView:
     """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3); name: in a scene.
 
-    A mesh of viser has one colour, so each band of displacement is a mesh of its own; updating a mesh
-    that is there keeps its buffers and doesn't flicker.
+    rest, triangles: those. There are two of it, of which one is seen. What is new goes to the other, which a browser
+    needs a moment to read; the turn after that one is shown. So nothing flickers.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, vertices: Floats, triangles: NDArray[np.int64], name: str = ""
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: Longs, name: str = "") -> None:
         below = f"/organ/{name}" if name else "/organ"
         self._is_carried = bool(name)
-        self.rest = np.asarray(vertices, dtype=np.float64)
-        self._triangles = outermost_first(self.rest, triangles)
-        self._levels = [level * 1e-3 for level, _ in BANDS]
-        self._meshes = [
-            server.scene.add_mesh_simple(
-                f"{below}/{band}",
-                self.rest,
-                self._triangles,
-                color=colour,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            for band, colour in [
-                ("at_rest", tissue_colour(name)),
-                *((f"over_{level:g}_mm", colour) for level, colour in BANDS),
-            ]
-        ]
+        self.rest, self.triangles = np.asarray(vertices, dtype=np.float64), triangles
+        self._shades = light_of(shades(tissue_colour(name)))
+        self._opacity = 1.0
+        self._surface = ColouredSurface(self.rest, triangles)
+        first = self._surface.message(self.rest, np.tile(self._shades[0], (len(self.rest), 1)))
+        self._seen, self._other = (
+            server.scene.add_glb(f"{below}/{which}", first, visible=seen, cast_shadow=False, receive_shadow=False)
+            for which, seen in (("one", True), ("other", False))
+        )
+        self._is_new = False  # the one that isn't seen
         top = self.rest[np.argmax(self.rest[:, 2])]
         self._label = server.scene.add_label(f"{below}/name", name, position=top + (0.0, 0.0, 0.01)) if name else None
-        self.show(self.rest)
+
+    def turn(self) -> None:
+        """Show what was drawn last time."""
+        if self._is_new:
+            self._other.visible, self._seen.visible = True, False
+            self._seen, self._other, self._is_new = self._other, self._seen, False
 
     def show(self, positions: Floats) -> None:
-        """Draw the surface at positions (n, 3) m."""
+        """Draw the surface at positions (n, 3) m, to be seen from the next turn on."""
         moved = positions - self.rest
         if self._is_carried:  # by the breath: as most of it is
             moved = moved - np.median(moved, axis=0)
-        displacement = np.linalg.norm(moved, axis=1)
-        bands = cut_into_bands(positions, self._triangles, displacement, self._levels)
-        for mesh, (vertices, faces) in zip(self._meshes, bands, strict=True):
-            if len(faces) == 0:  # a triangle without area: to hide the mesh would show a hole for a moment
-                vertices, faces = positions[:1], np.zeros((1, 3), dtype=np.int64)
-            if len(vertices) > len(mesh.vertices):  # at no moment may a face name a vertex that isn't there
-                mesh.vertices = vertices.astype(np.float32)
-                mesh.faces = faces.astype(np.uint32)
-            else:
-                mesh.faces = faces.astype(np.uint32)
-                mesh.vertices = vertices.astype(np.float32)
+        share = np.linalg.norm(moved, axis=1) / FULL_DISPLACEMENT
+        place = (np.minimum(share, 1.0) * (len(self._shades) - 1)).astype(np.int64)
+        self._other.glb_data, self._is_new = self._surface.message(positions, self._shades[place]), True
 
-    def set_opacity(self, opacity: float) -> None:
-        """Let the skeleton shine through: 1 hides it."""
-        for mesh in self._meshes:
-            mesh.opacity = opacity if opacity < 1.0 else None
+    def set_opacity(self, opacity: float) -> bool:
+        """Let what is within shine through: 1 hides it; returns whether it is to be drawn anew for that."""
+        if opacity == self._opacity:
+            return False
+        self._opacity, self._surface = opacity, ColouredSurface(self.rest, self.triangles, opacity)
+        return True
 
     def remove(self) -> None:
         """Take it out of the picture."""
-        for mesh in self._meshes:
-            mesh.remove()
+        self._seen.remove()
+        self._other.remove()
         if self._label is not None:
             self._label.remove()
+
+
+class InclusionView:
+    """Surfaces of inclusions at rest, (p, 3) m and (t, 3), within an organ's; they go along with it.
+
+    To be seen while the organ is translucent.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, vertices: Floats, triangles: Longs, organ: OrganView, name: str = ""
+    ) -> None:
+        self._weights = mean_value_weights(vertices, organ.rest, organ.triangles)
+        self._mesh = server.scene.add_mesh_simple(
+            f"/inclusions/{name}" if name else "/inclusions",
+            vertices,
+            triangles,
+            color=INCLUSION,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def show(self, surface: Floats) -> None:
+        """Draw them within the organ's surface at positions (n, 3) m."""
+        self._mesh.vertices = (self._weights @ surface).astype(np.float32)
+
+    def remove(self) -> None:
+        """Take them out of the picture."""
+        self._mesh.remove()
 
 
 class SkeletonView:

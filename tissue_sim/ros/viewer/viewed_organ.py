@@ -10,7 +10,7 @@ from shape_msgs.msg import Mesh
 
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
-from tissue_sim.ros.viewer.scene import OrganView, SkeletonView
+from tissue_sim.ros.viewer.scene import InclusionView, OrganView, SkeletonView
 
 
 class ViewedOrgan:
@@ -22,7 +22,9 @@ class ViewedOrgan:
         self._mesh = client.Inbox(node, Mesh, f"{below}/mesh", client.latched_qos())
         self._surface = client.Inbox(node, PointCloud2, f"{below}/surface", client.stream_qos())
         self._atoms = client.Inbox(node, PointCloud2, f"{below}/skeleton", client.stream_qos())
+        self._within = client.Inbox(node, Mesh, f"{below}/inclusions", client.latched_qos())
         self._skeleton = SkeletonView(server, name)
+        self._inclusions: InclusionView | None = None
         self.view: OrganView | None = None
         self.points: Floats | None = None  # where the surface was last, (n, 3) m
         self.frame_id = ""
@@ -37,8 +39,7 @@ class ViewedOrgan:
         if self.view is not None:
             if np.array_equal(vertices, self.view.rest):
                 return False
-            self.view.remove()
-            self._skeleton.remove()
+            self._clear()
         self.view = OrganView(self._server, vertices, triangles, self.name)
         self.points = self._drawn = None
         return True
@@ -53,13 +54,25 @@ class ViewedOrgan:
         if positions.shape == self.view.rest.shape and np.isfinite(positions).all():
             self.points, self.frame_id = positions.astype(np.float64), surface.header.frame_id
 
+    def take_inclusions(self) -> None:
+        """Take the surfaces of inclusions, once the organ's own has come."""
+        mesh = self._within.take() if self.view is not None else None
+        if mesh is not None and self.view is not None:
+            if self._inclusions is not None:
+                self._inclusions.remove()
+            self._inclusions = InclusionView(self._server, *client.mesh_arrays(mesh), self.view, self.name)
+            self._drawn = None
+
     def draw(self, watched: bool, opacity: float) -> None:
         """Draw what has changed; surfaces only while somebody looks."""
         if self.view is not None:
-            if watched and self.points is not None and self.points is not self._drawn:
-                self.view.show(self.points)
-                self._drawn = self.points
-            self.view.set_opacity(opacity)
+            self.view.turn()
+            points = self.view.rest if self.points is None else self.points
+            if watched and (self.view.set_opacity(opacity) or points is not self._drawn):
+                self.view.show(points)
+                if self._inclusions is not None:
+                    self._inclusions.show(points)
+                self._drawn = points
         atoms = self._atoms.take()
         if atoms is not None:
             columns = client.cloud_array(atoms)
@@ -67,8 +80,13 @@ class ViewedOrgan:
 
     def remove(self) -> None:
         """Take it out of the picture, and hear no more of it."""
-        for inbox in (self._mesh, self._surface, self._atoms):
+        for inbox in (self._mesh, self._within, self._surface, self._atoms):
             inbox.close()
-        if self.view is not None:
-            self.view.remove()
-        self._skeleton.remove()
+        self._clear()
+
+    def _clear(self) -> None:
+        """Take all that is drawn out of the picture."""
+        for view in (self.view, self._inclusions, self._skeleton):
+            if view is not None:
+                view.remove()
+        self.view = self._inclusions = None

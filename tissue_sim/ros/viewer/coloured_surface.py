@@ -1,0 +1,95 @@
+"""A surface with a colour at each vertex as the bytes of a GLB (glTF 2.0), written in place.
+
+Meshes of viser have one colour; a GLB is what it draws with more. Exporters write one anew each time, and colours with
+eight bits of light, too few for dark ones.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from tissue_sim.array_types import Floats, Ints, Longs
+
+FLOAT, UNSIGNED, ARRAY, INDICES = 5126, 5125, 34962, 34963  # glTF's names for kinds of numbers and of buffers
+ROUGHNESS = 0.5  # of a moist surface
+
+
+class ColouredSurface:
+    """A surface, triangles (t, 3), that is drawn anew again and again; rest (n, 3) m: about where.
+
+    opacity: 1 hides what is within.
+    """
+
+    def __init__(self, rest: Floats, triangles: Ints | Longs, opacity: float = 1.0) -> None:
+        faces = np.ascontiguousarray(triangles, dtype="<u4")
+        self._triangles = triangles
+        t, n = len(triangles), len(rest)
+        corners = triangles.ravel(), np.repeat(np.arange(t), 3)
+        self._around = csr_array((np.ones(3 * t), corners), shape=(n, t))  # a node's triangles
+        parts = [12 * n, 12 * n, 12 * n, faces.nbytes]
+        text = json.dumps(_described(rest, t, parts, opacity)).encode()
+        text += b" " * (-len(text) % 4)
+        body = sum(parts)
+        head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + body)
+        head += struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", body, b"BIN\0")
+        self._bytes = bytearray(head + bytes(body))
+        self._bytes[len(self._bytes) - faces.nbytes :] = faces.tobytes()
+        numbers = memoryview(self._bytes)[len(head) : len(head) + 36 * n]
+        self._positions, self._normals, self._colours = np.frombuffer(numbers, dtype="<f4").reshape(3, n, 3)
+
+    def message(self, positions: Floats, colours: Floats) -> bytes:
+        """The bytes of a surface at positions (n, 3) m, with colours (n, 3), red, green, blue as light of 0 to 1."""
+        corners = positions[self._triangles]
+        outward = self._around @ np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(outward, axis=1, keepdims=True)
+        self._normals[:] = outward / np.where(length > 0.0, length, 1.0)
+        self._positions[:], self._colours[:] = positions, colours
+        return bytes(self._bytes)
+
+
+def light_of(colours: Any) -> Floats:
+    """Colours (..., 3) of 0 to 255 as screens have them (sRGB, IEC 61966-2-1), as light of 0 to 1."""
+    share = np.asarray(colours, dtype=np.float64) / 255.0
+    return np.asarray(np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4))
+
+
+def _described(rest: Floats, n_faces: int, parts: list[int], opacity: float) -> dict[str, Any]:
+    """What the numbers are, as glTF has it."""
+    n = len(rest)
+    starts = np.cumsum([0, *parts]).tolist()
+    targets = (ARRAY, ARRAY, ARRAY, INDICES)
+    attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
+    low, high = (part.astype(np.float32).astype(float).tolist() for part in (rest.min(axis=0), rest.max(axis=0)))
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
+        "materials": [
+            {
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [1.0, 1.0, 1.0, opacity],
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": ROUGHNESS,
+                },
+                "alphaMode": "OPAQUE" if opacity >= 1.0 else "BLEND",
+            }
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": FLOAT, "count": n, "type": "VEC3", "min": low, "max": high},
+            {"bufferView": 1, "componentType": FLOAT, "count": n, "type": "VEC3"},
+            {"bufferView": 2, "componentType": FLOAT, "count": n, "type": "VEC3"},
+            {"bufferView": 3, "componentType": UNSIGNED, "count": 3 * n_faces, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": size, "target": target}
+            for start, size, target in zip(starts, parts, targets, strict=False)
+        ],
+        "buffers": [{"byteLength": sum(parts)}],
+    }
