@@ -54,9 +54,11 @@ format: .venv/.installed ## ruff's formatting and safe fixes
 	@$(PY) -m ruff check --fix --output-format concise
 	@$(PY) -m ruff format
 
-organ: .venv/.installed ## rebuilds the kidney that ships from the phantom and calibrates it
+organ: .venv/.installed ## rebuilds the kidneys that ship from the phantom and calibrates them
 	@$(PY) -m tissue_sim.commands.build_shipped
 	.venv/bin/tissue_sim calibrate config/organs/kidney_as_built.npz --out config/organs/kidney.npz
+	@$(PY) -m tissue_sim.commands.build_shipped --tumour-in config/organs/kidney_as_built.npz --out config/organs/kidney_tumour.npz
+	.venv/bin/tissue_sim calibrate config/organs/kidney_tumour.npz --out config/organs/kidney_tumour.npz
 
 colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels, in .colcon
 	@$(COLCON) build --build-base .colcon/build --install-base .colcon/install

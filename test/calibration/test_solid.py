@@ -253,3 +253,20 @@ def test_loads_that_settle_in_step_settle_as_alone():
         assert found.converged
         np.testing.assert_allclose(found.displacement, alone.displacement, atol=1e-7)
     assert not together[2].displacement.any()
+
+
+def test_parts_of_another_stiffness_are_in_series():
+    """A bar of two halves, one five times as stiff, pulled at its end; it doesn't contract (Poisson's ratio 0)."""
+    along, across = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 0.2, 2)
+
+    def stiffness(x):
+        return np.where(x[..., 0] < 0.5, 5.0, 1.0)
+
+    solid = box(along, across, across, youngs_modulus=E, poisson_ratio=0.0, stiffness=stiffness)
+    solid.held[solid.nodes[:, 0] < 1e-9] = True
+    load = pressed(solid, faces(solid, 0, 1.0), [100.0, 0.0, 0.0])
+    found = solid.solve(load[None])[0]
+    np.testing.assert_allclose(found[solid.nodes[:, 0] > 1.0 - 1e-9, 0], 100.0 / E * (0.5 / 5.0 + 0.5), rtol=1e-9)
+    settled = solid.settle(1e-3 * load)
+    assert settled.converged
+    np.testing.assert_allclose(settled.displacement, 1e-3 * found, rtol=1e-3, atol=1e-9)

@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 from helpers.blocks import box
 from helpers.scenes import ball
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import TIE, Held, Points, organ_points, squeezed
+from tissue_sim.calibration.squeeze import TIE, Held, Points, organ_points, own_points, squeezed
 
 E, NU = 3000.0, 0.3
 RADIUS, DEPTH = 0.02, 6e-4  # m
@@ -102,3 +102,18 @@ def test_points_of_an_organ_go_where_forces_on_its_nodes_do_their_work():
     np.testing.assert_allclose(points.rest[-30:], organ.surface_positions[near].mean(axis=1), atol=1e-15)
     sides = np.sort(near[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
     assert len(points.rest) == len(nodes) + len(np.unique(sides, axis=0)) + 30
+
+
+def test_own_points_are_the_solids_nodes_on_the_triangles():
+    organ = ball(2)
+    body = Body(organ)
+    near = organ.surface_triangles[[5, 17]][:, [1, 2, 0]]
+    found = own_points(body, near)
+    corners = organ.surface_positions[near]
+    for point in found.rest:  # in the plane of one of them, and between its corners
+        away = [np.linalg.det(np.stack([b - point, c - point, d - point])) for b, c, d in corners]
+        assert np.abs(away).min() < 1e-12
+        assert np.linalg.norm(corners - point, axis=2).min() < 0.01
+    assert set(near.ravel()) <= set(found.weights.indices)
+    np.testing.assert_allclose(found.weights @ body.solid.nodes, found.rest)
+    assert len(found.rest) >= 2 * 6 - 3, "corners and middles of edges"

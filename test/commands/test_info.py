@@ -30,7 +30,7 @@ def test_text_says_it_all(path, egg, capsys):
     lines = capsys.readouterr().out.splitlines()
     for line in (
         "name: egg <1>",
-        f"schema version: {SCHEMA_VERSION}",
+        f"schema version: {egg.schema_version}",
         "units: SI: m, kg, s, N, Pa",
         f"digest: {egg.digest()}",
         f"volume (mL): {egg.volume * 1e6:.4g}",

@@ -10,7 +10,14 @@ from tissue_sim.calibration.solid import Solid
 
 
 def box(
-    x, y, z, youngs_modulus: float = 10e3, poisson_ratio: float = 0.3, density: float = 1000.0, bend: float = 0.0
+    x,
+    y,
+    z,
+    youngs_modulus: float = 10e3,
+    poisson_ratio: float = 0.3,
+    density: float = 1000.0,
+    bend: float = 0.0,
+    stiffness=None,
 ) -> Solid:
     """A box between coordinates x, y, z (each (k,), m), nothing held; `bend` moves inner corners by so much of 1 m."""
     mesh = skfem.MeshTet.init_tensor(*(np.asarray(axis, dtype=np.float64) for axis in (x, y, z)))
@@ -18,7 +25,7 @@ def box(
     inner = np.setdiff1d(np.arange(points.shape[1]), mesh.boundary_nodes())
     points[:, inner] += bend * np.random.default_rng(3).uniform(-1.0, 1.0, (3, len(inner)))
     nodes, elements = quadratic(skfem.MeshTet(points, mesh.t))
-    return Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), youngs_modulus, poisson_ratio, density)
+    return Solid(nodes, elements, np.zeros(nodes.shape, dtype=bool), youngs_modulus, poisson_ratio, density, stiffness)
 
 
 def faces(solid: Solid, axis: int, value: float) -> np.ndarray:

@@ -122,7 +122,9 @@ def test_names_follow_the_nodes_parameters():
 def test_a_scene_has_the_topics_of_its_organs():
     found = allowed(policy.fitted("tissue_sim", defaults(organs=["liver", "spleen"])))
     shown = {
-        f"/tissue_sim/{organ}/{topic}" for organ in ("liver", "spleen") for topic in ("mesh", "surface", "skeleton")
+        f"/tissue_sim/{organ}/{topic}"
+        for organ in ("liver", "spleen")
+        for topic in ("inclusions", "mesh", "surface", "skeleton")
     }
     assert shown < found["/tissue_sim"]["publish"] & found["/tissue_sim/viewer"]["subscribe"]
     assert {"/tissue_sim/liver/markers", "/tissue_sim/markers"} < found["/tissue_sim"]["publish"]

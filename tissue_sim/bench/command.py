@@ -32,6 +32,7 @@ BENCHMARKS = {
     ),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
+    "palpation": ("tissue_sim.bench.palpation", "a finger feels for a tumour, against nonlinear finite elements"),
     "breathing": ("tissue_sim.bench.breathing", "an organ whose clamp breathes, against implicit finite elements"),
     "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),
     "scene": (

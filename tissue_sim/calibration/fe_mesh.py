@@ -25,6 +25,8 @@ ON_PLANE = 1e-6  # of a triangle's size, within which a point lies on it
 class Grading(NamedTuple):
     """How far the surface's mean edge is halved, and how fast elements may grow away from there.
 
+    At an inclusion's surface it is halved as often as at the clamp's edge: stiffness jumps within elements there.
+
     The defaults hold the figures of `reference`.
     """
 
@@ -49,7 +51,8 @@ class FeMesh(NamedTuple):
 
 
 def fill(organ: Organ, near: NDArray[Any] | None = None, grading: Grading | None = None) -> FeMesh:
-    """Fill the organ's surface with tetrahedra, graded at the clamp's edge and under the surface nodes `near` (k,).
+    """Fill the organ's surface with tetrahedra, graded at the clamp's edge, under the surface nodes `near` (k,), and
+    at the surfaces of inclusions.
 
     Netgen keeps surface nodes and triangles as they are; refinement then bisects longest edges (skfem). At the
     clamp's edge the middle nodes go to quarter points. The same organ gives the same mesh.
@@ -120,6 +123,8 @@ def _graded(organ: Organ, held: NDArray[np.bool_], near: NDArray[Any] | None, gr
         loaded = np.isin(triangles, near).any(axis=1)
         inside = np.concatenate([positions[triangles[loaded]].mean(axis=1), positions[np.asarray(near)]])
         sources.append((inside, edge / 2.0**grading.near))
+    if len(organ.inclusion_positions):
+        sources.append((organ.inclusion_positions, least))
     trees = [(cKDTree(where), size) for where, size in sources if len(where)]
     for _ in range(MOST_PASSES):
         corners = mesh.p.T[mesh.t.T]

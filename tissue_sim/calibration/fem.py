@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.calibration.fe_mesh import FeMesh, Grading, coordinates, fill, libraries
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.errors import UserError
+from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
 from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.topology import node_area
 
@@ -45,7 +47,9 @@ class Body:
         held = np.zeros((len(self.filling.nodes), 3), dtype=bool)
         held[self.filling.facets[self.filling.clamped].ravel()] = True
         tissue = organ.youngs_modulus, organ.poisson_ratio, organ.density
-        self.solid = Solid(self.filling.nodes, self.filling.elements, held, *tissue)
+        inclusions = inclusions_of(organ)
+        stiffness = partial(stiffness_at, inclusions) if inclusions else None
+        self.solid = Solid(self.filling.nodes, self.filling.elements, held, *tissue, stiffness)
         self.load_matrix = load_matrix(organ, self.filling)  # (n, n_surface) nodal loads per surface force
 
     @property

@@ -49,7 +49,8 @@ Settling = Generator[Floats, Floats, Equilibrium]
 class Solid:
     """A body of compressible neo-Hookean material, of quadratic tetrahedra.
 
-    nodes (n, 3) m and elements (e, 10) as in FeMesh; `held` (n, 3) says which axes of them don't move.
+    nodes (n, 3) m and elements (e, 10) as in FeMesh; `held` (n, 3) says which axes of them don't move; stiffness: how
+    many times the moduli hold at points (e, q, 3) m, those at which energy is summed up; everywhere once if None.
     """
 
     def __init__(
@@ -60,17 +61,20 @@ class Solid:
         youngs_modulus: float,
         poisson_ratio: float,
         density: float,
+        stiffness: Callable[[Floats], Floats] | None = None,
     ) -> None:
         self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
         # (k, n) sqrt(N/m): springs that pull weighted sums of displacements to 0, with the square of the row.
         self.ties: csr_array | None = None
         self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
         self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-        _, slopes, weights = shape_functions(QUADRATURE)
+        values, slopes, weights = shape_functions(QUADRATURE)
         jacobian = np.einsum("eax,qar->eqxr", nodes[elements], slopes)
         self._slopes = slopes
         self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian))
         self._weight = np.abs(np.linalg.det(jacobian)) * weights
+        if stiffness is not None:  # energy goes with both moduli
+            self._weight *= stiffness(np.einsum("eax,qa->eqx", nodes[elements], values))
         n = len(self.nodes)
         keys = self.elements[:, :, None].astype(np.int64) * n + self.elements[:, None, :]
         pairs, slots = np.unique(keys, return_inverse=True)

@@ -22,6 +22,8 @@ from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+    from tissue_sim.organ.imaging.image import Volume
+    from tissue_sim.organ.inclusions import Inclusion
     from tissue_sim.organ.organ import Organ
 
 
@@ -47,6 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--series", metavar="UID", help="series to read when the DICOM folder holds several")
     source.add_argument("--mask", metavar="FILE", help="start from a segmentation (same formats) instead of a seed")
     source.add_argument("--label", type=int, metavar="N", help="value of the organ in --mask when it holds several")
+    source.add_argument(
+        "--inclusion",
+        action="append",
+        default=[],
+        metavar="N:TIMES",
+        help="what label N of --mask covers belongs to the organ and is so many times as stiff, such as a tumour;"
+        " give it once for each label",
+    )
     source.add_argument(
         "--surface", metavar="FILE", help="start from a closed mesh (OBJ, STL, PLY, OFF, GLB, VTK, MSH, TRIAN)"
     )
@@ -127,7 +137,11 @@ def _run(args: argparse.Namespace) -> int:
         youngs_modulus=args.youngs_modulus,
         poisson_ratio=args.poisson_ratio,
         density=args.density,
-        provenance={"source": Path(source).name, "source_sha256": digest_of(Path(source))},
+        provenance={
+            "source": Path(source).name,
+            "source_sha256": digest_of(Path(source)),
+            **({"inclusions": list(args.inclusion)} if args.inclusion else {}),
+        },
     )
     with _Bar(_stages_of(args)) as bar:
         progress = Progress(bar.tell, bar.watch)
@@ -195,6 +209,7 @@ def _check_counts(args: argparse.Namespace) -> None:
         check_atoms(args.atoms)
     check_tissue(args.youngs_modulus, args.poisson_ratio, args.density)
     check_interior(args.interior)
+    parse_inclusions(args.inclusion, args.label)
     if args.image:
         from tissue_sim.organ.segmenting.anatomy import anatomy_of
 
@@ -224,6 +239,7 @@ def _source(args: argparse.Namespace) -> str:
         ("--seed", seeded, "IMAGE"),
         ("--series", args.series, "IMAGE"),
         ("--label", args.label is not None, "--mask"),
+        ("--inclusion", args.inclusion, "--mask"),
         ("--unit", args.unit, "--surface"),
         ("--length", args.length is not None, "--surface"),
         ("--part", args.part, "--surface"),
@@ -277,11 +293,13 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
             part = int(args.part) if args.part and args.part.isdigit() else args.part
             mesh = read_mesh(args.surface, args.unit, longest=args.length, part=part, merge_parts=args.merge_parts)
         return organ_from_mesh(mesh, request, args.keep_points, progress=progress)
-    from tissue_sim.organ.imaging.image import read_image, read_mask
+    from tissue_sim.organ.imaging.image import read_image, read_masks
 
     if args.mask:
+        wanted = parse_inclusions(args.inclusion, args.label)
         with progress.stage("read"):
-            mask = read_mask(args.mask, args.label)
+            mask, *parts = read_masks(args.mask, args.label, list(wanted))
+            request = dataclasses.replace(request, inclusions=_surround(parts, wanted, progress))
         for note in mask.notes:
             progress.say(note)
         return organ_from_mask(mask, request, progress=progress)
@@ -291,6 +309,40 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
         ct = read_image(args.image, args.series)
     seed = given if args.seed else ct.to_points(given)
     return organ_from_image(ct, seed, request, parameters, progress=progress)
+
+
+def parse_inclusions(given: list[str], label: int | None = None) -> dict[int, float]:
+    """How many times as stiff each label is. Raises UserError for what isn't N:TIMES, or a label that comes twice."""
+    from tissue_sim.organ.inclusions import check_stiffness
+
+    found: dict[int, float] = {}
+    for text in given:
+        number, _, times = text.partition(":")
+        try:
+            part, stiffness = int(number), float(times)
+        except ValueError:
+            raise UserError(f"--inclusion {text} is no label and factor; write it as 2:5") from None
+        if part in found or part == label:
+            raise UserError(f"--inclusion {text}: label {part} is given twice")
+        check_stiffness(stiffness)
+        found[part] = stiffness
+    return found
+
+
+def _surround(parts: list[Volume], wanted: dict[int, float], progress: Progress) -> tuple[Inclusion, ...]:
+    """Inclusions around what each label covers."""
+    if not wanted:
+        return ()
+    from tissue_sim.organ.surfaces.inclusion_surface import surround
+
+    found: list[Inclusion] = []
+    for mask, (label, stiffness) in zip(parts, wanted.items(), strict=True):
+        named = dataclasses.replace(mask, name=f"label {label}")
+        inclusions, specks = surround(named, stiffness)
+        found += inclusions
+        if specks:
+            progress.say(f"left out {specks} specks of label {label}")
+    return tuple(found)
 
 
 class _Bar:

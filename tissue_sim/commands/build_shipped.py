@@ -1,6 +1,6 @@
-"""Makes the kidney that ships, as built.
+"""Makes the kidney that ships, as built, or that with a tumour in it.
 
-`python -m tissue_sim.commands.build_shipped`; `make organ` then calibrates it.
+`python -m tissue_sim.commands.build_shipped`; `make organ` then calibrates them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from pathlib import Path
 
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
-from tissue_sim.organ.shipped_kidney import KIDNEY, make_kidney
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped_kidney import KIDNEY, make_kidney, with_tumour
 from tissue_sim.unexpected import catch_all
 
 
@@ -20,13 +21,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.commands.build_shipped", description=__doc__)
     parser.add_argument("--out", type=Path, default=KIDNEY, help="organ file to write (default: %(default)s)")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a page on how it was built")
+    parser.add_argument("--tumour-in", type=Path, metavar="ORGAN", help="put a tumour into this kidney instead")
     args = parser.parse_args(argv)
     out, progress = args.out, Progress(print)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        organ = make_kidney(progress)
+        organ = with_tumour(Organ.load(args.tumour_in)) if args.tumour_in else make_kidney(progress)
         organ.save(out)
-        if args.report:
+        if args.report and not args.tumour_in:
             from tissue_sim.organ.reporting.page import write_report
 
             write_report(progress.record, args.report, organ_file=out.name)

@@ -9,6 +9,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.organ.inclusions import cell_factors, inclusions_of
 from tissue_sim.organ.organ import Organ, signed_volume
 from tissue_sim.organ.winding import inside
 
@@ -64,12 +65,13 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
 
 
 def with_cells(organ: Organ, shares: tuple[float, float] = (1.0, 1.0)) -> Organ:
-    """The organ with cells between all its nodes, of so much of its tissue's mu and lambda.
+    """The organ with cells between all its nodes, of so much of its tissue's mu and lambda, inclusions counted.
 
     Raises UserError for a node that no cell joins, or where cells fill too little.
     """
     cells = tissue_cells(organ.rest_positions, organ.surface_positions, organ.surface_triangles, organ.name)
-    mu, lam = np.outer(np.multiply(shares, organ.lame_moduli), np.ones(len(cells)))
+    factors = cell_factors(inclusions_of(organ), organ.rest_positions, cells)
+    mu, lam = np.outer(np.multiply(shares, organ.lame_moduli), factors)
     return replace(organ, cell_nodes=cells, cell_mu=mu, cell_lambda=lam)
 
 

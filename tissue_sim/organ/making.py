@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
+from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
+from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.organ.winding import inside
 
 if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume
@@ -45,6 +48,7 @@ class Request:
     youngs_modulus: float = 10_000.0  # Pa
     poisson_ratio: float = 0.45
     density: float = 1060.0  # kg/m^3
+    inclusions: tuple[Inclusion, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
@@ -196,6 +200,8 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
         "fixed": Path(request.fixed).name,
         "packages": _versions(),
     }
+    for inclusion in request.inclusions:
+        _place(inclusion, positions, triangles, progress)
     with progress.stage("springs"):
         organ = assemble_organ(
             name=request.name,
@@ -209,11 +215,28 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
             youngs_modulus=request.youngs_modulus,
             poisson_ratio=request.poisson_ratio,
             density=request.density,
+            inclusions=request.inclusions,
             provenance={**request.provenance, **figures},
         )
     record = progress.record
     record.skeleton, record.organ, record.request = skeleton, organ, request
     return organ
+
+
+def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: Progress) -> None:
+    """Tell where an inclusion lies within the organ's surface. Raises UserError when it doesn't."""
+    from tissue_sim.organ.organ import signed_volume
+    from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+
+    within = inside(inclusion.positions, positions, triangles)
+    volume = 1e6 * signed_volume(inclusion.positions, inclusion.triangles)
+    if not within.any():
+        raise UserError(f"an inclusion of {volume:.2f} mL lies outside the organ; choose another label")
+    depth = 1e3 * float(distance_to_surface(inclusion.positions, positions, triangles)[within].min())
+    out = "" if within.all() else ", partly outside it: what sticks out is left out"
+    progress.say(
+        f"inclusion of {volume:.2f} mL, {inclusion.stiffness:g} times as stiff, {depth:.1f} mm under the surface{out}"
+    )
 
 
 def wall_distance(wall: Wall, positions: Floats, triangles: Ints) -> float:

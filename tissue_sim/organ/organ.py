@@ -21,7 +21,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError, shown
 from tissue_sim.npz import read_npz
 
-SCHEMA_VERSION = 4  # 2: interior_spoke; 3: springs that harden, gone; 4: cells
+SCHEMA_VERSION = 5  # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions
 
 
 # Of the header, with their types.
@@ -30,7 +30,7 @@ _SHOWN, _LONGEST_NAME = 40, 200  # characters of an array's name in a message, o
 _FARTHEST = 1e3  # m, from the origin: the double's digits are for the organ, and its square must not overflow
 # Of every other number, in SI units: what lies beyond is a mistake, and what is computed of it no number.
 _LEAST, _MOST = 1e-12, 1e12
-_POSITIVE = ("mass", "spring_rest_length", "atom_radius", "cell_mu")
+_POSITIVE = ("mass", "spring_rest_length", "atom_radius", "cell_mu", "inclusion_stiffness")
 
 
 class SpringKind(IntEnum):
@@ -95,6 +95,11 @@ class Organ:
     cell_nodes: Ints = _ints("n_cells", 4, empty=(0, 4))
     cell_mu: Floats = _floats("n_cells", empty=(0,))  # Pa, shear modulus
     cell_lambda: Floats = _floats("n_cells", empty=(0,))  # Pa, Lame's first
+    # Of tissue of another stiffness, such as a tumour: closed surfaces. None in most organs.
+    inclusion_positions: Floats = _floats("n_inclusion_points", 3, empty=(0, 3))  # m, at rest
+    inclusion_triangles: Ints = _ints("n_inclusion_triangles", 3, empty=(0, 3))  # outward
+    inclusion_of: Ints = _ints("n_inclusion_triangles", empty=(0,))  # which inclusion each of them bounds
+    inclusion_stiffness: Floats = _floats("n_inclusions", empty=(0,))  # times the tissue's moduli
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -134,6 +139,11 @@ class Organ:
         return np.concatenate([self.surface_positions, self.atom_positions, self.interior_positions])
 
     @property
+    def schema_version(self) -> int:
+        """Of its file: the oldest that can hold it, so that older packages read what they know."""
+        return SCHEMA_VERSION if len(self.inclusion_stiffness) else 4
+
+    @property
     def volume(self) -> float:
         """Volume enclosed by the rest surface, m^3 (divergence theorem)."""
         return signed_volume(self.surface_positions, self.surface_triangles)
@@ -155,6 +165,8 @@ class Organ:
             "spring_nodes": n,
             "angular_nodes": n,
             "cell_nodes": n,
+            "inclusion_triangles": sizes["n_inclusion_points"],
+            "inclusion_of": sizes["n_inclusions"],
         }
         for key, limit in limits.items():
             array = getattr(self, key)
@@ -173,6 +185,10 @@ class Organ:
         if np.any(np.linalg.det(corner[:, 1:] - corner[:, :1]) <= 0.0):
             raise UserError(f"organ '{self.name}': cell_nodes holds cells without volume or inside out")
         check_surface(self.surface_positions, self.surface_triangles, f"organ '{self.name}'")
+        for number in range(sizes["n_inclusions"]):
+            used, own = np.unique(self.inclusion_triangles[self.inclusion_of == number], return_inverse=True)
+            name = f"inclusion {number} of organ '{self.name}'"
+            check_surface(self.inclusion_positions[used], own.reshape(-1, 3).astype(np.int32), name)
 
     def _check_numbers(self) -> None:
         """Refuse numbers that no organ has, and that arithmetic overflows with."""
@@ -194,10 +210,10 @@ class Organ:
 
         The same organ gives the same bytes.
         """
-        arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
+        arrays = self._arrays()
         header = {
             "format": "tissue_sim organ",
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": self.schema_version,
             "name": self.name,
             "units": "SI: m, kg, s, N, Pa",
             "youngs_modulus": float(self.youngs_modulus),
@@ -254,6 +270,8 @@ class Organ:
             expected -= {"interior_spoke"}
         if version < 4:
             expected -= {"cell_nodes", "cell_mu", "cell_lambda"}
+        if version < 5:
+            expected -= {name for name in expected if name.startswith("inclusion_")}
         if set(content) != expected:
             odd = ", ".join(shown(name, _SHOWN) for name in sorted(expected ^ set(content)))
             raise UserError(f"organ file {path} is damaged: missing or unknown arrays: {odd}")
@@ -270,10 +288,14 @@ class Organ:
 
     def digest(self) -> str:
         """SHA-256 (hex) of the arrays: two organs with the same digest simulate alike."""
-        arrays = {item.name: getattr(self, item.name) for item in fields(self) if "dtype" in item.metadata}
-        if not len(self.cell_nodes):  # as it was before there were cells
-            arrays = {name: array for name, array in arrays.items() if not name.startswith("cell_")}
-        return content_digest("", arrays)
+        return content_digest("", self._arrays(without=() if len(self.cell_nodes) else ("cell_",)))
+
+    def _arrays(self, without: tuple[str, ...] = ()) -> dict[str, Any]:
+        """All arrays but those whose names begin so, and those of inclusions where there are none."""
+        if not len(self.inclusion_stiffness):  # as it was before there were any
+            without = (*without, "inclusion_")
+        names = (item.name for item in fields(self) if "dtype" in item.metadata)
+        return {name: getattr(self, name) for name in names if not name.startswith(without)}
 
 
 def signed_volume(positions: Floats, triangles: Ints) -> float:

@@ -34,4 +34,5 @@ def placed(
         surface_positions=there(organ.surface_positions),
         atom_positions=there(organ.atom_positions),
         interior_positions=there(organ.interior_positions),
+        inclusion_positions=there(organ.inclusion_positions),
     )

@@ -1,4 +1,4 @@
-"""The kidney that ships, as built: the phantom's left kidney, through the real stages."""
+"""The kidneys that ship, as built: the phantom's left kidney, through the real stages; and with a tumour in it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,22 @@ from dataclasses import asdict
 from pathlib import Path
 
 import SimpleITK as sitk
+import trimesh
 
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.image import read_image
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
+from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.making import Request, organ_from_image
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.surfaces.remesh import vertex_normals
+from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
+from tissue_sim.organ.topology import assemble_like
 
 KIDNEY = Path("config") / "organs" / "kidney_as_built.npz"
 BACK = "y>0.9"  # where a kidney lies on the wall behind it: the patient frame's y points to the back
+TUMOUR, UNDER, STIFFER = 0.005, 0.005, 5.0  # m, its radius, and from it to the surface; times the tissue's moduli
+_NEAREST = 0.98  # of that depth, that the surface is away at the least
 
 
 def make_kidney(progress: Progress | None = None) -> Organ:
@@ -29,3 +36,16 @@ def make_kidney(progress: Progress | None = None) -> Organ:
     provenance = {"source": "synthetic abdominal CT", "phantom": asdict(parameters)}
     request = Request(name="kidney", organ="kidney", fixed=BACK, provenance=provenance)
     return organ_from_image(ct, phantom.seed_point, request, progress=progress)
+
+
+def with_tumour(kidney: Organ) -> Organ:
+    """The kidney, assembled anew, with a ball of stiffer tissue under its front, where nothing else is as near."""
+    surface, triangles = kidney.surface_positions, kidney.surface_triangles
+    deep = UNDER + TUMOUR
+    middles = surface - deep * vertex_normals(surface, triangles)
+    under = distance_to_surface(middles, surface, triangles) > _NEAREST * deep
+    middle = middles[under][middles[under, 1].argmin()]
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=TUMOUR)
+    inclusion = Inclusion(ball.vertices + middle, ball.faces.astype("int32"), STIFFER)
+    told = {**kidney.provenance, "inclusions": f"a ball of {2e3 * TUMOUR:g} mm, {1e3 * UNDER:g} mm under the front"}
+    return assemble_like(kidney, name="kidney with a tumour", inclusions=[inclusion], provenance=told)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import tetrahedra
+from tissue_sim.organ.inclusions import Inclusion, inclusions_of, spring_factors, with_inclusions
 from tissue_sim.organ.interior import place_interior_atoms
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind, check_surface, signed_volume
@@ -37,6 +38,7 @@ def assemble_organ(
     youngs_modulus: float = 10_000.0,
     poisson_ratio: float = 0.45,
     density: float = 1060.0,
+    inclusions: Sequence[Inclusion] = (),
     provenance: Mapping[str, Any] | None = None,
 ) -> Organ:
     """Make a node-ready organ from a closed surface and its medial atoms.
@@ -45,7 +47,7 @@ def assemble_organ(
     atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
     root, fixed (n_fixed,) surface nodes, interior_atoms: how many further atoms to spread along the
     spokes, interior_layer: the share of them that lies a mean edge under the surface, youngs_modulus Pa,
-    density kg/m^3.
+    density kg/m^3, inclusions: tissue of another stiffness, and so all springs that run through it.
 
     Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
     0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
@@ -104,6 +106,8 @@ def assemble_organ(
     kinds = [np.full(len(edges), SpringKind.EDGE), columns.kind, core.kind, np.full(len(bones), SpringKind.SKELETON)]
     spring_nodes = np.concatenate(nodes)
     spring_stiffness = np.concatenate(stiffness)
+    if inclusions:
+        spring_stiffness *= spring_factors(inclusions, np.concatenate([surface, inner])[spring_nodes])
     spring_kind = np.concatenate(kinds)
     order = np.argsort(spring_kind, kind="stable")
 
@@ -115,7 +119,7 @@ def assemble_organ(
     mass[n_surface:] = (1.0 - SURFACE_MASS_SHARE) * total_mass * _share(stiffness_sum[n_surface:])
 
     rigidity = youngs_modulus * thickness**3 / (12.0 * (1.0 - poisson_ratio**2))
-    return Organ(
+    organ = Organ(
         name=name,
         surface_positions=surface,
         surface_triangles=triangles,
@@ -139,6 +143,7 @@ def assemble_organ(
         density=density,
         provenance=dict(provenance or {}),
     )
+    return with_inclusions(organ, inclusions)
 
 
 def assemble_like(organ: Organ, **changes: Any) -> Organ:
@@ -155,6 +160,7 @@ def assemble_like(organ: Organ, **changes: Any) -> Organ:
         "youngs_modulus": organ.youngs_modulus,
         "poisson_ratio": organ.poisson_ratio,
         "density": organ.density,
+        "inclusions": inclusions_of(organ),
         "provenance": organ.provenance,
     }
     return assemble_organ(**{**same, **changes})

@@ -75,7 +75,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     forces = [name for link in links for name in _topics(namespace, link, "measured_cf")]
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
-    shown = _of_organs(own, values, "mesh", "skeleton", "surface")
+    shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
     return {
         own: Allowed(
             own,

@@ -169,6 +169,14 @@ def read_mask(path: str | Path, label: int | None = None) -> Volume:
 
     Raises UserError naming the file and the labels it holds when the choice isn't clear.
     """
+    return read_masks(path, label, ())[0]
+
+
+def read_masks(path: str | Path, label: int | None, parts: Sequence[int]) -> list[Volume]:
+    """Read an organ's segmentation with further labels for parts of it: the whole organ, then each part.
+
+    Raises UserError as read_mask does.
+    """
     source = Path(path)
     if not source.exists():
         raise UserError(f"mask {source} does not exist; name a {_FORMATS}")
@@ -179,11 +187,16 @@ def read_mask(path: str | Path, label: int | None = None) -> Volume:
     if len(labels) == 0:
         raise UserError(f"mask {source} is empty: it holds no value other than 0")
     shown = ", ".join(f"{value:g}" for value in labels[:20])
-    if label is None and len(labels) > 1:
+    for wanted in (label, *parts):
+        if wanted is not None and wanted not in labels:
+            raise UserError(f"mask {source} has no label {wanted}; it holds {shown}")
+    own = [value for value in labels if value not in parts] if label is None else [label]
+    if len(own) != 1:
         raise UserError(f"mask {source} holds several labels ({shown}); choose one with --label")
-    if label is not None and label not in labels:
-        raise UserError(f"mask {source} has no label {label}; it holds {shown}")
-    return replace(found, array=array == (labels[0] if label is None else label))
+    masks = [replace(found, array=array == part) for part in (*own, *parts)]
+    for part in masks[1:]:
+        masks[0].array[part.array] = True
+    return masks
 
 
 def _labels(array: NDArray[Any], name: str) -> list[float]:

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import quality_of
-from tissue_sim.organ.organ import SCHEMA_VERSION, Organ, SpringKind
+from tissue_sim.organ.inclusions import inclusions_of
+from tissue_sim.organ.organ import Organ, SpringKind, signed_volume
+from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 from tissue_sim.organ.surfaces.surface_quality import measure
 
 UNITS = "SI: m, kg, s, N, Pa"
@@ -28,7 +30,7 @@ def describe(organ: Organ) -> dict[str, Any]:
     quality = measure(surface, organ.surface_triangles)
     return {
         "name": organ.name,
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": organ.schema_version,
         "units": UNITS,
         "digest": organ.digest(),
         "volume_ml": organ.volume * 1e6,
@@ -50,6 +52,7 @@ def describe(organ: Organ) -> dict[str, Any]:
         "interior_points": len(organ.interior_positions),
         "springs": _springs(organ),
         **({"cells": _cells(organ)} if len(organ.cell_nodes) else {}),
+        **({"inclusions": _inclusions(organ)} if len(organ.inclusion_stiffness) else {}),
         "mass_g": _masses(organ),
         "tissue": {
             "youngs_modulus_pa": organ.youngs_modulus,
@@ -115,6 +118,19 @@ def _cells(organ: Organ) -> dict[str, Any]:
         "mu_pa": _range(organ.cell_mu),
         "lambda_pa": _range(organ.cell_lambda),
     }
+
+
+def _inclusions(organ: Organ) -> list[dict[str, Any]]:
+    return [
+        {
+            "times_as_stiff": inclusion.stiffness,
+            "volume_ml": 1e6 * signed_volume(inclusion.positions, inclusion.triangles),
+            "middle_mm": [float(v) * 1e3 for v in inclusion.positions.mean(axis=0)],
+            "least_depth_mm": 1e3
+            * float(distance_to_surface(inclusion.positions, organ.surface_positions, organ.surface_triangles).min()),
+        }
+        for inclusion in inclusions_of(organ)
+    ]
 
 
 def _masses(organ: Organ) -> dict[str, Any]:

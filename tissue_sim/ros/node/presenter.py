@@ -15,7 +15,7 @@ from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.served_organ import ServedOrgan
 from tissue_sim.ros.node.shapes_shown import ShapesShown, Touches
 from tissue_sim.ros.node.tool_port import ToolPort
-from tissue_sim.ros.shared.messages import CloudTemplate, rest_mesh
+from tissue_sim.ros.shared.messages import CloudTemplate, inclusion_mesh, rest_mesh
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.parameters import Values
 from tissue_sim.ros.shared.qos import LATCHED, STREAM
@@ -40,6 +40,7 @@ class OrganPresenter:
         self._organ, self._recorder, self._values = organ, recorder, values
         self._clock = node.get_clock()
         self._mesh = node.create_publisher(Mesh, f"{below}/mesh", LATCHED)
+        self._inclusions = node.create_publisher(Mesh, f"{below}/inclusions", LATCHED)
         self._markers = node.create_publisher(MarkerArray, f"{below}/markers", LATCHED)
         self._surface = node.create_publisher(PointCloud2, f"{below}/surface", STREAM)
         self._skeleton = node.create_publisher(PointCloud2, f"{below}/skeleton", STREAM)
@@ -54,6 +55,8 @@ class OrganPresenter:
         self._surface_sent = -math.inf
         self.unchanged_skips = self.unseen_skips = self.published = 0
         self._mesh.publish(rest_mesh(organ))
+        if len(organ.inclusion_stiffness):
+            self._inclusions.publish(inclusion_mesh(organ))
 
     def present(self) -> None:
         """Publish what has subscribers (or is recorded) and has moved since it was last published."""

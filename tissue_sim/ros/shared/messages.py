@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh, MeshTriangle
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Ints
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.shared.cdr import CDR_HEADER
 
@@ -69,8 +69,17 @@ class CloudTemplate:
 
 def rest_mesh(organ: Organ) -> bytes:
     """The rest surface as a shape_msgs/Mesh."""
+    return _mesh(organ.surface_positions, organ.surface_triangles)
+
+
+def inclusion_mesh(organ: Organ) -> bytes:
+    """The surfaces of all inclusions at rest as one shape_msgs/Mesh."""
+    return _mesh(organ.inclusion_positions, organ.inclusion_triangles)
+
+
+def _mesh(positions: Floats, triangles: Ints) -> bytes:
     message = Mesh(
-        triangles=[MeshTriangle(vertex_indices=row) for row in organ.surface_triangles.astype(np.uint32)],
-        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in organ.surface_positions],
+        triangles=[MeshTriangle(vertex_indices=row) for row in triangles.astype(np.uint32)],
+        vertices=[Point(x=float(x), y=float(y), z=float(z)) for x, y, z in positions],
     )
     return bytes(serialize_message(message))

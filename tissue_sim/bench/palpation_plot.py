@@ -1,0 +1,56 @@
+"""The plot of `tissue_sim bench palpation`: force against depth, and the stiffness that a finger feels around."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.bench.palpation import DEPTHS, MAP_DEPTH, Felt, Map
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+
+
+def write_plots(organ: Organ, felt: Sequence[Felt], maps: Sequence[Map], folder: str) -> list[Path]:
+    """Write a picture for each inclusion into the folder; raises UserError when it can't be written."""
+    paths = []
+    for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
+        path = Path(folder) / ("palpation.png" if len(felt) == 1 else f"palpation_{number}.png")
+        try:
+            drawn(organ, one, around).savefig(path, dpi=150)
+        except OSError as error:
+            raise UserError(f"cannot write to {folder}: {error.strerror}") from None
+        paths.append(path)
+    return paths
+
+
+def drawn(organ: Organ, felt: Felt, around: Map) -> Any:
+    """Curves on the left; on the right the map, seen along the finger's way, with the inclusion's outline."""
+    from matplotlib.figure import Figure
+    from scipy.spatial import ConvexHull
+
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    depths = np.concatenate([[0.0], DEPTHS]) * 1e3
+    for force, name, style in (
+        (felt.reference, "finite elements, with the inclusion", "k-"),
+        (felt.ours, "tissue_sim", "C0o"),
+        (felt.plain, "finite elements, without", "k:"),
+    ):
+        left.plot(depths, np.concatenate([[0.0], force]), style, label=name)
+    left.set(xlabel="depth, mm", ylabel="force, N", title="over the inclusion")
+    left.legend()
+    across = np.linalg.svd(felt.press.way[None])[2][1:]
+    middle = organ.surface_positions[felt.press.node]
+    seen = 1e3 * (organ.surface_positions[around.nodes] - middle) @ across.T
+    painted = right.tripcolor(*seen.T, around.stiffness, shading="gouraud", cmap="viridis")
+    right.plot(*seen.T, ".", color="white", markersize=2)
+    outline = 1e3 * (felt.inclusion.positions - middle) @ across.T
+    hull = outline[ConvexHull(outline).vertices]
+    right.plot(*np.concatenate([hull, hull[:1]]).T, "r-", label="inclusion")
+    right.set(xlabel="mm", ylabel="mm", title=f"stiffness felt at {1e3 * MAP_DEPTH:g} mm", aspect="equal")
+    right.legend(loc="upper right")
+    figure.colorbar(painted, ax=right, label="N/m")
+    return figure

@@ -1,0 +1,49 @@
+"""Closed surfaces around what a mask marks as an inclusion, with few triangles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.image import Volume
+from tissue_sim.organ.inclusions import Inclusion, check_stiffness
+from tissue_sim.organ.organ import signed_volume
+from tissue_sim.organ.surfaces.resample import thin_out
+from tissue_sim.organ.surfaces.surface import make_wall, marching_cubes_surface
+
+POINTS = 400  # of one surface at the most
+LEAST_VOXELS = 50  # of a part, as make_wall has it
+
+
+def surround(mask: Volume, stiffness: float) -> tuple[list[Inclusion], int]:
+    """Each part of a mask as an inclusion, the largest first, and how many parts are too small for one.
+
+    Raises UserError when none is large enough, or for a stiffness that none has.
+    """
+    check_stiffness(stiffness)
+    mask = mask.upright()
+    labels, count = ndimage.label(mask.array, structure=np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    order = np.argsort(-sizes, kind="stable")
+    large = [int(part) + 1 for part in order if sizes[part] >= LEAST_VOXELS]
+    if not large:
+        raise UserError(f"{mask.name}: an inclusion needs {LEAST_VOXELS} voxels together; use a finer image")
+    return [_surface(replace(mask, array=labels == part), stiffness) for part in large], count - len(large)
+
+
+def _surface(mask: Volume, stiffness: float) -> Inclusion:
+    wall = make_wall(mask)
+    positions, triangles = marching_cubes_surface(wall)
+    while len(positions) > POINTS:
+        fewer, left = thin_out(positions, triangles, len(positions) - POINTS)
+        if len(fewer) == len(positions):
+            break
+        positions, triangles = fewer, left
+    # Smoothing takes a tenth of what is a few voxels large; the mask knows how large it is.
+    wanted = 1e3 * mask.voxel_volume * np.count_nonzero(mask.array)  # mm^3
+    middle = positions.mean(axis=0)
+    positions = middle + np.cbrt(wanted / signed_volume(positions, triangles)) * (positions - middle)
+    return Inclusion(wall.to_patient(positions), wall.outward(triangles), stiffness)
