@@ -10,6 +10,7 @@ from helpers.scenes import RADIUS, ball_of_cells
 from tissue_sim.bench import palpation
 from tissue_sim.bench.palpation import DEPTHS, Felt, Map, as_json, finger, forces, mapped, over, press_at, text
 from tissue_sim.bench.palpation_plot import write_plots
+from tissue_sim.calibration.cases import surface_of
 from tissue_sim.cli import main
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.inclusions import Inclusion, with_inclusions
@@ -50,13 +51,13 @@ def test_the_map_is_stiffest_over_it_and_starts_anew_at_every_place(organs, monk
     assert len(found.nodes) > 4
     here = found.stiffness[list(found.nodes).index(press.node)]
     assert here > np.median(found.stiffness)
-    again = forces(finger(organ), press_at(organ, int(found.nodes[-1])), np.array([palpation.MAP_DEPTH]))
+    again = forces(finger(organ), press_at(surface_of(organ), int(found.nodes[-1])), np.array([palpation.MAP_DEPTH]))
     assert again[0] / palpation.MAP_DEPTH == pytest.approx(found.stiffness[-1], rel=1e-6)
 
 
 def felt_of(organ):
     reference = np.array([0.1, 0.2, 0.3, 0.4])
-    press = press_at(organ, 3)
+    press = press_at(surface_of(organ), 3)
     ours = 1.03 * reference
     return Felt(hard([0.0, 0.0, 0.0]), press, ours, reference, 0.8 * reference), Map(
         np.arange(40), np.linspace(50.0, 90.0, 40)

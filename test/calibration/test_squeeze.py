@@ -107,8 +107,8 @@ def test_points_of_an_organ_go_where_forces_on_its_nodes_do_their_work():
 def test_own_points_are_the_solids_nodes_on_the_triangles():
     organ = ball(2)
     body = Body(organ)
-    near = organ.surface_triangles[[5, 17]][:, [1, 2, 0]]
-    found = own_points(body, near)
+    near = organ.surface_triangles[[5, 17]]
+    found = own_points(body, np.array([5, 17]))
     corners = organ.surface_positions[near]
     for point in found.rest:  # in the plane of one of them, and between its corners
         away = [np.linalg.det(np.stack([b - point, c - point, d - point])) for b, c, d in corners]

@@ -11,12 +11,13 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
-from tissue_sim.calibration.cases import CLEARANCE, surface_of
+from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.squeeze import own_points, squeezed
@@ -119,17 +120,17 @@ def measure(organ: Organ) -> list[Felt]:
     return found
 
 
-def press_at(organ: Organ, node: int) -> Press:
+def press_at(surface: Surface, node: int) -> Press:
     """Where a finger touches at a surface node; it presses along the normal there."""
-    normal = surface_of(organ).normal[node]
-    return Press(node, organ.surface_positions[node] + FINGER * normal, -normal)
+    normal = surface.normal[node]
+    return Press(node, surface.positions[node] + FINGER * normal, -normal)
 
 
 def over(organ: Organ, inclusion: Inclusion) -> Press:
     """The place on the surface that is nearest to an inclusion's middle, and isn't held."""
     apart = np.linalg.norm(organ.surface_positions - inclusion.positions.mean(axis=0), axis=1)
     apart[organ.fixed] = np.inf
-    return press_at(organ, int(apart.argmin()))
+    return press_at(surface_of(organ), int(apart.argmin()))
 
 
 def finger(organ: Organ) -> Scene:
@@ -161,7 +162,7 @@ def by_elements(organ: Organ, press: Press) -> Floats:
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
     touched[organ.fixed] = False
     body = Body(organ, np.flatnonzero(touched), FINE)
-    points = own_points(body, organ.surface_triangles[touched[organ.surface_triangles].all(axis=1)])
+    points = own_points(body, np.flatnonzero(touched[organ.surface_triangles].all(axis=1)))
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
     shares = (np.arange(STEPS) + 1.0) / STEPS
     deep = (starts[:, None] + np.outer(DEPTHS - starts, shares)).ravel()
@@ -179,11 +180,10 @@ def mapped(organ: Organ, press: Press) -> Map:
     near = np.linalg.norm(surface.positions - surface.positions[press.node], axis=1) < AROUND
     near &= surface.normal @ surface.normal[press.node] > 0.5
     if len(organ.fixed):
-        held = surface.positions[organ.fixed]
-        near &= np.linalg.norm(surface.positions[:, None] - held, axis=2).min(axis=1) > CLEARANCE
+        near &= cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEARANCE
     nodes = np.flatnonzero(near)
     depth = np.array([MAP_DEPTH])
-    felt = [forces(scene, press_at(organ, int(node)), depth)[0] / MAP_DEPTH for node in nodes]
+    felt = [forces(scene, press_at(surface, int(node)), depth)[0] / MAP_DEPTH for node in nodes]
     return Map(nodes, np.array(felt))
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.commands.build_inclusions import parse_inclusions, surrounded
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
@@ -22,8 +23,6 @@ from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-    from tissue_sim.organ.imaging.image import Volume
-    from tissue_sim.organ.inclusions import Inclusion
     from tissue_sim.organ.organ import Organ
 
 
@@ -299,7 +298,7 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
         wanted = parse_inclusions(args.inclusion, args.label)
         with progress.stage("read"):
             mask, *parts = read_masks(args.mask, args.label, list(wanted))
-            request = dataclasses.replace(request, inclusions=_surround(parts, wanted, progress))
+            request = dataclasses.replace(request, inclusions=surrounded(parts, wanted, progress))
         for note in mask.notes:
             progress.say(note)
         return organ_from_mask(mask, request, progress=progress)
@@ -309,40 +308,6 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
         ct = read_image(args.image, args.series)
     seed = given if args.seed else ct.to_points(given)
     return organ_from_image(ct, seed, request, parameters, progress=progress)
-
-
-def parse_inclusions(given: list[str], label: int | None = None) -> dict[int, float]:
-    """How many times as stiff each label is. Raises UserError for what isn't N:TIMES, or a label that comes twice."""
-    from tissue_sim.organ.inclusions import check_stiffness
-
-    found: dict[int, float] = {}
-    for text in given:
-        number, _, times = text.partition(":")
-        try:
-            part, stiffness = int(number), float(times)
-        except ValueError:
-            raise UserError(f"--inclusion {text} is no label and factor; write it as 2:5") from None
-        if part in found or part == label:
-            raise UserError(f"--inclusion {text}: label {part} is given twice")
-        check_stiffness(stiffness)
-        found[part] = stiffness
-    return found
-
-
-def _surround(parts: list[Volume], wanted: dict[int, float], progress: Progress) -> tuple[Inclusion, ...]:
-    """Inclusions around what each label covers."""
-    if not wanted:
-        return ()
-    from tissue_sim.organ.surfaces.inclusion_surface import surround
-
-    found: list[Inclusion] = []
-    for mask, (label, stiffness) in zip(parts, wanted.items(), strict=True):
-        named = dataclasses.replace(mask, name=f"label {label}")
-        inclusions, specks = surround(named, stiffness)
-        found += inclusions
-        if specks:
-            progress.say(f"left out {specks} specks of label {label}")
-    return tuple(found)
 
 
 class _Bar:
