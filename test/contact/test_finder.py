@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from helpers.scenes import RADIUS, ball, kidney
-from tissue_sim.contact.finder import TIP_REACH, ContactFinder, edge_and_face_points
+from tissue_sim.contact.finder import TIP_REACH, ContactFinder, divisions_of, edge_and_face_points
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.contact_set import MOST_POINTS
 from tissue_sim.ros.probes.soak_watch import resident
@@ -17,7 +17,7 @@ STILL = (0.0, 0.0, 0.0, 1.0)
 
 
 def make_finder(organ, *tools):
-    return ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, ToolSet(list(tools)))
+    return ContactFinder(organ, ToolSet(list(tools)))
 
 
 def find(finder, organ, *poses, engaged=None, pushing=None, margins=None):
@@ -241,15 +241,15 @@ def test_tip_reaches_no_farther_than_it_should():
 # geometry --------------------------------------------------------------------------------------
 @pytest.mark.parametrize("divisions", [0.2, 1.0, 1.5, 3.0, 7.7, 100.0])
 def test_lattice_divides_a_triangle_evenly_without_its_corners(divisions):
-    m = min(max(1, int(np.ceil(divisions))), 8)
-    weights = edge_and_face_points(divisions)
+    m = divisions_of(divisions)
+    assert m == min(max(2, int(np.ceil(divisions))), 8)
+    weights = edge_and_face_points(m)
     assert weights.shape == ((m + 1) * (m + 2) // 2 - 3, 3)
-    if len(weights):
-        np.testing.assert_allclose(weights.sum(axis=1), 1.0)
-        assert weights.min() >= 0.0
-        assert weights.max() < 1.0
-        np.testing.assert_allclose(weights * m, np.round(weights * m), atol=1e-12)
-        assert len(np.unique(np.round(weights, 9), axis=0)) == len(weights)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    assert weights.min() >= 0.0
+    assert weights.max() < 1.0
+    np.testing.assert_allclose(weights * m, np.round(weights * m), atol=1e-12)
+    assert len(np.unique(np.round(weights, 9), axis=0)) == len(weights)
 
 
 def test_searches_keep_no_memory():

@@ -329,19 +329,30 @@ def test_smooth_ball_feels_no_moment_about_its_middle():
     assert moments[0.6] > 1e-5
 
 
+def shear(scene, node):
+    """What the tissue between nodes gives way by along x under a plate at a node, m."""
+    state = scene.simulation.state
+    (at,) = np.flatnonzero((state.contacts.node[:, 0] == node) & (state.contacts.weight[:, 0] == 1.0))
+    step = scene.simulation.settings.tick_time / state.status.substeps
+    return float(state.contacts.compliance[at, 1] * state.contact_held[0, at, 0] / step)
+
+
 def test_stuck_tissue_follows_the_tool(tmp_path):
     """Dragged slowly by less than the cone allows, the touched nodes move along; without friction they stay."""
-    moved = {}
+    moved, sheared = {}, {}
     for friction in (0.0, 5.0):
         scene = Scene(ball(2), [plate(tmp_path)])
         scene.simulation.settings.friction = friction
         press(scene, 0.003, hold=150, radius=0.0)
         node = int(np.argmax(scene.simulation.positions[:162, 2]))
-        before = scene.simulation.positions[node].copy()
+        before, start = scene.simulation.positions[node].copy(), shear(scene, node)
         at = scene.simulation.state.body_pose[0, :3].copy()
         lead(scene, 0, line(at, at + [0.001, 0.0, 0.0], 100))
         moved[friction] = scene.simulation.positions[node, 0] - before[0]
-    assert moved[5.0] == pytest.approx(0.001, rel=0.02)
+        sheared[friction] = shear(scene, node) - start
+    assert sheared[0.0] == 0.0
+    assert 1e-5 < sheared[5.0] < 1e-4, "what is between nodes gives way, too"
+    assert moved[5.0] + sheared[5.0] == pytest.approx(0.001, rel=0.01)
     assert abs(moved[0.0]) < 1e-4
 
 
@@ -407,7 +418,7 @@ def test_tissue_that_closed_around_a_tool_comes_off_it_evenly():
         deep.append(deepest(scene))
     assert deep[0] > 0.0035, "it is not thrown out in a tick"
     assert max(deep[100:]) < 1e-4, "but comes out"
-    assert fastest < 1.1 * RECOVERY_SPEED, "pushed out in a substep it is 5.8 m/s"
+    assert fastest < 1.3 * RECOVERY_SPEED, "pushed out in a substep it is 5.8 m/s; tissue between nodes gives way, too"
     assert is_sound(scene)
 
 
@@ -451,8 +462,8 @@ def test_two_jaws_nip_lift_and_let_go():
     for up in np.linspace(0.0, 0.004, 100):
         jaws(0.004, up)
     # The jaws are pushed apart, and down by what they lift.
-    assert scene.wrenches[0, 1] > 0.1
-    assert scene.wrenches[1, 1] < -0.1
+    assert scene.wrenches[0, 1] > 0.04
+    assert scene.wrenches[1, 1] < -0.04
     assert scene.wrenches[:, 2].sum() < before - 0.05
     for apart in np.linspace(0.004, 0.02, 100):
         jaws(apart, 0.004)

@@ -38,11 +38,29 @@ def press(scene, depth, ticks=60, hold=150, tool=0, radius=None):
 
 
 def deepest(scene, tool=0):
-    """How deep the deepest surface node lies inside a tool, m."""
-    simulation = scene.simulation
-    pose = simulation.state.body_pose[tool]
-    local = Rotation.from_quat(pose[3:]).inv().apply(simulation.positions[: simulation.organ.n_surface] - pose[:3])
-    return -min(signed_distance(scene.tools.shapes, tool, *point)[0] for point in local)
+    """How deep the deepest surface node or contact point lies inside a tool, m, less what its force makes it give."""
+    state, n_surface = scene.simulation.state, scene.simulation.organ.n_surface
+    contacts = state.contacts
+    rows = np.flatnonzero(contacts.body[: contacts.header.points] == tool)
+    points = np.einsum("ij,ijk->ik", contacts.weight[rows], state.position[contacts.node[rows]])
+    listed = contacts.node[rows][contacts.weight[rows].max(axis=1) == 1.0][:, 0]
+    others = np.delete(state.position[:n_surface], listed, axis=0)
+    return max([*(depths(scene, points, tool) - given(scene)[rows]), *depths(scene, others, tool)])
+
+
+def depths(scene, points, tool=0):
+    """How deep points (k, 3) m lie inside a tool, (k,) m."""
+    pose = scene.simulation.state.body_pose[tool]
+    local = Rotation.from_quat(pose[3:]).inv().apply(points - pose[:3]) if len(points) else points
+    return np.array([-signed_distance(scene.tools.shapes, tool, *point)[0] for point in local])
+
+
+def given(scene):
+    """What the tissue between nodes gives way by at each contact point under its force, (c,) m."""
+    state, settings = scene.simulation.state, scene.simulation.settings
+    points, step = int(state.contacts.header.points), settings.tick_time / max(1, int(state.status.substeps))
+    soft = state.contacts.compliance[:points, 0] / settings.stiffness_scale / step
+    return np.minimum(soft * state.contact_pressed[0, :points], state.contacts.most_give[:points])
 
 
 def is_sound(scene):

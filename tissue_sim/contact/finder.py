@@ -19,18 +19,21 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
+from tissue_sim.contact.local_compliance import local_compliance, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, contact_set
 from tissue_sim.model.shapes import rotation_matrix
+from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
 MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
-MOST_FOUND = 4 * MOST_POINTS  # points, per body
+MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
 SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
+LEAST_DIVISIONS = 2  # a big ball that is pressed in a little touches less than a node's area
 MOST_DIVISIONS = 8
 
 
@@ -55,19 +58,20 @@ def _fcl_model(position: Floats, near: Ints | Longs) -> Any:
 class ContactFinder:
     """Finds contact sets. A pure function of poses and surface, but for room.
 
-    rest (n, 3) m, surface first, at rest; triangles (t, 3) of the surface; tools the scene's tools.
+    organ: whose surface is touched; tools: the scene's.
     """
 
-    def __init__(self, rest: Floats, triangles: Ints, n_surface: int, tools: ToolSet) -> None:
-        self.triangles = np.ascontiguousarray(triangles)
-        self.n_surface = n_surface
+    def __init__(self, organ: Organ, tools: ToolSet) -> None:
+        rest = organ.rest_positions
+        self.triangles = np.ascontiguousarray(organ.surface_triangles)
+        self.n_surface = organ.n_surface
         self.tools = tools
         self.counters = FinderCounters()
         # Room for what a search finds.
-        self._found = np.zeros((len(triangles), 3), dtype=np.int64)
+        self._found = np.zeros((len(self.triangles), 3), dtype=np.int64)
         self._low, self._high = np.zeros(3), np.zeros(3)  # of the surface
         self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
-        self._normal, self._seen = np.zeros((n_surface, 3)), np.zeros(n_surface, dtype=np.int64)
+        self._normal, self._seen = np.zeros((self.n_surface, 3)), np.zeros(self.n_surface, dtype=np.int64)
         most = MOST_FOUND * len(tools.grown)
         self._body, self._node = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
         self._weight, self._outward = np.zeros((most, 3)), np.zeros((most, 3))
@@ -78,13 +82,21 @@ class ContactFinder:
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
-        self._lattices = [edge_and_face_points(longest / (SPACING * size)) for size in tools.smallest]
+        divisions = [divisions_of(longest / (SPACING * size)) for size in tools.smallest]
+        self._lattices = [edge_and_face_points(count) for count in divisions]
         self._edges = [
             np.where(np.any(points == 0.0, axis=1), np.argmin(points, axis=1), -1) for points in self._lattices
         ]
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
-        self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(n_surface + 1))
+        self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
+        # Of the area that belongs to a point of the body's lattice.
+        pairs = zip(divisions, tools.smallest, strict=True)
+        parts = [count**2 * local_compliance(organ, size) for count, size in pairs]
+        self._compliance = np.reshape(parts, (len(parts), self.n_surface, 2))
+        # A nearest point is another one each time, with no force that it could have given way to.
+        room = [most_give(size, longest / count) for count, size in zip(divisions, tools.smallest, strict=True)]
+        self._most_give = np.where(self._is_fine, 0.0, room)
 
     def find(self, position: Floats, poses: Floats, margins: Floats, engaged: Longs, pushing: Longs) -> ContactSet:
         """Contact set of the engaged bodies on a surface: its points within MARGIN of them.
@@ -110,6 +122,8 @@ class ContactFinder:
         found.header.points, found.header.dropped = len(found.body), max(0, count - MOST_POINTS)
         found.body[:], found.node[:] = self._body[chosen], self._node[chosen]
         found.weight[:], found.normal[:] = self._weight[chosen], self._outward[chosen]
+        found.compliance[:] = np.einsum("kc,kcx->kx", found.weight, self._compliance[found.body[:, None], found.node])
+        found.most_give[:] = self._most_give[found.body]
         found.engaged[:] = engaged
         found.tip_node[:] = -1
         for pushed in np.flatnonzero(pushing):
@@ -229,11 +243,12 @@ def reach_margins(position: Floats, last: Floats, share: float, behind: Floats) 
     return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
 
 
-def edge_and_face_points(divisions: float) -> Floats:
-    """Barycentric weights (k, 3) of a triangle divided along its edges, without the corners.
+def divisions_of(wanted: float) -> int:
+    """In how many parts contact points divide an edge: rounded up, 2 to 8."""
+    return min(max(LEAST_DIVISIONS, math.ceil(wanted)), MOST_DIVISIONS)
 
-    Divisions are rounded up, to 8 at the most.
-    """
-    m = min(max(1, math.ceil(divisions)), MOST_DIVISIONS)
+
+def edge_and_face_points(m: int) -> Floats:
+    """Barycentric weights (k, 3) of a triangle whose edges are divided in m parts, without the corners."""
     lattice = [(i / m, j / m, (m - i - j) / m) for i in range(m + 1) for j in range(m + 1 - i)]
     return np.array([weights for weights in lattice if max(weights) < 1.0]).reshape(-1, 3)

@@ -17,7 +17,7 @@ class TouchedOrgan:
     def __init__(self, simulation: Simulation, tools: ToolSet, ticks_a_set: int) -> None:
         organ = simulation.organ
         self.simulation = simulation
-        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+        self.finder = ContactFinder(organ, tools)
         self.contacts: ContactSet | None = None
         self._ticks_a_set = ticks_a_set
         self._set_goal: Floats | None = None  # the bodies' poses at the last contact set

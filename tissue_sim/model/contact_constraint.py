@@ -3,6 +3,8 @@
 A contact point is a weighted sum of up to three nodes. After each substep every point that ended
 inside a tool is moved onto it, and held against sliding within the friction cone. The force is
 what the constraint costs, so it is equal and opposite by construction and stable at any stiffness.
+What the tissue between nodes gives way by (contact.local_compliance) is part of the constraint, as in
+compliant constraints (Macklin et al. 2016): a point lies that much inside its tool.
 """
 
 from __future__ import annotations
@@ -26,15 +28,16 @@ TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still ch
 
 
 @kernel
-def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch: Any, spread: bool) -> int:
+def gather_contacts(
+    state: Any, shapes: Any, mobility: Any, settings: Any, step: float, scratch: Any, spread: bool
+) -> int:
     """List the entries that touch or nearly touch in scratch.near_entry, with the impulses of the last substep.
 
     spread: they are those that add_contact_impulses has given already, whatever the tool's normal has become since.
 
     For each scratch.near_plane (N, 11): the tool's outward normal and how far its surface lies along that from the
     tool's origin, m, less the depth that is forgiven; how far the tool moves there in the substep, less its origin, m;
-    the impulse that moves the point a metre out of the tool, N s/m, or 0 where none does; and where that is, from the
-    tool's origin, m.
+    by how much nodes and tool give way there to an impulse, m / (N s); and where that is, from the tool's origin, m.
 
     Returns how many; when more come close than the list holds, the first ones are kept. The others' impulses are
     forgotten.
@@ -62,18 +65,45 @@ def gather_contacts(state: Any, shapes: Any, mobility: Any, step: float, scratch
             state.contact_pressed[0, entry] = 0.0
             state.contact_held[0, entry] = 0.0
             continue
-        forgive_depth(state, scratch, found, gap, step)
         plane = scratch.near_plane[found]
-        compliance = set_nodes(state, mobility, scratch, found) * step + scratch.give[body]
-        plane[7] = 1.0 / compliance if compliance > 0.0 else 0.0
+        plane[7] = set_nodes(state, mobility, scratch, found) * step + scratch.give[body]
+        soften(state, scratch, found, settings.stiffness_scale * step)
+        forgive_depth(state, scratch, found, gap, step)
         given = spread and pressed > 0.0
         held, last_held = scratch.near_tangent[found], state.contact_held[1 if given else 0, entry]
         along = last_held[0] * plane[0] + last_held[1] * plane[1] + last_held[2] * plane[2]
         for c in range(3):
             held[c] = last_held[c] - along * plane[c]
         scratch.near_normal[found] = along if given else pressed
+        copy(held, scratch.near_began[found])
         found += 1
     return found
+
+
+@kernel
+def soften(state: Any, scratch: Any, near: int, scale: float) -> None:
+    """Set how soft a contact point is, scratch.near_soft (N, 4); scale: of the tissue's stiffness, times the step, s.
+
+    By how much the tissue between nodes gives way to an impulse in a substep along the normal, m / (N s); the impulse
+    that moves the point a metre out of the tool, N s/m, or 0 where none does; and both across the normal.
+    """
+    compliance, soft = state.contacts.compliance[scratch.near_entry[near]], scratch.near_soft[near]
+    for which in range(2):
+        give = compliance[which] / scale if scale > 0.0 else 0.0
+        whole = scratch.near_plane[near, 7] + give
+        soft[2 * which], soft[2 * which + 1] = give, 1.0 / whole if whole > 0.0 else 0.0
+
+
+@kernel
+def carry_force(state: Any, substeps: int, now: int) -> None:
+    """Let the last impulses of contact be those of the same forces where a tick has other substeps now."""
+    if substeps == now or substeps == 0:
+        return
+    scale = substeps / now
+    for entry in range(state.contacts.header.points):
+        state.contact_pressed[0, entry] *= scale
+        for c in range(3):
+            state.contact_held[0, entry, c] *= scale
 
 
 @kernel
@@ -110,8 +140,10 @@ def forgive_depth(state: Any, scratch: Any, near: int, gap: float, step: float) 
     """Let a contact point that lay inside its tool before this substep, s, come out little by little; gap m at its end.
 
     Tissue can close around a tool that was let go. Pushed out at once, a point would be as fast as a substep is short.
+    What the last force makes the tissue give way by is no such depth.
     """
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
+    given = min(scratch.near_soft[near, 0] * state.contact_pressed[0, entry], state.contacts.most_give[entry])
     origin = scratch.origin[state.contacts.body[entry]]
     approach = 0.0
     for c in range(3):
@@ -120,7 +152,7 @@ def forgive_depth(state: Any, scratch: Any, near: int, gap: float, step: float) 
             approach -= plane[axis] * weight * step * state.velocity[node, axis]
     for axis in range(3):
         approach += plane[axis] * (plane[4 + axis] + origin[axis])
-    plane[3] -= max(0.0, -gap - approach - step * RECOVERY_SPEED)
+    plane[3] -= max(0.0, -gap - approach - given - step * RECOVERY_SPEED)
 
 
 @kernel
@@ -142,6 +174,7 @@ def look_again(state: Any, shapes: Any, scratch: Any, near: int, step: float) ->
     pressed = max(0.0, px * plane[0] + py * plane[1] + pz * plane[2])
     scratch.near_normal[near] = pressed
     held[0], held[1], held[2] = px - pressed * plane[0], py - pressed * plane[1], pz - pressed * plane[2]
+    copy(held, scratch.near_began[near])
 
 
 @kernel
@@ -179,7 +212,7 @@ def resolve_contacts(
     shapes: Any,
     mobility: Any,
     scratch: Any,
-    friction: float,
+    settings: Any,
     step: float,
     spread: bool,
 ) -> int:
@@ -197,7 +230,7 @@ def resolve_contacts(
     """
     squeezed = find_squeezed(model, state, mobility, scratch, step)
     scratch.squeezing[0] = squeezed
-    found = gather_contacts(state, shapes, mobility, step, scratch, spread)
+    found = gather_contacts(state, shapes, mobility, settings, step, scratch, spread)
     if found == 0 and squeezed == 0:
         return 0
     for near in range(found):
@@ -211,7 +244,7 @@ def resolve_contacts(
         for near in range(found):
             if turn == 0 and not spread:
                 look_again(state, shapes, scratch, near, step)
-            change += resolve_contact(state, shapes, scratch, near, friction, step)
+            change += resolve_contact(state, shapes, scratch, near, settings.friction, step)
             total += scratch.near_normal[near]
         if held and change <= TOLERANCE * total:
             break
@@ -237,8 +270,9 @@ def whole_impulse(scratch: Any, near: int) -> tuple[float, float, float]:
 def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: float, step: float) -> float:
     """One contact point: no penetration, and no sliding within the friction cone; returns the impulse added, N s."""
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
-    pressed, held = scratch.near_normal[near], scratch.near_tangent[near]
-    stiffness = plane[7]
+    pressed, held, began = scratch.near_normal[near], scratch.near_tangent[near], scratch.near_began[near]
+    soft, stiffness, soft_across, stiffness_across = scratch.near_soft[near]
+    most = state.contacts.most_give[entry]
     if stiffness == 0.0:
         scratch.near_normal[near] = 0.0
         held[0] = held[1] = held[2] = 0.0
@@ -253,7 +287,9 @@ def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: 
         z += weight * position[2]
     nx, ny, nz = plane[0], plane[1], plane[2]
     gap = nx * x + ny * y + nz * z - plane[3]
-    normal = max(0.0, pressed - gap * stiffness)
+    normal = max(0.0, pressed - (gap + soft * pressed) * stiffness)
+    if plane[7] > 0.0:  # tissue that has given way by all that it can is as stiff as its nodes
+        normal = max(normal, pressed - (gap + most) / plane[7])
     if normal == 0.0 and pressed == 0.0:
         return 0.0
     # Sliding of the tissue along the tool in this substep: its own motion less the tool's.
@@ -265,9 +301,20 @@ def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: 
         sz += weight * step * velocity[2]
     scratch.near_normal[near] = normal
     along = sx * nx + sy * ny + sz * nz
-    tx = held[0] - (sx - along * nx) * stiffness
-    ty = held[1] - (sy - along * ny) * stiffness
-    tz = held[2] - (sz - along * nz) * stiffness
+    sx, sy, sz = sx - along * nx, sy - along * ny, sz - along * nz
+    # What the tissue between nodes had given way by when the substep began comes off it.
+    size = soft_across * math.sqrt(began[0] * began[0] + began[1] * began[1] + began[2] * began[2])
+    back = soft_across if size <= most else soft_across * most / size
+    sx, sy, sz = sx - back * began[0], sy - back * began[1], sz - back * began[2]
+    tx = held[0] - (sx + soft_across * held[0]) * stiffness_across
+    ty = held[1] - (sy + soft_across * held[1]) * stiffness_across
+    tz = held[2] - (sz + soft_across * held[2]) * stiffness_across
+    size = soft_across * math.sqrt(tx * tx + ty * ty + tz * tz)
+    if size > most and plane[7] > 0.0:
+        forth = soft_across * most / size
+        tx = held[0] - (sx + forth * tx) / plane[7]
+        ty = held[1] - (sy + forth * ty) / plane[7]
+        tz = held[2] - (sz + forth * tz) / plane[7]
     size = math.sqrt(tx * tx + ty * ty + tz * tz)
     share = 1.0 if size <= friction * normal else friction * normal / size
     px = (normal - pressed) * nx + share * tx - held[0]

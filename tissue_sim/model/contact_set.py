@@ -37,10 +37,21 @@ class ContactSet(NamedTuple):
     node: Longs  # (C, 3)
     weight: Floats  # (C, 3) barycentric weights
     normal: Floats  # (C, 3) outward unit normals of the tissue
+    compliance: Floats  # (C, 2) m/N of the tissue between nodes, along a tool's normal and across it
+    most_give: Floats  # (C,) m that it gives way at the most
 
 
-PER_POINT = ("body", "node", "weight", "normal")
-_POINT = np.dtype([("body", "i8"), ("node", "i8", 3), ("weight", "f8", 3), ("normal", "f8", 3)])
+PER_POINT = ("body", "node", "weight", "normal", "compliance", "most_give")
+_POINT = np.dtype(
+    [
+        ("body", "i8"),
+        ("node", "i8", 3),
+        ("weight", "f8", 3),
+        ("normal", "f8", 3),
+        ("compliance", "f8", 2),
+        ("most_give", "f8"),
+    ]
+)
 _POINT_WORDS = _POINT.itemsize // 8
 
 

@@ -50,7 +50,9 @@ class Scratch(NamedTuple):
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
+    near_began: Any  # (N, 3) N s, what near_tangent was when the substep began
     near_plane: Any  # (N, 11) the tool there; see contact_constraint.gather_contacts
+    near_soft: Any  # (N, 4) the tissue there; see contact_constraint.soften
     near_node: Any  # (N, 3) its nodes, their
     near_weight: Any  # (N, 3) weights, and
     near_move: Any  # (N, 3) 1/kg, the velocity that an impulse on the point gives them
@@ -142,7 +144,9 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),
         near_tangent=empty(MOST_NEAR, 3),
+        near_began=empty(MOST_NEAR, 3),
         near_plane=empty(MOST_NEAR, 11),
+        near_soft=empty(MOST_NEAR, 4),
         near_node=longs(MOST_NEAR, 3),
         near_weight=empty(MOST_NEAR, 3),
         near_move=empty(MOST_NEAR, 3),

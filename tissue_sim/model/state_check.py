@@ -99,6 +99,8 @@ def _check_contacts(found: ContactSet, n_nodes: int) -> None:
         raise ValueError(f"a contact set counts {points} points of {len(found.body)}")
     _check_index("body of a contact point", found.body[:points], len(found.engaged))
     _check_index("node of a contact point", found.node[:points], n_nodes)
+    if min(found.compliance[:points].min(initial=0.0), found.most_give[:points].min(initial=0.0)) < 0.0:
+        raise ValueError("a contact point gives way by less than nothing")
     tips = found.tip_node
     _check_index("node under a tip", tips[tips != -1], n_nodes)
     if np.any((tips == -1).any(axis=1) != (tips == -1).all(axis=1)):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tissue_sim.jit import chosen, has, kernel, part
-from tissue_sim.model.contact_constraint import add_contact_impulses, resolve_contacts
+from tissue_sim.model.contact_constraint import add_contact_impulses, carry_force, resolve_contacts
 from tissue_sim.model.contact_gap import is_touched
 from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
@@ -115,6 +115,7 @@ def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any)
     """Make ready for the substeps of the plan."""
     status, plan = state.status, scratch.plan
     plan.eased = plan.substeps < status.substeps
+    carry_force(state, status.substeps, plan.substeps)
     status.substeps = plan.substeps
     set_mobility(model, state, settings, settings.tick_time / plan.substeps, scratch, plan.implicit)
     watch_contacts(state, shapes, settings, scratch)
@@ -253,9 +254,7 @@ def advance_substep(
     integrate(model, state, shapes, settings, scratch, step, implicit)
     lead_prescribed(state, substep, substeps, step)
     pushed = has_taken_impulses(state, settings, implicit)
-    state.status.touching = resolve_contacts(
-        model, state, shapes, scratch.mobility, scratch, settings.friction, step, pushed
-    )
+    state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
     keep_bodies(state, scratch)
 
 

@@ -16,7 +16,7 @@ from tissue_sim.organ.shipped import shipped_organ
 
 organ = Organ.load(shipped_organ())
 tools = ToolSet([Tool("left"), Tool("right", shape="gripper", radius=0.003, length=0.03)])
-finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+finder = ContactFinder(organ, tools)
 with event.install_recorder("numba:compile") as recorder:
     finder.warm_up(organ.rest_positions)
 print("compiled", len(recorder.buffer))

@@ -44,7 +44,7 @@ def scene():
     """A worker that isn't started, its finder, and the lines that it warned with."""
     organ, tools = ball(1), ToolSet([Tool("left", "sphere", 0.005)])
     physics = Physics(Loop([Simulation(organ, shapes=tools.shapes)]))
-    finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+    finder = ContactFinder(organ, tools)
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     warned, port = [], Port(top + (0.0, 0.0, 0.006))
     recorder = SimpleNamespace(contacts=lambda *_: None, together=threading.RLock())

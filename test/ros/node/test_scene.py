@@ -119,9 +119,11 @@ def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
 
 def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
     bag = Path(client.record(True).message)
+    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
     press(client, (0.0, 0.0), (0.0592, 0.0), (0.0296, 0.0))
     client.reset()
     press(client, (0.0, 0.0))
+    assert client.spin_until(lambda: min(map(len, clouds.values())) > 20), "however long a press takes"
     assert client.record(False).success
     recording = Recording.read(bag)
     assert recording.config["organs"].keys() == {"liver", "kidney"}

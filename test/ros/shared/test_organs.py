@@ -40,7 +40,7 @@ def press(organs):
     for one in organs.each:
         wait_for(lambda taken=one: taken.results().bodies[0].pose_sequence == sequence)
         organ = one.simulation.organ
-        finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, TOOLS)
+        finder = ContactFinder(organ, TOOLS)
         one.post_contacts(finder.find(organ.rest_positions, pose, np.zeros(1), all_of_it, 0 * all_of_it))
     wait_for(lambda: all(one.results().status.touching > 0 for one in organs.each))
 

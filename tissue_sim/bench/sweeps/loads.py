@@ -70,7 +70,7 @@ class Poke:
         self.ticks = len(self.path)
         self._withdrawn = len(reach) - len(back)
         self._every = max(1, round(FOUND_EVERY / tick_time))
-        self._finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, ToolSet([PROBE]))
+        self._finder = ContactFinder(organ, ToolSet([PROBE]))
         self._margins = np.full(1, self._every * speed * tick_time)
 
     def act(self, simulation: Simulation, tick: int) -> None:

@@ -65,7 +65,7 @@ class OrganPlayer:
             shape_gravity=config["shape_gravity"],
         )
         self.simulation.restore(recording.state)
-        self.finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+        self.finder = ContactFinder(organ, tools)
         first = self.tick = int(self.simulation.state.status.tick)
         journal = recording.journal
         self.inputs = {

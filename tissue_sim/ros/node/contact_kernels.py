@@ -25,7 +25,7 @@ def compile_beside(organ_file: Path) -> Child:
 def main(organ_file: str) -> None:
     """Search contacts of one tool once: kernels are the same for any organ and any tools."""
     organ = Organ.load(organ_file)
-    finder = ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, ToolSet([Tool("left")]))
+    finder = ContactFinder(organ, ToolSet([Tool("left")]))
     finder.warm_up(organ.rest_positions)
 
 

@@ -213,7 +213,7 @@ class TissueNode(GuardedNode):
         return ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self._woken)
 
     def _finder(self, organ: Organ, tools: ToolSet) -> ContactFinder:
-        return ContactFinder(organ.rest_positions, organ.surface_triangles, organ.n_surface, tools)
+        return ContactFinder(organ, tools)
 
     def _config(self) -> dict[str, Any]:
         scene = self.scene

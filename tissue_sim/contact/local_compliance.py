@@ -1,0 +1,43 @@
+"""How far tissue gives way under a contact point between the surface's nodes, which its mesh is too coarse to tell.
+
+A half-space gives way to a wave of pressure of length L by pressure times L / (pi E*), with E* = E / (1 - nu^2)
+(Johnson, Contact Mechanics, 1985, chapter 3). Nodes carry waves longer than an edge; the shorter ones, of which a small
+finger's pressure is made, are a foundation of springs under the contact points, as soft as for waves of an edge's
+length. Across the normal it is softer by (2 - nu) / (2 (1 - nu)) (Mindlin 1949).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.topology import node_area
+
+MOST_GIVE = 0.5  # of the radius of the finest thing about a tool
+MOST_POISSON = 0.5
+
+
+def most_give(smallest: float, spacing: float) -> float:
+    """How far tissue may give way to a tool, m; what sank in farther would slip between points `spacing` m apart."""
+    return max(0.0, min(MOST_GIVE * smallest, smallest - spacing))
+
+
+def local_compliance(organ: Organ, smallest: float) -> Floats:
+    """Of each surface node (n, 2) m/N: along the normal and across it, of all the area that belongs to it.
+
+    smallest: radius of the finest thing about the tool, m; tissue gives way to it no more than to a flat punch of that
+    size. Zero for an organ that knows no Young's modulus.
+    """
+    modulus, nu = organ.youngs_modulus, organ.poisson_ratio
+    if not modulus > 0.0 or not abs(nu) <= MOST_POISSON:
+        return np.zeros((organ.n_surface, 2))
+    area = np.maximum(node_area(organ.surface_positions, organ.surface_triangles), np.finfo(np.float64).tiny)
+    edge = np.sqrt(2.0 / math.sqrt(3.0) * area)  # of equilateral triangles with as much area a node
+    layer = np.minimum(edge / math.pi, 0.5 * math.pi * smallest)
+    stiffness = modulus / (1.0 - nu**2) * stiffness_at(inclusions_of(organ), organ.surface_positions)
+    normal = layer / (stiffness * area)
+    return np.stack([normal, (2.0 - nu) / (2.0 * (1.0 - nu)) * normal], axis=1)
