@@ -18,12 +18,13 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
 MOST_GIVE = 0.5  # of the radius of the finest thing about a tool
+STRETCHED = 1.15  # times as far as at rest, that points lie apart under a tool
 MOST_POISSON = 0.5
 
 
 def most_give(smallest: float, spacing: float) -> float:
     """How far tissue may give way to a tool, m; what sank in farther would slip between points `spacing` m apart."""
-    return max(0.0, min(MOST_GIVE * smallest, smallest - spacing))
+    return max(0.0, min(MOST_GIVE * smallest, smallest - STRETCHED * spacing))
 
 
 def local_compliance(organ: Organ, smallest: float) -> Floats:

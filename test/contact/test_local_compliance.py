@@ -1,0 +1,73 @@
+"""What tissue between nodes gives way by: closed forms, and forces that don't depend on how finely points lie."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from helpers.pressing import given, press
+from helpers.scenes import ball, kidney
+from tissue_sim.contact import finder
+from tissue_sim.contact.local_compliance import MOST_GIVE, STRETCHED, local_compliance, most_give
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.topology import node_area
+
+
+def test_it_is_that_of_a_wave_as_long_as_an_edge():
+    organ = ball(3)
+    normal, across = local_compliance(organ, 1.0).T
+    area = node_area(organ.surface_positions, organ.surface_triangles)
+    nu = organ.poisson_ratio
+    edge = np.sqrt(2.0 * area / math.sqrt(3.0))
+    np.testing.assert_allclose(normal * area * organ.youngs_modulus / (1.0 - nu**2) * math.pi, edge, rtol=1e-12)
+    np.testing.assert_allclose(across / normal, (2.0 - nu) / (2.0 - 2.0 * nu), rtol=1e-12)
+    longest = np.linalg.norm(np.diff(organ.surface_positions[organ.surface_triangles[:, :2]], axis=1), axis=2)
+    assert edge.mean() == pytest.approx(longest.mean(), rel=0.05)
+
+
+def test_a_fine_tool_sinks_in_as_a_flat_punch_does_and_one_between_the_points_not_at_all():
+    organ = ball(2)
+    fine, area = 1e-4, node_area(organ.surface_positions, organ.surface_triangles)
+    stiffness = organ.youngs_modulus / (1.0 - organ.poisson_ratio**2)
+    # A punch's 1 / (2 a E*), of as many points as its area has.
+    np.testing.assert_allclose(
+        local_compliance(organ, fine)[:, 0], math.pi * fine**2 / area / (2.0 * fine * stiffness), rtol=1e-12
+    )
+    assert most_give(0.004, 0.001) == MOST_GIVE * 0.004
+    assert most_give(0.004, 0.003) == pytest.approx(0.004 - STRETCHED * 0.003)
+    assert most_give(0.001, 0.003) == 0.0
+
+
+def test_an_organ_of_unknown_stiffness_gives_way_by_nothing():
+    organ = dataclasses.replace(ball(2), youngs_modulus=0.0)
+    assert not local_compliance(organ, 0.005).any()
+
+
+def pressed(friction=0.2, depth=0.003, radius=0.007):
+    scene = Scene(kidney(), [Tool("finger", radius=radius)])
+    scene.simulation.settings.friction = friction
+    force = press(scene, depth, hold=300)[-1, 2]
+    return scene, force
+
+
+def test_points_lie_as_deep_in_the_tool_as_their_force_makes_the_tissue_give():
+    scene, _ = pressed(friction=0.0)
+    state = scene.simulation.state
+    touching = np.flatnonzero(state.contact_pressed[0, : state.contacts.header.points] > 0.0)
+    assert len(touching) > 5
+    points = np.einsum("ij,ijk->ik", state.contacts.weight[touching], state.position[state.contacts.node[touching]])
+    deep = 0.007 - np.linalg.norm(points - state.body_pose[0, :3], axis=1)
+    assert deep.max() > 1e-4
+    np.testing.assert_allclose(deep, given(scene)[touching], atol=5e-6)
+
+
+def test_force_depends_on_neither_the_spacing_of_points_nor_on_friction(monkeypatch):
+    """Tissue that can't be compressed hardly cares whether a ball sticks (Johnson 1985, section 5.4)."""
+    _, force = pressed()
+    _, sticking = pressed(friction=10.0)
+    assert sticking == pytest.approx(force, rel=0.08)
+    monkeypatch.setattr(finder, "LEAST_DIVISIONS", 4)
+    _, fine = pressed()
+    assert fine == pytest.approx(force, rel=0.06)
