@@ -111,8 +111,8 @@ def test_breathing_is_shown_and_is_no_displacement(client):
 
 
 def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
-    liver, kidney = press(client, (0.0, 0.0), (0.0592, 0.0))
-    assert min(liver, kidney) > 0.05, "N"
+    # Again where poses were lost before the node had discovered who sends them.
+    assert client.spin_until(lambda: min(press(client, (0.0, 0.0), (0.0592, 0.0))) > 0.05), "N"
     assert client.spin_until(lambda: "liver.region" in client.diagnostics)
     assert {"kidney.contact_count", "pair_searches", "skipped.organs_far"} <= client.diagnostics.keys()
 
@@ -123,7 +123,7 @@ def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
     press(client, (0.0, 0.0), (0.0592, 0.0), (0.0296, 0.0))
     client.reset()
     press(client, (0.0, 0.0))
-    assert client.spin_until(lambda: min(map(len, clouds.values())) > 20), "however long a press takes"
+    assert client.spin_until(lambda: min(map(len, clouds.values())) > 25), "however long a press takes"
     assert client.record(False).success
     recording = Recording.read(bag)
     assert recording.config["organs"].keys() == {"liver", "kidney"}
