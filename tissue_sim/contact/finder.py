@@ -91,11 +91,11 @@ class ContactFinder:
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
         # Of the area that belongs to a point of the body's lattice.
-        pairs = zip(divisions, tools.smallest, strict=True)
-        parts = [count**2 * local_compliance(organ, size) for count, size in pairs]
+        lattices = list(zip(divisions, tools.smallest, strict=True))
+        parts = [count**2 * local_compliance(organ, size) for count, size in lattices]
         self._compliance = np.reshape(parts, (len(parts), self.n_surface, 2))
         # A nearest point is another one each time, with no force that it could have given way to.
-        room = [most_give(size, longest / count) for count, size in zip(divisions, tools.smallest, strict=True)]
+        room = [most_give(size, longest / count) for count, size in lattices]
         self._most_give = np.where(self._is_fine, 0.0, room)
 
     def find(self, position: Floats, poses: Floats, margins: Floats, engaged: Longs, pushing: Longs) -> ContactSet:
