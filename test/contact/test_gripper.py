@@ -151,13 +151,12 @@ def test_jaws_lift_the_kidney_by_a_centimetre_and_hold_it_without_slip(pads, sec
     held = nip.touched()
     before = nip.points(held)
     nip.lead(nip.at, nip.angle, round(1e3 * seconds))
-    # Points at the jaws' edges, one in ten, may slide from under them.
-    slip = float(np.quantile(np.linalg.norm(nip.points(held) - before, axis=1), 0.9))
+    slip = float(np.linalg.norm(nip.points(held) - before, axis=1).max())
     pull = -float(nip.scene.wrenches[0, :3] @ nip.up)
     print(f"lifted 10 mm, {1e3 * behind:.2f} mm behind; {seconds:g} s: slip {1e3 * slip:.4f} mm under {pull:.2f} N")
     assert len(held[0]) > 10
     assert behind < 3e-3, "points slide from under the jaws' edges"
-    assert slip < 1e-3
+    assert slip < 1e-4
     assert pull > 0.2, "the hand feels the pull"
     nip.lead(nip.at, nip.grasp.opened, 300)
     nip.lead(nip.at + 0.05 * nip.up, nip.grasp.opened, 3000)

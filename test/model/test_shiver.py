@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import ball, filled
 from tissue_sim.jit import handle
 from tissue_sim.model.critical_step import model_step
-from tissue_sim.model.shiver import FAST, HALVED, LONGEST, MANY, MORE, count_turning, end_look, is_looked_at
+from tissue_sim.model.shiver import FAST, FAST_AGAIN, HALVED, LONGEST, MANY, MORE, count_turning, end_look, is_looked_at
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import with_cells
 
@@ -47,9 +47,9 @@ def naive_turning(before, after):
 def test_coordinates_that_turn_are_counted():
     rng = np.random.default_rng(1)
     before, after = 5e-3 * rng.standard_normal((2, 999))
-    assert count_turning(before, after) == naive_turning(before, after) > 50
-    assert count_turning(before, before) == 0
-    assert count_turning(np.full(9, 0.9 * FAST), np.full(9, -1.0)) == 0
+    assert count_turning(before, after, FAST) == naive_turning(before, after) > 50
+    assert count_turning(before, before, FAST) == 0
+    assert count_turning(np.full(9, 0.9 * FAST), np.full(9, -1.0), FAST) == 0
 
 
 @pytest.mark.parametrize(("share", "usual"), [(1.01, 1), (1.06, 1), (1.03, 2), (1.03, 3)])
@@ -98,6 +98,16 @@ def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first
             turn(simulation, MANY, speed)
         found.append(int(state.status.shivering))
     assert found == [HALVED, HALVED * MORE, HALVED * MORE**2, LONGEST, HALVED]
+
+
+def test_where_a_step_was_found_too_long_the_next_find_needs_no_speed():
+    simulation = Simulation(ORGAN)
+    count, slow = simulation.state.count, np.array([10.0, 20.0]) * FAST_AGAIN
+    assert slow.max() < 0.5 * FAST
+    for speeds, found in ((slow, 0), ([0.1, 0.2], 1), (slow, 2)):
+        for speed in speeds:
+            turn(simulation, MANY, speed)
+        assert count.shivers == found
 
 
 @pytest.mark.parametrize("newton", [0.1, 0.3, 0.5])

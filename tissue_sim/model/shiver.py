@@ -13,7 +13,8 @@ from tissue_sim.jit import chosen, has, kernel
 from tissue_sim.model.arrays import copy
 
 LOOK_EVERY = 2  # substeps at the least
-FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while they settle
+FAST = 2e-3  # m/s, 2 um in a step of a ms: slower is what contacts do while they settle, but
+FAST_AGAIN = 2e-5  # m/s, once a step was found too long: what is held must not be shaken off each time it is tried anew
 TURNED = 0.5  # of a speed, that it has at least the other way
 MANY = 4  # coordinates that turn around
 GREW = 1.5  # their squared speeds from one look to the next
@@ -66,9 +67,10 @@ def end_look(state: Any, scratch: Any) -> None:
     size, status = state.velocity.size, state.status
     before, after = scratch.velocity_before.reshape(size), state.velocity.reshape(size)
     last, status.turning = status.turning, 0.0
-    if count_turning(before, after) < MANY:
+    fast = FAST_AGAIN if status.halving > HALVED else FAST
+    if count_turning(before, after, fast) < MANY:
         return
-    status.turning = energy_of_turning(before, after)
+    status.turning = energy_of_turning(before, after, fast)
     if 0.0 < GREW * last < status.turning and status.turning > MOST * energy_of(after):
         status.turning = 0.0
         status.shivering = max(HALVED, status.halving)
@@ -77,17 +79,17 @@ def end_look(state: Any, scratch: Any) -> None:
 
 
 @kernel
-def turns(before: float, after: float) -> bool:
-    """True for a speed, m/s, that has become about as large the other way."""
-    return (before * before > FAST * FAST) & (before * after < -TURNED * before * before)
+def turns(before: float, after: float, fast: float) -> bool:
+    """True for a speed of more than `fast`, m/s, that has become about as large the other way."""
+    return (before * before > fast * fast) & (before * after < -TURNED * before * before)
 
 
 @kernel
-def count_turning(before: Any, after: Any) -> int:
-    """How many coordinates go about as fast as before, m/s, the other way; flat arrays."""
+def count_turning(before: Any, after: Any, fast: float) -> int:
+    """How many coordinates of more than `fast` go about as fast as before, m/s, the other way; flat arrays."""
     turning = 0
     for index in range(len(before)):
-        turning += turns(before[index], after[index])
+        turning += turns(before[index], after[index], fast)
     return turning
 
 
@@ -101,10 +103,10 @@ def energy_of(velocity: Any) -> float:
 
 
 @kernel
-def energy_of_turning(before: Any, after: Any) -> float:
+def energy_of_turning(before: Any, after: Any, fast: float) -> float:
     """Sum of their squared speeds, m^2/s^2."""
     total = 0.0
     for index in range(len(before)):
-        if turns(before[index], after[index]):
+        if turns(before[index], after[index], fast):
             total += after[index] * after[index]
     return total
