@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tissue_sim.contact.triangles import closest_points, nearest_weights
+from tissue_sim.contact.triangles import closest_points, nearest_among, nearest_weights
+from tissue_sim.organ.winding import inside
 
 
 @pytest.mark.parametrize("height", [1.0, 1e-2, 1e-4])
@@ -73,3 +74,18 @@ def test_triangle_without_area_gives_finite_weights(corners):
     assert np.all(np.isfinite(weights))
     assert np.all(np.isfinite(distance))
     assert weights.sum() == pytest.approx(1.0)
+
+
+def test_nearest_among_all_is_the_nearest_of_each_and_tells_inside_from_outside():
+    random = np.random.default_rng(3)
+    for solid in (trimesh.creation.icosphere(2, 0.05), trimesh.creation.box((0.05, 0.03, 0.02)).subdivide()):
+        vertices, faces = np.asarray(solid.vertices), np.asarray(solid.faces)
+        corners, points = vertices[faces], random.uniform(-0.06, 0.06, (300, 3))
+        found, weights, distance = nearest_among(corners, points)
+        each = np.tile(points, (len(corners), 1)), np.repeat(corners, len(points), axis=0)
+        every = nearest_weights(each[1], each[0])[1].reshape(len(corners), len(points))
+        np.testing.assert_allclose(distance, every.min(axis=0), rtol=1e-9, atol=1e-12)
+        way = points - np.einsum("kc,kcx->kx", weights, corners[found])
+        np.testing.assert_allclose(np.linalg.norm(way, axis=1), distance, rtol=1e-9, atol=1e-12)
+        outside = np.einsum("kx,kx->k", way, solid.face_normals[found]) > 0.0
+        np.testing.assert_array_equal(outside, ~inside(points, vertices, faces))

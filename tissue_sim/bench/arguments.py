@@ -14,17 +14,18 @@ AS_BUILT_ORGAN = "the kidney that ships, as built, with the paper's 48 atoms"
 def add_shared(
     parser: argparse.ArgumentParser,
     *,
-    organ: str = DEFAULT_ORGAN,
+    organ: str | None = DEFAULT_ORGAN,
     out: str | None = None,
     seconds: float | None = None,
     check: bool = False,
 ) -> None:
-    """ORGAN, whose default is told as `organ`, and --json.
+    """ORGAN, whose default is told as `organ`, unless that is None, and --json.
 
     --out, told as `out`, where there is something to draw; --seconds with its default where something is measured for
     a time that may be chosen; --check where there are bounds.
     """
-    parser.add_argument("organ", nargs="?", metavar="ORGAN", help=f"organ file (.npz); default: {organ}")
+    if organ is not None:
+        parser.add_argument("organ", nargs="?", metavar="ORGAN", help=f"organ file (.npz); default: {organ}")
     parser.add_argument(
         "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
     )

@@ -25,6 +25,7 @@ BENCHMARKS = {
         "tissue_sim.bench.markers",
         "what markers cost, plain and coloured, beside a node that only sends them",
     ),
+    "page": ("tissue_sim.bench.page", "pictures a second that the page sends of a scene whose organs all move"),
     "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
     "soak": (
         "tissue_sim.bench.soak",

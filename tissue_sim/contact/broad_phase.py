@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from tissue_sim.jit import kernel
 from tissue_sim.model.shapes import signed_distance
 
@@ -195,3 +197,28 @@ def holds_node(
         if signed_distance(shapes, body, lx, ly, lz)[0] < 0.0:
             return True
     return False
+
+
+@kernel
+def approach(first: Any, first_before: Any, second: Any, second_before: Any) -> float:
+    """By how much any point of one surface may have come nearer to any of another since before, m; (n, 3) and (m, 3) m.
+
+    What both do together, as with a breath, brings none nearer.
+    """
+    mean = np.zeros(3)
+    for node in range(len(first)):
+        for axis in range(3):
+            mean[axis] += (first[node, axis] - first_before[node, axis]) / len(first)
+    return _farthest(first, first_before, mean) + _farthest(second, second_before, mean)
+
+
+@kernel
+def _farthest(now: Any, before: Any, shift: Any) -> float:
+    """How far the farthest of points (n, 3) m is from where a shift (3,) m would have brought it."""
+    most = 0.0
+    for node in range(len(now)):
+        square = 0.0
+        for axis in range(3):
+            square += (now[node, axis] - before[node, axis] - shift[axis]) ** 2
+        most = max(most, square)
+    return most**0.5

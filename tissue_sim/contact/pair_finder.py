@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.broad_phase import approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_finder import SelfFinder
-from tissue_sim.contact.triangles import nearest_weights
+from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set
 from tissue_sim.organ.organ import Organ
 
 MARGIN = 0.003  # m from a surface within which a node is looked at
 DEEPEST = 0.01  # m that a node may lie inside
-NEAREST = 6  # triangles by their middles, of which the nearest is taken
+STALE = 0.002  # m that surfaces have come together by, after which all nodes are looked at again
 
 
 @dataclass
@@ -26,7 +26,16 @@ class PairCounters:
 
     searches: int = 0
     far_skips: int = 0  # pairs of organs whose boxes miss each other
+    apart_skips: int = 0  # and those that have come together by less than they were apart at the last search
     dropped: int = 0  # pairs of nodes and triangles that there was no room for
+
+
+class _Apart(NamedTuple):
+    """By how much two surfaces, (n, 3) and (m, 3) m, may come together before a node of the first is near, (n,) m."""
+
+    room: Floats
+    first: Floats
+    second: Floats
 
 
 class PairFinder:
@@ -37,6 +46,9 @@ class PairFinder:
         self._triangles = [np.ascontiguousarray(organ.surface_triangles, dtype=np.int64) for organ in organs]
         self._sizes = [organ.n_surface for organ in organs]
         self._own = [SelfFinder(organ) for organ in organs]
+        self._low, self._high = np.zeros((2, len(organs), 3))
+        self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
+        self._apart: dict[tuple[int, int], _Apart] = {}
         self._found = pair_set()
 
     def forget(self) -> None:
@@ -51,44 +63,64 @@ class PairFinder:
         """
         found = self._found
         found.found[0] = 0
-        points = [np.asarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
-        boxes = [(p.min(axis=0), p.max(axis=0)) for p in points]
-        for first, second in itertools.product(range(len(points)), repeat=2):  # in the order of a set
+        points = [np.ascontiguousarray(p[:size]) for p, size in zip(positions, self._sizes, strict=True)]
+        for organ, surface in enumerate(points):
+            surface_box(surface, len(surface), self._low[organ], self._high[organ])
+        low, high = self._low - MARGIN, self._high + MARGIN
+        meet = np.all((self._low[:, None] <= high) & (self._high[:, None] >= low), axis=2)
+        np.fill_diagonal(meet, False)
+        searches = len(points) * (len(points) - 1)
+        self.counters.searches += searches
+        self.counters.far_skips += searches - int(meet.sum())
+        np.fill_diagonal(meet, list(own) or False)
+        for first, second in np.argwhere(meet).tolist():  # in the order of a set
             if first == second:
-                if own and own[first]:
-                    self._put(first, first, *self._own[first].find(points[first]))
-                continue
-            self.counters.searches += 1
-            low, high = boxes[second][0] - MARGIN, boxes[second][1] + MARGIN
-            if np.any(boxes[first][0] > high) or np.any(boxes[first][1] < low):
-                self.counters.far_skips += 1
-                continue
-            near = np.flatnonzero(np.all((points[first] >= low) & (points[first] <= high), axis=1))
-            if len(near):
-                self._add(first, second, near, points)
+                self._put(first, first, *self._own[first].find(points[first]))
+            else:
+                self._add(first, second, points)
         return found
 
-    def _add(self, first: int, second: int, near: Longs, points: Sequence[Floats]) -> None:
-        triangles, surface = self._triangles[second], points[second]
+    def _add(self, first: int, second: int, points: Sequence[Floats]) -> None:
+        """Add pairs of a node of one surface and a triangle of the other."""
+        nodes, surface = points[first], points[second]
+        last = self._apart.get((first, second))
+        nearer = np.inf if last is None else approach(nodes, last.first, surface, last.second)
+        if last is None or nearer > STALE:
+            low, high = self._low[second] - DEEPEST, self._high[second] + DEEPEST
+            near = np.flatnonzero(np.all((nodes >= low) & (nodes <= high), axis=1))
+        else:
+            near = np.flatnonzero(last.room <= nearer)
+            if len(near) == 0:
+                self.counters.apart_skips += 1
+                return
+        triangles, weights, distance = self._nearest(second, nodes[near], surface)
         corners = surface[triangles]
-        apart, which = cKDTree(corners.mean(axis=1)).query(points[first][near], k=min(NEAREST, len(triangles)))
-        close = apart[:, 0] < DEEPEST + np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
-        near, which = near[close], which[close]
-        if not len(near):
-            return
-        k = which.shape[1]
-        weights, distance = nearest_weights(corners[which.ravel()], np.repeat(points[first][near], k, axis=0))
-        best = distance.reshape(-1, k).argmin(axis=1)
-        row = np.arange(len(near)) * k + best
-        chosen, weights, distance = which.ravel()[row], weights[row], distance[row]
-        normal = _normals(corners[chosen])
-        way = points[first][near] - np.einsum("kc,kcx->kx", weights, corners[chosen])
-        outside = np.einsum("kx,kx->k", way, normal) >= 0.0
-        kept = np.flatnonzero(distance < np.where(outside, MARGIN, DEEPEST))
+        way = nodes[near] - np.einsum("kc,kcx->kx", weights, corners)
+        outside = np.einsum("kx,kx->k", way, _normals(corners)) >= 0.0
+        room = distance - np.where(outside, MARGIN, DEEPEST)
+        if nearer > STALE:
+            every = np.full(len(nodes), DEEPEST - MARGIN)
+            every[near] = room
+            self._apart[first, second] = _Apart(every, nodes.copy(), surface.copy())
+        kept = np.flatnonzero(room < 0.0)
         if len(kept) > MOST_PAIRS:  # the nearest ones
             self.counters.dropped += len(kept) - MOST_PAIRS
             kept = np.sort(kept[np.argsort(distance[kept], kind="stable")[:MOST_PAIRS]])
-        self._put(first, second, np.column_stack([near[kept], triangles[chosen[kept]]]), weights[kept])
+        self._put(first, second, np.column_stack([near[kept], triangles[kept]]), weights[kept])
+
+    def _nearest(self, second: int, nodes: Floats, surface: Floats) -> tuple[Longs, Floats, Floats]:
+        """Of nodes (k, 3) m the place of a surface (m, 3) m that is nearest: its triangle's nodes (k, 3), and weights.
+
+        Weights are (k, 3); and how far it is, (k,) m. One farther than DEEPEST may be taken for another that is, too.
+        """
+        triangles, count = self._near[second], 0
+        if len(nodes):
+            low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
+            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, triangles)
+        if count == 0:
+            return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
+        chosen, weights, distance = nearest_among(surface[triangles[:count]], nodes)
+        return triangles[chosen], weights, distance
 
     def _put(self, first: int, second: int, nodes: Longs, weights: Floats) -> None:
         """Add pairs of two organs, nodes (p, 4), weights (p, 3), as far as there is room."""

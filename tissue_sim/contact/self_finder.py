@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.broad_phase import add_normals
+from tissue_sim.contact.broad_phase import add_normals, approach
 from tissue_sim.contact.triangles import nearest_of_face
 from tissue_sim.jit import kernel
 from tissue_sim.organ.organ import Organ
@@ -16,6 +16,7 @@ from tissue_sim.organ.organ import Organ
 FACING = -0.2  # cosine between the outward normals of two nodes, below which they face each other, or turn their backs
 BEHIND = 0.3  # sine of the angle by which a node may be behind another one's plane, and still face it
 MARGIN = 0.002  # m in front of a wall within which a node is looked at
+STALE = 0.002  # m that a surface has come nearer to itself by, after which all nodes are looked at again
 DEEPEST = 0.004  # m that it may lie behind a wall that it was in front of before
 
 
@@ -33,9 +34,12 @@ class SelfFinder:
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._reach = MARGIN + 0.6 * longest  # m between nodes; no place on a triangle is farther from all its corners
         self._order = np.argsort(organ.surface_positions[:, 0]).astype(np.int64)
+        # By how much each node may come nearer to others than its neighbours, m, before it is within reach of one.
+        self._room: Floats = np.zeros(n)
+        self._before: Floats | None = None  # the surface then
         self._normal, self._partner, self._apart = np.zeros((n, 3)), np.zeros(n, dtype=np.int64), np.zeros(n)
         self._was = np.full(n, -1, dtype=np.int64)  # the triangle that each node was found at the last time, or -1
-        self._wall, self._weight, self._room = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, 3))
+        self._wall, self._weight, self._at = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((4, 3))
         start, end = self._triangles.ravel(), np.roll(self._triangles, -1, axis=1).ravel()
         edges = csr_array((np.ones(2 * len(start)), (np.r_[start, end], np.r_[end, start])), shape=(n, n))
         self._near = _Lists.of(edges + edges @ edges + eye_array(n, format="csr"))
@@ -51,17 +55,19 @@ class SelfFinder:
         """Pairs on a surface (n, 3) m: nodes (p, 4), one and a triangle's three, by the first; weights (p, 3)."""
         surface = np.ascontiguousarray(surface)
         near, around = self._near, self._around
-        count = facing_nodes(
-            surface,
-            self._triangles,
-            self._order,
-            *near,
-            self._was,
-            self._reach,
-            self._normal,
-            self._partner,
-            self._apart,
-        )
+        few, count = self._within_reach(surface), 0
+        if len(few):
+            count = facing_nodes(
+                surface,
+                self._triangles,
+                few,
+                *near,
+                self._was,
+                self._reach,
+                self._normal,
+                self._partner,
+                self._apart,
+            )
         if count:
             count = facing_walls(
                 surface,
@@ -71,7 +77,7 @@ class SelfFinder:
                 self._normal,
                 self._partner,
                 self._was,
-                self._room,
+                self._at,
                 self._wall,
                 self._weight,
             )
@@ -81,6 +87,15 @@ class SelfFinder:
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 3))
         found = np.flatnonzero(self._wall >= 0)
         return np.column_stack([found, self._triangles[self._wall[found]]]), self._weight[found]
+
+    def _within_reach(self, surface: Floats) -> Longs:
+        """Nodes that may have come within reach of others than their neighbours, by their first coordinate then."""
+        before = self._before
+        nearer = STALE if before is None else approach(surface, before, surface, before)
+        if nearer >= STALE:
+            find_rooms(surface, self._order, *self._near, self._reach, STALE, self._room)
+            self._before, nearer = surface.copy(), 0.0
+        return self._order[self._room[self._order] <= nearer]
 
 
 class _Lists(NamedTuple):
@@ -201,9 +216,9 @@ def facing_nodes(
 ) -> int:
     """Write of each node (n,) the nearest one that faces it within reach, m, or -1; returns how many have one.
 
-    Those that turn their backs on each other, through the organ, count where they did before: was (n,) >= 0. order:
-    nodes by their first coordinate, put in order from where it was; near: what is no partner of each node, sorted, from
-    near_start (n + 1,) on; normal (n, 3) and apart (n,) m^2 are room.
+    Those that turn their backs on each other, through the organ, count where they did before: was (n,) >= 0. order
+    (k,): those that may be, see put_in_order; near: what is no partner of each node, sorted, from near_start (n + 1,)
+    on; normal (n, 3) and apart (n,) m^2 are room.
     """
     n = len(normal)
     normal[:] = 0.0
@@ -215,16 +230,10 @@ def facing_nodes(
         for axis in range(3):
             normal[node, axis] /= max(size, 1e-300) ** 0.5
         partner[node], apart[node] = -1, reach * reach
-    for place in range(1, n):
-        node = order[place]
-        here = place
-        while here > 0 and position[order[here - 1], 0] > position[node, 0]:
-            order[here] = order[here - 1]
-            here -= 1
-        order[here] = node
-    for place in range(n):
+    put_in_order(position, order)
+    for place in range(len(order)):
         i = order[place]
-        for later in range(place + 1, n):
+        for later in range(place + 1, len(order)):
             j = order[later]
             x = position[j, 0] - position[i, 0]
             if x > reach:
@@ -247,6 +256,41 @@ def facing_nodes(
     for node in range(n):
         count += partner[node] >= 0
     return count
+
+
+@kernel
+def put_in_order(position: Any, order: Any) -> None:
+    """Put nodes, (k,), in the order of their first coordinate, from where they are nearly so."""
+    for place in range(1, len(order)):
+        node = order[place]
+        here = place
+        while here > 0 and position[order[here - 1], 0] > position[node, 0]:
+            order[here] = order[here - 1]
+            here -= 1
+        order[here] = node
+
+
+@kernel
+def find_rooms(position: Any, order: Any, near_start: Any, near: Any, reach: float, most: float, room: Any) -> None:
+    """Write of each node (n,) how much farther than reach the nearest other one is, m, but for its neighbours.
+
+    most: that is told, m; order, near: see facing_nodes.
+    """
+    room[:] = most
+    put_in_order(position, order)
+    for place in range(len(order)):
+        i = order[place]
+        for later in range(place + 1, len(order)):
+            j = order[later]
+            x = position[j, 0] - position[i, 0]
+            if x > reach + most:
+                break
+            y, z = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+            square = x * x + y * y + z * z
+            least = reach + max(room[i], room[j])
+            if square < least * least and not is_near(near_start, near, i, j):
+                apart = square**0.5 - reach
+                room[i], room[j] = min(room[i], apart), min(room[j], apart)
 
 
 @kernel

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 
+TIED = 1e-9  # of a squared distance
 FLAT = 1e-7  # a triangle whose height is less of an edge is taken for its edges
 
 
@@ -41,6 +42,70 @@ def _find_nearest(corners: Any, points: Any, weights: Any, distances: Any) -> No
             at = weights[t, 0] * corners[t, 0, c] + weights[t, 1] * corners[t, 1, c] + weights[t, 2] * corners[t, 2, c]
             square += (points[t, c] - at) ** 2
         distances[t] = math.sqrt(square)
+
+
+def nearest_among(corners: Floats, points: Floats) -> tuple[Longs, Floats, Floats]:
+    """Which triangle, corners (t, 3, 3) m, comes nearest to each point, (k, 3) m: numbers (k,).
+
+    And the barycentric weights (k, 3) of the place, and how far it is, (k,) m. Of triangles that share the place it is
+    the one that the point stands over most steeply, so that its normal tells inside from outside.
+    """
+    found = np.zeros(len(points), dtype=np.int64)
+    weights, distances = np.zeros((len(points), 3)), np.zeros(len(points))
+    corners, points = (np.ascontiguousarray(given, dtype=np.float64) for given in (corners, points))
+    _find_nearest_among(corners, points, np.zeros((len(corners), 7)), np.zeros(3), found, weights, distances)
+    return found, weights, distances
+
+
+@kernel
+def _find_nearest_among(
+    corners: Any, points: Any, about: Any, weight: Any, found: Any, weights: Any, distances: Any
+) -> None:
+    """Write what `nearest_among` returns. about (t, 7): room for middles, radii and unit normals."""
+    for t in range(len(corners)):
+        _survey(corners[t], about[t])
+    for k in range(len(points)):
+        least = reach = steepest = math.inf
+        for t in range(len(corners)):
+            x, y, z = points[k, 0] - about[t, 0], points[k, 1] - about[t, 1], points[k, 2] - about[t, 2]
+            bound = reach + about[t, 3]
+            if x * x + y * y + z * z > bound * bound:
+                continue
+            nearest_of_face(corners[t], points[k], weight)
+            square = height = 0.0
+            for c in range(3):
+                at = weight[0] * corners[t, 0, c] + weight[1] * corners[t, 1, c] + weight[2] * corners[t, 2, c]
+                square += (points[k, c] - at) ** 2
+                height += (points[k, c] - at) * about[t, 4 + c]
+            if square > least * (1.0 + TIED) or (square >= least * (1.0 - TIED) and abs(height) <= steepest):
+                continue
+            least, steepest, reach = min(square, least), abs(height), math.sqrt(square) * (1.0 + TIED)
+            found[k] = t
+            for c in range(3):
+                weights[k, c] = weight[c]
+        distances[k] = math.sqrt(least)
+
+
+@kernel
+def _survey(corner: Any, about: Any) -> None:
+    """Write a triangle's middle (3,), the farthest corner's distance from it, and its unit normal (3,)."""
+    square = 0.0
+    for c in range(3):
+        about[c] = (corner[0, c] + corner[1, c] + corner[2, c]) / 3.0
+    for k in range(3):
+        far = 0.0
+        for c in range(3):
+            far += (corner[k, c] - about[c]) ** 2
+        square = max(square, far)
+    about[3] = math.sqrt(square)
+    size = 0.0
+    for c in range(3):
+        b, d = (c + 1) % 3, (c + 2) % 3
+        about[4 + c] = (corner[1, b] - corner[0, b]) * (corner[2, d] - corner[0, d])
+        about[4 + c] -= (corner[1, d] - corner[0, d]) * (corner[2, b] - corner[0, b])
+        size += about[4 + c] ** 2
+    for c in range(3):
+        about[4 + c] /= max(math.sqrt(size), 1e-300)
 
 
 @kernel

@@ -62,6 +62,7 @@ class ContactWorker:
             report.values |= {
                 "pair_searches": found.searches,
                 "skipped.organs_far": found.far_skips,
+                "skipped.organs_apart": found.apart_skips,
                 "skipped.no_organ_moved": self._pairs.unchanged_skips,
             }
             report.problems["dropped_pairs"] = found.dropped

@@ -62,7 +62,14 @@ class Graph(ExitStack):
     ) -> Child:
         """Start a module of tissue_sim.ros as a program; within: the command, if any, that runs it."""
         command = [*within, sys.executable, "-m", f"tissue_sim.ros.{module}", *words]
-        child = Child(module.rpartition(".")[2], command, {**(environment or os.environ), **self._place})
+        return self._begin(module.rpartition(".")[2], command, environment)
+
+    def start_command(self, name: str, *words: str) -> Child:
+        """Start a command of tissue_sim."""
+        return self._begin(name, [sys.executable, "-m", "tissue_sim", name, *words])
+
+    def _begin(self, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
+        child = Child(name, command, {**(environment or os.environ), **self._place})
         self.callback(child.stop)
         return child
 

@@ -1,0 +1,155 @@
+"""`tissue_sim bench page`: how many pictures a second the page sends of a scene whose organs all move.
+
+The organs of a scene, carried by a breath so gentle that they sleep meanwhile: it is the page that is tried, not the
+ticks. A watcher on the page's websocket, in a process of its own, counts in those seconds in which the node sends
+(nearly) as many surfaces as it may: at the ends of a breath nothing moves. Beside it at the same time a bare loop.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import socket
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.bench.shares import processor_seconds, shares_during
+from tissue_sim.contact.scene_file import SceneFile
+from tissue_sim.errors import UserError
+from tissue_sim.organ.shipped import shipped_file
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, told
+
+SCENE = "config/scenes/abdomen.yaml"
+LEAST = 30.0  # pictures a second
+BREATHS, WAY = 6.0, 0.015  # a minute; m
+MOVING = 50  # surfaces that the node sends in a second in which pictures are counted, of 60
+LOOK = 0.004  # s between two looks at what the node sends
+PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, seconds=20.0, check=True, organ=None)
+    parser.add_argument("--scene", metavar="FILE", help="show the organs of this scene (.yaml); default: the abdomen")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    path = Path(args.scene) if args.scene else shipped_file(SCENE)
+    if path is None:
+        raise UserError("no scene comes with this installation; name one with --scene")
+    found = measure(SceneFile.read(path), args.seconds)
+    emit(found, text(found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
+    """Pictures of each organ, bytes, and shares of the processor.
+
+    Raises UserError when rclpy or viser is missing, or a process fails.
+    """
+    with Graph() as graph, tempfile.TemporaryDirectory() as folder:
+        from sensor_msgs.msg import PointCloud2
+
+        from tissue_sim.ros.shared.client import Inbox, client_node, stream_qos
+
+        node = graph.start("node.program", "--ros-args", "-p", f"scene_file:={carried(scene, Path(folder))}")
+        ticks(node)
+        port = free_port()
+        page = graph.start_command("view", "--port", str(port), "--node", NODE)
+        children = {PAGE: page, SERVED: node, BARE: graph.start("probes.sleeper", str(LEAST))}
+        watcher = graph.start("probes.page_watcher", str(port), str(seconds))
+        first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture came")
+        own = graph.enter_context(client_node("bench", NODE))
+        inbox = Inbox(own, PointCloud2, f"/{NODE}/{scene.names[0]}/surface", stream_qos(), raw=True)
+        sent: list[float] = []
+
+        def note() -> None:
+            while watcher.exit_code is None:
+                if inbox.take() is not None:
+                    sent.append(time.monotonic())
+                time.sleep(LOOK)
+
+        spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
+        shares = shares_during(spent, note)
+        watched = json.loads(told(watcher))
+    return as_json(scene, watched, sent, shares, seconds)
+
+
+def carried(scene: SceneFile, folder: Path) -> Path:
+    """Write a scene of the same organs, which breathe together and hang on nothing."""
+    entries = []
+    for name, organ in zip(scene.names, scene.organs, strict=True):
+        organ.save(folder / f"{name}.npz")
+        entries.append(f"  - {{name: {name}, file: {name}.npz, breathes: 1.0}}")
+    file = folder / "scene.yaml"
+    lines = ["format: 1", "organs:", *entries, f"breathing: {{rate: {BREATHS}, way: [0.0, 0.0, {-WAY}]}}"]
+    file.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return file
+
+
+def free_port() -> int:
+    """A TCP port that nothing is served at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def as_json(
+    scene: SceneFile,
+    watched: Mapping[str, Any],
+    sent: Sequence[float],
+    shares: Mapping[str, float],
+    seconds: float,
+) -> dict[str, Any]:
+    """Pictures a second of each organ, how far apart they came, and the bounds.
+
+    watched: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no second
+    to count in.
+    """
+    began = float(watched["began"])
+    edges = began + np.arange(math.floor(seconds) + 1)
+    moving = np.histogram(sent, edges)[0] >= MOVING
+    if not moving.any():
+        raise UserError(f"the node never sent {MOVING} surfaces in a second: this machine is too slow, or too busy")
+    rows: list[dict[str, Any]] = []
+    for name, organ in zip(scene.names, scene.organs, strict=True):
+        came = np.array(watched["came"].get(f"/organ/{name}", []))
+        count = np.histogram(came, edges)[0][moving]
+        rows.append(
+            {
+                "organ": name,
+                "points": organ.n_surface,
+                "pictures_hz": float(count.mean()),
+                "worst_second": int(count.min()),
+            }
+        )
+    least = min(row["pictures_hz"] for row in rows)
+    bounds = [Bound("pictures of each organ, least", least, LEAST, "a second", least=True)]
+    return {
+        "organs": rows,
+        "seconds": int(moving.sum()),
+        "megabytes_a_second": watched["bytes"] / seconds / 1e6,
+        "shares_percent": dict(shares),
+        "bounds": [bound.as_json() for bound in bounds],
+    }
+
+
+def text(found: Mapping[str, Any]) -> str:
+    """The figures as tables."""
+    rows = [["organ", "points", "pictures a second", "in the worst"]]
+    for row in found["organs"]:
+        rows.append([row["organ"], str(row["points"]), f"{row['pictures_hz']:.1f}", str(row["worst_second"])])
+    shares = [["% of a core", ""], *([name, f"{share:.1f}"] for name, share in found["shares_percent"].items())]
+    about = f"{found['seconds']} s in which all moves; {found['megabytes_a_second']:.1f} MB a second over the websocket"
+    return "\n".join([about, "", *aligned(rows), "", *aligned(shares), "", *bound_lines(found["bounds"])])
