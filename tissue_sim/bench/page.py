@@ -32,7 +32,7 @@ SCENE = "config/scenes/abdomen.yaml"
 LEAST = 30.0  # pictures a second
 BREATHS, WAY = 6.0, 0.015  # a minute; m
 MOVING = 50  # surfaces that the node sends in a second in which pictures are counted, of 60
-LOOK = 0.004  # s between two looks at what the node sends
+LOOK = 0.05  # s that is looked at once at what the node sends
 PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
 
 
@@ -59,9 +59,8 @@ def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
     Raises UserError when rclpy or viser is missing, or a process fails.
     """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
-        from sensor_msgs.msg import PointCloud2
-
-        from tissue_sim.ros.shared.client import Inbox, client_node, stream_qos
+        from tissue_sim.ros.probes.viewer import Viewer
+        from tissue_sim.ros.shared.client import client_node
 
         node = graph.start("node.program", "--ros-args", "-p", f"scene_file:={carried(scene, Path(folder))}")
         ticks(node)
@@ -71,14 +70,14 @@ def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
         watcher = graph.start("probes.page_watcher", str(port), str(seconds))
         first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture came")
         own = graph.enter_context(client_node("bench", NODE))
-        inbox = Inbox(own, PointCloud2, f"/{NODE}/{scene.names[0]}/surface", stream_qos(), raw=True)
+        topic = f"/{NODE}/{scene.names[0]}/surface"
+        viewer = graph.enter_context(Viewer(own, topic))
         sent: list[float] = []
 
         def note() -> None:
             while watcher.exit_code is None:
-                if inbox.take() is not None:
-                    sent.append(time.monotonic())
-                time.sleep(LOOK)
+                viewer.look(LOOK)
+                sent.extend([time.monotonic()] * viewer.count[topic])
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
         shares = shares_during(spent, note)
