@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import socket
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -26,7 +25,7 @@ from tissue_sim.bench.shares import processor_seconds, shares_during
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
-from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks, told
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, free_port, ticks, told
 
 SCENE = "config/scenes/abdomen.yaml"
 LEAST = 30.0  # pictures a second
@@ -97,13 +96,6 @@ def carried(scene: SceneFile, folder: Path) -> Path:
     return file
 
 
-def free_port() -> int:
-    """A TCP port that nothing is served at."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def as_json(
     scene: SceneFile,
     watched: Mapping[str, Any],
@@ -111,7 +103,7 @@ def as_json(
     shares: Mapping[str, float],
     seconds: float,
 ) -> dict[str, Any]:
-    """Pictures a second of each organ, how far apart they came, and the bounds.
+    """Pictures a second of each organ, in the mean and in the worst second, and the bounds.
 
     watched: see `page_watcher.watch`; sent: when the node sent a surface, s. Raises UserError where there was no second
     to count in.

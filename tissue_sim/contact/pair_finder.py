@@ -85,14 +85,14 @@ class PairFinder:
         nodes, surface = points[first], points[second]
         last = self._apart.get((first, second))
         nearer = np.inf if last is None else approach(nodes, last.first, surface, last.second)
-        if last is None or nearer > STALE:
-            low, high = self._low[second] - DEEPEST, self._high[second] + DEEPEST
-            near = np.flatnonzero(np.all((nodes >= low) & (nodes <= high), axis=1))
-        else:
+        if last is not None and nearer <= STALE:
             near = np.flatnonzero(last.room <= nearer)
             if len(near) == 0:
                 self.counters.apart_skips += 1
                 return
+        else:
+            low, high = self._low[second] - DEEPEST, self._high[second] + DEEPEST
+            near = np.flatnonzero(np.all((nodes >= low) & (nodes <= high), axis=1))
         triangles, weights, distance = self._nearest(second, nodes[near], surface)
         corners = surface[triangles]
         way = nodes[near] - np.einsum("kc,kcx->kx", weights, corners)

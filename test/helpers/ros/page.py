@@ -13,7 +13,8 @@ from rclpy.node import Node
 
 from helpers.patience import LIMIT
 from helpers.ros.participant import Participant
-from helpers.ros.processes import free_port, shipped
+from helpers.ros.processes import shipped
+from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.loop import Viewer
 from tissue_sim.ros.viewer.poke import beside
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -109,13 +108,6 @@ def running_node(folder: Path, *parameters: str, **environment: str) -> Iterator
 def start_publisher(folder: Path, depth: float) -> Process:
     """A second process that presses the shipped kidney by depth m with tool `left`; on SIGTERM it leaves and ends."""
     return Process([PUBLISHER, f"--depth={depth}"], folder / "publisher.log")
-
-
-def free_port() -> int:
-    """A TCP port of this machine that nobody uses."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def poke_path(organ: Organ, radius: float = 0.005) -> tuple[np.ndarray, np.ndarray]:

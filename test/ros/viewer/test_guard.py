@@ -13,9 +13,10 @@ from websockets.sync.client import connect
 
 from helpers.patience import LIMIT
 from helpers.ros import browser as browsers
-from helpers.ros.processes import Process, free_port
+from helpers.ros.processes import Process
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
+from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.guard import Guard, guarding
 from tissue_sim.ros.viewer.tokens import chosen_token
 

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from helpers.ros.clients import Client
 from helpers.ros.participant import Participant
-from helpers.ros.processes import UNHURRIED, Process, free_port, shipped, start_node
+from helpers.ros.processes import UNHURRIED, Process, shipped, start_node
+from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.held_tool import ACCELERATION, TOP_SPEED, HeldTool, follow
 
 pytest.importorskip("viser")

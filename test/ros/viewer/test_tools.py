@@ -6,9 +6,9 @@ import viser
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import MarkerArray
 
-from helpers.ros.processes import free_port
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.ros.node.tool_markers import ToolMarkers
+from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 
 

@@ -17,9 +17,10 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from helpers.patience import LIMIT
-from helpers.ros.processes import STAND_IN, Process, free_port
+from helpers.ros.processes import STAND_IN, Process
 from helpers.ros.stand_in import ball, cloud
 from tissue_sim.cli import main
+from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.appearance import SCALE
 from tissue_sim.ros.viewer import scene as drawing
