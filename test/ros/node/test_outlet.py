@@ -10,6 +10,7 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import outlet
+from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.shared.cdr import check_force, check_position
 from tissue_sim.ros.shared.loop import Loop
@@ -70,6 +71,7 @@ def scene(request, monkeypatch):
         [parts.presenter.present, parts.presenter.present_tools],
         live,
         SimpleNamespace(watch=lambda: None),
+        Backlog(lambda task: task()),
         tell,
         parts.logger,
     )

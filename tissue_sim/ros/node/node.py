@@ -26,6 +26,7 @@ from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
+from tissue_sim.ros.node.backlog import Backlog, executor_of
 from tissue_sim.ros.node.contact_kernels import compile_beside
 from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
@@ -81,7 +82,7 @@ class TissueNode(GuardedNode):
             for name, organ, physics in zip(self.scene.names, self.scene.organs, self.organs.each, strict=True)
         ]
         self._lookup = TfLookup(self, values.tf_target) if tf_installed() else None
-        self._woken = threading.Event()
+        self._woken, self.backlog = threading.Event(), Backlog(executor_of(self))
         self.sim_clock = SimClock(self, self.loop)
         files = {one.name: (one.organ, one.organ.to_bytes) for one in self.served}
         self.recorder = Recorder(self.get_fully_qualified_name(), self.organs, files, self._config())
@@ -134,11 +135,12 @@ class TissueNode(GuardedNode):
         tools = self.tool_presenter
         show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips, self.recorder.poll]
         outlet = self._outlet = Outlet(
-            self.organs, self.ports, show, self.live, self.sim_clock, self._report, self.get_logger()
+            self.organs, self.ports, show, self.live, self.sim_clock, self.backlog, self._report, self.get_logger()
         )
         self._parts = [
             LoopReport(self.organs, self.scene.names),
             self.sim_clock,
+            self.backlog,
             self.live,
             self.namesakes,
             *self.ports,
@@ -210,7 +212,7 @@ class TissueNode(GuardedNode):
         values = self.parameters
         topics, frames = topics_of(values, name), frames_of(values, name, self._lookup)
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
-        return ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self._woken)
+        return ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
 
     def _finder(self, organ: Organ, tools: ToolSet) -> ContactFinder:
         return ContactFinder(organ, tools)

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from tissue_sim.memory import give_back
 from tissue_sim.ros.node import degrade
+from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.loop_timing import TimingReader
 from tissue_sim.ros.node.sim_clock import SimClock
@@ -34,8 +35,8 @@ class Logger(Protocol):
 
 
 class Outlet:
-    """Fading wrenches at the tick rate, markers at their rate, journal; four looks a second at whether the machine
-    keeps up, and a report every second.
+    """Fading wrenches at the tick rate, markers at their rate, journal; four looks a second at whether machine and
+    executor keep up, and a report every second.
 
     Where one of them fails, the others go on: no force is left standing because a picture could not be sent.
     """
@@ -47,11 +48,13 @@ class Outlet:
         show: Sequence[Callable[[], None]],
         live: LiveSettings,
         sim_clock: SimClock,
+        backlog: Backlog,
         tell: Callable[[], None],
         logger: Logger,
     ) -> None:
         self._organs, self._ports, self._show = organs, list(ports), list(show)
         self._live, self._sim_clock, self._tell, self._logger = live, sim_clock, tell, logger
+        self._backlog = backlog
         self._trouble = Trouble("outlet", logger.warning)
         self._load = TimingReader(organs)
         self._ladder = degrade.Ladder()
@@ -97,6 +100,8 @@ class Outlet:
                     show()
         if now >= self._next_look:
             self._next_look = max(self._next_look + degrade.LOOK_EVERY, now)
+            with noted():
+                self._backlog.look()
             with noted():
                 self._look(now)
         if now >= self._next_report:

@@ -17,6 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.backlog import Backlog, Turnstile
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.cdr import UNSTAMPED, Stamped, check_force, check_position, unit_pose
@@ -41,7 +42,8 @@ class ToolInput:
     """Subscribes a tool's measured_cp, measured_cf and, of a gripper, measured_js; posts them to the loop and the bag.
 
     Inside, and in a bag, a pose is a PoseStamped and a force a WrenchStamped, both in the organ's frame.
-    pose_came is called after each pose, force_came after each force that was taken up.
+    pose_came is called after each pose, force_came after each force that was taken up. While the executor is behind by
+    its backlog, some of them are passed over.
     """
 
     def __init__(
@@ -51,11 +53,13 @@ class ToolInput:
         organs: Organs,
         recorder: Recorder,
         freshness: tuple[Freshness, Freshness],
+        backlog: Backlog,
         pose_came: Callable[[], None],
         force_came: Callable[[], None],
     ) -> None:
         self._tool, self._organs, self._recorder = tool, organs, recorder
         self._pose_freshness, self._force_freshness = freshness
+        self._pose_gate, self._force_gate = Turnstile(backlog), Turnstile(backlog)
         self._pose_came, self._force_came = pose_came, force_came
         self._log, self._clock = node.get_logger(), node.get_clock()
         self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws
@@ -85,6 +89,11 @@ class ToolInput:
             )
             self._bagged_angle = recorder.add_topic(tool.name, "measured_js", qos=qos)
 
+    @property
+    def passed_over(self) -> int:
+        """Poses and forces that were not looked at, as the executor was behind."""
+        return self._pose_gate.passed_over + self._force_gate.passed_over
+
     def newest_messages(self) -> dict[str, tuple[int, bytes]]:
         """Sequence number and bytes of what came last, by its topic in a bag."""
         pose, found = self.newest, {}
@@ -97,6 +106,8 @@ class ToolInput:
         return found
 
     def _on_pose(self, raw: bytes) -> None:
+        if not self._pose_gate.passes():
+            return
         tool = self._tool
         with self._refusing("pose"):
             message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
@@ -131,6 +142,8 @@ class ToolInput:
             self._angle = float(message.position[0])
 
     def _on_force(self, raw: bytes) -> None:
+        if not self._force_gate.passes():
+            return
         with self._refusing("force"):
             message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
             self._force_freshness.came(message.stamp)

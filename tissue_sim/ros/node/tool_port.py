@@ -8,6 +8,7 @@ from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
@@ -30,13 +31,14 @@ class ToolPort:
         organs: Organs,
         recorder: Recorder,
         clock: SimClock,
+        backlog: Backlog,
         woken: threading.Event,
     ) -> None:
         self._tool, self._organs, self._woken = tool, organs, woken
         self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
         self.output = ToolOutput(node, tool, organs, recorder)
         freshness = self.pose_freshness, self.force_freshness
-        self.input = ToolInput(node, tool, organs, recorder, freshness, self._answer, woken.set)
+        self.input = ToolInput(node, tool, organs, recorder, freshness, backlog, self._answer, woken.set)
 
     @property
     def name(self) -> str:
@@ -72,6 +74,7 @@ class ToolPort:
             f"{self.name}.state": self.state(),
             f"{self.name}.force_n": self.output.force,
             f"{self.name}.poses": self.input.poses,
+            f"{self.name}.passed_over": self.input.passed_over,
             "force_n": report.values.get("force_n", 0.0) + self.output.force,  # of all tools
         }
         report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(refused.items())}
