@@ -15,7 +15,8 @@ from rclpy.node import Node
 from tissue_sim.ros.shared.report import Report
 
 MOST_BEHIND = 0.05  # s that an event may wait
-SHORTEST, LONGEST = 0.5e-3, 0.064  # s between two messages of a stream that are handled, while it is behind
+# s between two messages of a stream that are handled, while it is behind; the longest keeps a tool from being stale.
+SHORTEST, LONGEST = 0.5e-3, 0.016
 EASED = 0.7  # of the pause, that is left at the next look when it isn't
 
 Post = Callable[[Callable[[], None]], object]  # has something done by the executor, after all that waits
@@ -52,7 +53,7 @@ class Backlog:
     def report(self, report: Report) -> None:
         """Add how far it is behind, and that messages are passed over."""
         report.values |= {"executor_behind_ms": 1e3 * self.behind, "executor_most_behind_ms": 1e3 * self.longest}
-        if self.pause:
+        if self.pause > SHORTEST:  # at more than one look
             report.warnings.append(
                 f"poses and forces come faster than they can be handled: of each topic one in {1e3 * self.pause:.1f} ms"
             )
