@@ -9,11 +9,21 @@ from helpers.pressing import PROBE, deepest, is_sound, lead, line, press, top_of
 from helpers.scenes import RADIUS, ball, free_ball, kidney
 from helpers.states import is_finite
 from helpers.turns import random_turns
+from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.contact_constraint import RECOVERY_SPEED, count_impulse, give_impulse, set_nodes, set_plane
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.organ.placing import placed
 from tissue_sim.organ.winding import inside
+
+
+def test_gravity_is_that_of_all_organs_and_stays_beside_a_breath():
+    scene = Scene([ball(1), placed(ball(1), [0.1, 0.0, 0.0])], [], breathing=Breathing(0.0, [0.0, 0.0, 0.01]))
+    scene.set_gravity([0.0, 0.0, -9.81])
+    for _ in range(3):
+        scene.step()
+    assert [one.settings.gravity_z for one in scene.simulations] == [-9.81, -9.81]
 
 
 # poses that come late ---------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from helpers.scenes import RADIUS, ball, free_ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.contact.triangles import nearest_weights
+from tissue_sim.errors import UserError
 from tissue_sim.organ.placing import placed
 from tissue_sim.organ.winding import inside
 
@@ -80,6 +81,41 @@ def test_what_is_pressed_gives_way_and_is_not_entered():
     assert np.count_nonzero(pairs.pressed[:count]) > 3
     speed = max(float(np.abs(one.velocities).max()) for one in (lower, upper))
     assert speed < 1e-3, "it holds still"
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+def test_organs_that_were_driven_through_each_other_are_let_go_until_they_are_out(faulty):
+    """After a fault, which tells that no force leads out; without one they press."""
+    scene = Scene([ball(2), placed(ball(2), [2.0 * RADIUS + 0.001, 0.0, 0.0])], TOOL)
+    second = scene.simulations[1]
+    second.positions[second.model.moving] -= [0.012, 0.0, 0.0]
+    for one in scene.simulations:
+        one.state.status.asleep = False
+    second.state.status.backoff = 2 if faulty else 1
+    scene.step()
+    pairs = scene.joined.pairs
+    count = int(pairs.found[0])
+    assert count > 0
+    assert np.any(pairs.pressed[:count] > 0.0) == (not faulty)
+    for _ in range(4000):
+        scene.step()
+    assert all(one.asleep for one in scene.simulations)
+    assert max(float(np.abs(one.positions - one.model.rest).max()) for one in scene.simulations) < 1e-4
+
+
+def test_after_a_fault_what_is_pressed_is_not_entered_either():
+    scene = pressed()
+    for one in scene.simulations:
+        one.state.status.backoff = 2
+    for _ in range(300):
+        scene.step()
+    assert scene.simulations[1].state.status.backoff == 2
+    assert deepest(scene) < 5e-4
+
+
+def test_more_organs_than_a_scene_may_have_are_refused():
+    with pytest.raises(UserError, match="17 organs are joined; wanted: 16 at the most"):
+        Scene([placed(ball(), [0.2 * place, 0.0, 0.0]) for place in range(17)], TOOL)
 
 
 def test_friction_takes_along_what_it_presses_on():

@@ -61,7 +61,7 @@ def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
         from tissue_sim.ros.probes.viewer import Viewer
         from tissue_sim.ros.shared.client import client_node
 
-        node = graph.start("node.program", "--ros-args", "-p", f"scene_file:={carried(scene, Path(folder))}")
+        node = graph.serve(f"scene_file:={carried(scene, Path(folder))}")
         ticks(node)
         port = free_port()
         page = graph.start_command("view", "--port", str(port), "--node", NODE)

@@ -117,6 +117,20 @@ class Scene:
         self._ticks = 0
         self._origin[:] = 0.0
 
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """Gravity (3,) m/s^2 of all organs, under which they have their shapes."""
+        for one in self.simulations:
+            one.set_gravity(gravity)
+        if self.joined is not None:
+            self.joined.note_gravity()
+
+    def set_substeps(self) -> None:
+        """Work out the substeps of each tick, after stiffness, damping or the rate changed."""
+        if self.joined is None:
+            self.simulation.set_substeps()
+        else:
+            self.joined.set_substeps()
+
     @property
     def wrenches(self) -> Floats:
         """(T, 6) N and N m about each tool's origin: what the hands should feel.

@@ -13,7 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.jit import handle, kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
-from tissue_sim.model.pairs import Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
+from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
 from tissue_sim.model.records import words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
@@ -62,6 +62,8 @@ class Joined:
         unfelt: float = UNFELT,
     ) -> None:
         self.simulations, self.links, self.pairs = list(simulations), links, pairs
+        if len(self.simulations) > MOST_ORGANS:
+            raise UserError(f"{len(self.simulations)} organs are joined; wanted: {MOST_ORGANS} at the most")
         if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
             raise UserError("organs of one scene have one rate, model, local region, integrator and return target")
         if self.simulations[0].implied:
@@ -97,6 +99,11 @@ class Joined:
         """Use settings of an organ that were worked out before, with its gravity less what the breath makes of it."""
         self.simulations[organ].take_settings(settings)
         self.carried.gravity[organ] = gravity_of(settings)
+
+    def note_gravity(self) -> None:
+        """Take up gravity that simulations were given: what organs weigh without the breath."""
+        for one, gravity in zip(self.simulations, self.carried.gravity, strict=True):
+            gravity[:] = gravity_of(one.settings)
 
     def tell_breath(self, share: float) -> None:
         """Where a breath is to be that follows what it is told, as a share of its way."""

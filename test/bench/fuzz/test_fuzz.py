@@ -65,15 +65,34 @@ def test_a_run_that_was_stopped_goes_on(monkeypatch, capsys):
     assert rest == whole[2:]
 
 
-def test_organ_is_as_before_after_hostile_ticks():
-    found = list(run_cases([Case("tick", 5, number) for number in range(4)], 1))
-    assert not [outcome for outcome in found if outcome.verdict != "used"]
+@pytest.mark.parametrize(
+    "cases",
+    [
+        [Case("tick", 5, number) for number in range(4)],
+        [Case("joined", 5, number) for number in range(3)],
+        # two organs that tools drive through each other, and one through itself
+        [Case("joined", 3, number) for number in (1, 2)],
+    ],
+)
+def test_organs_are_as_before_after_hostile_ticks(cases):
+    found = list(run_cases(cases, 1))
+    assert not [f"{one.what}: {one.line}" for one in found if one.verdict != "used"]
+    assert any(not re.match(r"to 0 mm", one.line) for one in found)
 
 
-def test_node_is_as_before_after_hostile_messages():
-    found = list(run_cases([Case("node", 5, number) for number in range(6)], 1))
+@pytest.mark.parametrize("kind", ["node", "scene_node"])
+def test_node_is_as_before_after_hostile_messages(kind):
+    found = list(run_cases([Case(kind, 5, number) for number in range(6)], 1))
     assert not [f"{one.what}: {one.line}" for one in found if one.verdict != "used"]
     assert int(re.match(r"(\d+) wrenches", found[-1].line)[1]) > 0
+
+
+def test_a_node_of_one_organ_is_not_begun_anew_for_each_case(monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(command, "run_cases", lambda cases, jobs: asked.append(cases) or iter(()))
+    assert main(["bench", "fuzz", "--scenes", "2", "--kinds", "scene_node", "node", "tick"]) == 0
+    kinds = [case.kind for case in asked[0]]
+    assert kinds == ["node", "tick", "node", "tick", "scene_node", "scene_node"]
 
 
 @pytest.mark.parametrize("kind", ["organ", "mesh", "image"])

@@ -63,6 +63,7 @@ class Kind(NamedTuple):
 
     warm_up does once in a process what every case needs, so that its time and memory count for none.
     megabytes, seconds: what a case may take. needs: a file of the checkout, without which there are no such cases.
+    last: whether its cases come after all of others, as what serves them is begun anew between its kind and another.
     """
 
     module: str
@@ -70,6 +71,7 @@ class Kind(NamedTuple):
     megabytes: float = 400.0
     seconds: float = 60.0
     needs: str = ""
+    last: bool = False
 
     @property
     def missing(self) -> bool:
@@ -101,6 +103,12 @@ FILES = {
 }
 SCENES = {
     "tick": Kind("tissue_sim.bench.fuzz.scenes.ticks", "tools, loads and settings, tick by tick", seconds=120.0),
+    "joined": Kind(
+        "tissue_sim.bench.fuzz.scenes.joined", "two organs that touch, hang together and breathe", seconds=240.0
+    ),
     "node": Kind("tissue_sim.bench.fuzz.scenes.node", "messages and services, to a running node over DDS"),
+    "scene_node": Kind(
+        "tissue_sim.bench.fuzz.scenes.node", "the same, to a node of two organs that breathe", last=True
+    ),
 }
 KINDS: dict[str, Kind] = {**FILES, **SCENES}

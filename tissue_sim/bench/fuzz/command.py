@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cases_of(args: argparse.Namespace) -> list[Case]:
-    """The cases that are asked for, those of all kinds mixed. Raises UserError for numbers out of range."""
+    """The cases that are asked for, those of most kinds mixed. Raises UserError for numbers out of range."""
     for option, count in (("--files", args.files), ("--scenes", args.scenes)):
         if count is not None and not 1 <= count <= MOST:
             raise UserError(f"{option} {count} is outside 1..{MOST}")
@@ -99,7 +99,8 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
     if args.first >= most:
         raise UserError(f"--from {args.first} is beyond the last case, {most - 1}")
     numbers = range(args.first, most)
-    return [Case(kind, args.seed, number) for number in numbers for kind in asked if number < counts[kind]]
+    cases = [Case(kind, args.seed, number) for number in numbers for kind in asked if number < counts[kind]]
+    return sorted(cases, key=lambda case: KINDS[case.kind].last)
 
 
 def repeating(case: Case) -> str:

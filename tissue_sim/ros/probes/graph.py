@@ -89,7 +89,13 @@ class Graph(ExitStack):
         environment: Mapping[str, str] | None = None,
     ) -> Child:
         """Start the node with an organ and parameters like `rate:=500.0`."""
-        words = [word for parameter in (f"organ_file:={organ_file}", *parameters) for word in ("-p", parameter)]
+        return self.serve(f"organ_file:={organ_file}", *parameters, within=within, environment=environment)
+
+    def serve(
+        self, *parameters: str, within: Sequence[str] = (), environment: Mapping[str, str] | None = None
+    ) -> Child:
+        """Start the node with parameters, of which one names its organ or scene."""
+        words = [word for parameter in parameters for word in ("-p", parameter)]
         return self.start("node.program", "--ros-args", *words, within=within, environment=environment)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ SECONDS = 0.25  # that an act lasts
 PATIENCE = 10.0  # s for what a node that lives answers at once
 QUIET, STARVED_QUIET = 0.15, 1.0  # s without a wrench after which none comes: usually, and where no zero has come
 ALL = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+STREAM = client.stream_qos()
 KEPT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 LIVE = {spec.name: spec for spec in NODE_SPECS if spec.live and not spec.name.startswith("record")}
 USUAL_CLAMP, HIGHEST_CLAMP = float(LIVE["force_clamp"].default), float(LIVE["force_clamp"].high or 0.0)
@@ -40,19 +41,26 @@ class Fault(Exception):
 
 
 class Hostile:
-    """Sends what acts (hostile_acts) ask for to the node `target`, and checks it. Raises Fault."""
+    """Sends what acts (hostile_acts) ask for to the node `target`, and checks it. Raises Fault.
 
-    def __init__(self, node: Node, target: str, organ: Organ) -> None:
+    organs: by name, where they lie in the scene that it serves, which follows `~/respiration`; one alone has no name.
+    """
+
+    def __init__(self, node: Node, target: str, organs: Mapping[str, Organ]) -> None:
         self.node, self.target = node, target
-        points = organ.surface_positions
+        rest = {name: organ.surface_positions for name, organ in organs.items()}
+        points = self.rest = np.concatenate(list(rest.values()))
         self._low, self._high, self.middle = points.min(axis=0), points.max(axis=0), points.mean(axis=0)
-        self.rest = points
         self.poses = {tool: node.create_publisher(PoseStamped, f"{tool}/measured_cp", KEPT) for tool in TOOLS}
         self.forces = {tool: node.create_publisher(WrenchStamped, f"{tool}/measured_cf", KEPT) for tool in TOOLS}
         self.angles = node.create_publisher(JointState, "jaws/gripper/measured_js", KEPT)
+        self.breath = node.create_publisher(JointState, f"/{target}/respiration", KEPT) if len(organs) > 1 else None
         self._wrenches = {tool: client.Inbox(node, WrenchStamped, f"{tool}/servo_cf", ALL, raw=True) for tool in TOOLS}
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
-        self._surfaces = client.Inbox(node, PointCloud2, f"/{target}/surface", client.stream_qos())
+        self._surfaces = [
+            (surface, client.Inbox(node, PointCloud2, "/".join(filter(None, ("", target, name, "surface"))), STREAM))
+            for name, surface in rest.items()
+        ]
         services = {
             "reset": Trigger,
             "set_parameters": SetParameters,
@@ -70,7 +78,7 @@ class Hostile:
 
     def meet(self) -> None:
         """Wait until the node hears and answers. Raises Fault."""
-        heard = [*self.poses.values(), *self.forces.values(), self.angles]
+        heard = [*self.poses.values(), *self.forces.values(), *filter(None, (self.angles, self.breath))]
         ready = self._services.values()
         if not client.wait_until(
             lambda: all(one.get_subscription_count() for one in heard) and all(s.service_is_ready() for s in ready),
@@ -115,6 +123,13 @@ class Hostile:
         """Send an angle in rad between the jaws."""
         self.angles.publish(JointState(name=["jaw"], position=[angle]))
 
+    def respiration(self, shares: list[float], stamp: int | None = None) -> JointState:
+        """Shares of the breath's way, of which the first counts; of now unless a stamp in ns is given."""
+        message = JointState(name=["breath"], position=shares)
+        stamp = self._now() if stamp is None else stamp
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+        return message
+
     def somewhere(self, rng: Rng) -> Floats:
         """A place (3,) m in the organ's box, or 20 mm around it."""
         return np.asarray(rng.uniform(self._low - 0.02, self._high + 0.02))
@@ -137,12 +152,13 @@ class Hostile:
         """All wrenches that came are finite and within the clamp; surfaces, finite and near."""
         for tool in TOOLS:
             self._take(tool)
-        for cloud in self._surfaces.take_all():
-            points = client.cloud_array(cloud)[:, :3]
-            if not np.all(np.isfinite(points)):
-                raise Fault("a surface that is not finite")
-            if np.abs(points - self.rest).max() > 1.0:
-                raise Fault("a surface more than 1 m away")
+        for rest, surfaces in self._surfaces:
+            for cloud in surfaces.take_all():
+                points = client.cloud_array(cloud)[:, :3]
+                if not np.all(np.isfinite(points)):
+                    raise Fault("a surface that is not finite")
+                if np.abs(points - rest).max() > 1.0:
+                    raise Fault("a surface more than 1 m away")
 
     def _take(self, tool: str) -> Floats | None:
         """The newest of a tool's wrenches (6,) that came, None where none has. Raises Fault for what none may be."""

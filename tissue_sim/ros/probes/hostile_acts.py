@@ -28,12 +28,12 @@ STORM = "sets parameters"  # the clamp among them
 
 
 def play(hostile: Hostile, rng: Rng, acts: list[str]) -> None:
-    """Play acts of ACTS, one after the other, and look at what comes of each. Raises Fault."""
+    """Play acts of ACTS, or OF_SCENES, one after the other, and look at what comes of each. Raises Fault."""
     hostile.clamp = USUAL_CLAMP
     for act in acts:
         if act == STORM:
             hostile.clamp = HIGHEST_CLAMP
-        ACTS[act](hostile, rng)
+        (ACTS | OF_SCENES)[act](hostile, rng)
         hostile.look()
 
 
@@ -148,6 +148,8 @@ def _flood(hostile: Hostile, rng: Rng) -> None:
                 hostile.poses[tool].publish(poses)
                 hostile.forces[tool].publish(forces)
         hostile.angles.publish(angle)
+        if hostile.breath is not None:
+            hostile.breath.publish(hostile.respiration([0.5]))
 
     hostile.during(0.0, act)
 
@@ -159,6 +161,8 @@ def _bytes(hostile: Hostile, rng: Rng) -> None:
         (hostile.forces["left"], serialize_message(hostile.force((0, 0, 1)))),
         (hostile.angles, serialize_message(JointState(name=["jaw"], position=[0.3]))),
     ]
+    if hostile.breath is not None:
+        good.append((hostile.breath, serialize_message(hostile.respiration([0.5]))))
 
     def act() -> None:
         publisher, raw = good[rng.integers(len(good))]
@@ -229,6 +233,21 @@ def _never_read(hostile: Hostile, rng: Rng) -> None:
         inbox.close()
 
 
+def _pant(hostile: Hostile, rng: Rng) -> None:
+    """A breath that jumps, beside shares and stamps that are none."""
+    assert hostile.breath is not None
+
+    def act() -> None:
+        assert hostile.breath is not None
+        share, stamp = float(rng.choice([0.0, 1.0, rng.random(), *WORST])), None
+        shares = [share] * int(rng.choice([0, 1, 1, 1, 1000]))
+        if rng.random() < 0.2:
+            stamp = int(rng.integers(0, 2**61))
+        hostile.breath.publish(hostile.respiration(shares, stamp))
+
+    hostile.during(0.002, act)
+
+
 def _turn(rng: Rng) -> Floats:
     drawn = rng.normal(size=4)
     return np.asarray(drawn / np.linalg.norm(drawn))
@@ -250,3 +269,4 @@ ACTS: dict[str, Callable[[Hostile, Rng], None]] = {
     "asks": _ask,
     "never reads": _never_read,
 }
+OF_SCENES = {"pants": _pant}

@@ -1,17 +1,20 @@
 """A running node under hostile messages, services and subscribers, over DDS; afterwards it has to be as before.
 
-Every process of cases has a node of its own, which lives on from case to case: what one leaves behind, such as memory,
-the next ones see. After a failure the node is begun anew.
+Every process of cases has a node of its own, with one organ or a scene, which lives on from case to case: what one
+leaves behind, such as memory, the next ones see. After a failure the node is begun anew.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.bench.fuzz.cases import Broken, Case, Input
+from tissue_sim.bench.fuzz.scenes.joined import scene_file
+from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from tissue_sim.ros.probes.hostile import Hostile
     from tissue_sim.ros.shared.children import Child
 
+SEVERAL = "scene_node"  # the kind of cases whose node has several organs
 MOST_ACTS = 3
 WARM_CASES = 10  # after which a node has everything that it needs
 MOST_GROWTH = 40.0  # MB since then
@@ -38,19 +42,25 @@ SETTINGS = (
 
 
 class Served:
-    """The node of this process, and who sends to it."""
+    """The node of this process, and who sends to it; several: organs, or one."""
 
-    def __init__(self) -> None:
+    def __init__(self, several: bool) -> None:
         from tissue_sim.ros.probes.hostile import Hostile
         from tissue_sim.ros.shared.client import client_node
 
-        self._stack = ExitStack()
+        self._stack, self.several = ExitStack(), several
         graph = self._stack.enter_context(Graph())
-        path = shipped_organ()
-        self.child: Child = graph.start_node(str(path), *SETTINGS)
+        if several:
+            path = scene_file(Path(self._stack.enter_context(tempfile.TemporaryDirectory())))
+            scene = SceneFile.read(path)
+            organs = dict(zip(scene.names, scene.organs, strict=True))
+        else:
+            path = shipped_organ()
+            organs = {"": Organ.load(path)}
+        self.child: Child = graph.serve(f"scene_file:={path}" if several else f"organ_file:={path}", *SETTINGS)
         ticks(self.child)
         node = self._stack.enter_context(client_node("hostile", NODE))
-        self.hostile: Hostile = Hostile(node, NODE, Organ.load(path))
+        self.hostile: Hostile = Hostile(node, NODE, organs)
         self.hostile.meet()
         self.cases, self._memory, self._tick = 0, 0.0, -1
         self.child.errors.clear()
@@ -87,11 +97,12 @@ _served: list[Served] = []  # none or one
 
 def prepare(case: Case, folder: Path) -> Input:
     """Up to three acts."""
-    from tissue_sim.ros.probes.hostile_acts import ACTS, play
+    from tissue_sim.ros.probes.hostile_acts import ACTS, OF_SCENES, play
 
-    rng = case.rng()
-    acts = [str(act) for act in rng.choice(list(ACTS), size=rng.integers(1, MOST_ACTS + 1))]
-    warm_up(folder)
+    rng, several = case.rng(), case.kind == SEVERAL
+    usual = list(ACTS | OF_SCENES) if several else list(ACTS)
+    acts = [str(act) for act in rng.choice(usual, size=rng.integers(1, MOST_ACTS + 1))]
+    serve(several)
 
     def use() -> str:
         return used(_served[0], lambda hostile: play(hostile, rng, acts))
@@ -100,9 +111,15 @@ def prepare(case: Case, folder: Path) -> Input:
 
 
 def warm_up(folder: Path) -> None:
-    """Start the node, unless it runs."""
+    """Nodes are started with their first case."""
+
+
+def serve(several: bool) -> None:
+    """Start the node of several organs or of one, unless it runs, in place of the other."""
+    if _served and _served[0].several is not several:
+        _served.pop().close()
     if not _served:
-        _served.append(Served())
+        _served.append(Served(several))
 
 
 def used(served: Served, play: Callable[[Hostile], None]) -> str:

@@ -19,6 +19,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.model.records import copy_of, words_of
 from tissue_sim.model.settings import Settings
+from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -65,8 +66,8 @@ def prepare(case: Case, folder: Path) -> Input:
     names = list(VARIANTS)
     variant = names[rng.choice(len(names), p=[share for share, *_ in VARIANTS.values()])]
     scene, defaults = made(variant)
-    hands = [a_hand(rng, scene) for _ in TOOLS]
-    load, told = a_load(rng, scene)
+    hands = [a_hand(rng, scene.simulation) for _ in TOOLS]
+    load, told = a_load(rng, scene.simulation)
     what = f"{variant}; {', '.join(name for name, _ in hands)}; {told}"
     return Input(what, lambda: use(rng, scene, defaults, [hand for _, hand in hands], load))
 
@@ -76,28 +77,33 @@ def warm_up(folder: Path) -> None:
 
 
 @lru_cache(maxsize=len(VARIANTS))
-def made(variant: str) -> tuple[Scene, Settings]:
-    """The scene of a variant, which all its cases use, and the settings that it has by default."""
+def made(variant: str) -> tuple[Scene, list[Settings]]:
+    """The scene of a variant, which all its cases use, and the settings that its organs have by default."""
     _, name, chosen = VARIANTS[variant]
-    scene = Scene(_organ(name), list(TOOLS), ticks_a_set=TICKS_A_SET, **chosen)
+    return compiled(Scene(organ_called(name), list(TOOLS), ticks_a_set=TICKS_A_SET, **chosen))
+
+
+def compiled(scene: Scene) -> tuple[Scene, list[Settings]]:
+    """A scene of which all that compiles has done so, and the settings that its organs have by default."""
     for tick in range(1, 4):  # all that compiles does so now
         scene.simulation.apply_force([0], [[0.0, 0.0, 0.1]])
         for tool in range(len(TOOLS)):
             scene.move(tool, scene.simulation.model.rest[0], np.array([0.0, 0.0, 0.0, 1.0]), 0.3, 1_000_000 * tick)
             scene.push(tool, np.full(3, 1e-3))
         scene.step()
-    return scene, copy_of(scene.simulation.settings)
+    return scene, [copy_of(one.settings) for one in scene.simulations]
 
 
 @lru_cache(maxsize=2)
-def _organ(name: str) -> Organ:
+def organ_called(name: str) -> Organ:
+    """A small organ of springs, or the kidney that ships."""
     return small_organ() if name == "small" else Organ.load(shipped_organ())
 
 
 # what is done ---------------------------------------------------------------------------------------
-def a_hand(rng: Rng, scene: Scene) -> tuple[str, Hand]:
-    """What a tool does, by name."""
-    surface = scene.simulation.model.rest[: scene.simulation.organ.n_surface]
+def a_hand(rng: Rng, simulation: Simulation) -> tuple[str, Hand]:
+    """What a tool does to an organ, by name."""
+    surface = simulation.model.rest[: simulation.organ.n_surface]
     low, high = surface.min(axis=0), surface.max(axis=0)
     centre, at = surface.mean(axis=0), surface[rng.integers(len(surface))]
     outward = (at - centre) / max(float(np.linalg.norm(at - centre)), 1e-9)
@@ -140,11 +146,12 @@ class Load(NamedTuple):
     first: int
     last: int
     tips: Floats
+    organ: int = 0
 
 
-def a_load(rng: Rng, scene: Scene) -> tuple[Load, str]:
+def a_load(rng: Rng, simulation: Simulation) -> tuple[Load, str]:
     """A load on a patch, or on nodes anywhere, that comes and falls at once; and forces at the tips."""
-    model = scene.simulation.model
+    model = simulation.model
     count = int(rng.choice([0, 1, 10, 60]))
     n_nodes = len(model.rest)
     nodes = rng.choice(n_nodes, size=count, replace=False).astype(np.int64)
@@ -167,83 +174,112 @@ def one_of(rng: Rng, numbers: list[float]) -> float:
 
 def change_settings(rng: Rng, scene: Scene) -> None:
     """Any that a parameter may change, within its range, or what a slow machine gives up."""
-    simulation, settings = scene.simulation, scene.simulation.settings
-    settings.friction = one_of(rng, [0.0, 0.6, 5.0])
-    settings.force_clamp = one_of(rng, [0.0, 0.5, 10.0, 100.0])
-    settings.force_slew = 10.0 ** rng.uniform(0.0, 6.0)
-    settings.coupling_stiffness = one_of(rng, [0.0, 200.0, 2e4])
-    settings.coupling_damping = 10.0 ** rng.uniform(-1.0, 2.0)
-    settings.stale_time, settings.ramp_time = 10.0 ** rng.uniform(-2.3, 0.7), 10.0 ** rng.uniform(-3.0, 0.0)
-    settings.stiffness_scale, settings.damping_scale = 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-1.0, 2.0)
-    settings.tick_time = one_of(rng, [1e-3, 2e-3, 4e-3])
-    simulation.set_gravity(rng.choice([0.0, 9.81, 57.0]) * rng.uniform(-1.0, 1.0, size=3))
-    simulation.set_substeps()
+    drawn = {
+        "friction": one_of(rng, [0.0, 0.6, 5.0]),
+        "force_clamp": one_of(rng, [0.0, 0.5, 10.0, 100.0]),
+        "force_slew": 10.0 ** rng.uniform(0.0, 6.0),
+        "coupling_stiffness": one_of(rng, [0.0, 200.0, 2e4]),
+        "coupling_damping": 10.0 ** rng.uniform(-1.0, 2.0),
+        "stale_time": 10.0 ** rng.uniform(-2.3, 0.7),
+        "ramp_time": 10.0 ** rng.uniform(-3.0, 0.0),
+        "stiffness_scale": 10.0 ** rng.uniform(-2.0, 2.0),
+        "damping_scale": 10.0 ** rng.uniform(-1.0, 2.0),
+        "tick_time": one_of(rng, [1e-3, 2e-3, 4e-3]),
+    }
+    for simulation in scene.simulations:
+        for name, value in drawn.items():
+            setattr(simulation.settings, name, value)
+    scene.set_gravity(rng.choice([0.0, 9.81, 57.0]) * rng.uniform(-1.0, 1.0, size=3))
+    scene.set_substeps()
 
 
 # what has to hold -----------------------------------------------------------------------------------
-def use(rng: Rng, scene: Scene, defaults: Settings, hands: list[Hand], load: Load) -> str:
-    """Play it, let go, wait until the organ sleeps."""
-    simulation = scene.simulation
+def use(
+    rng: Rng,
+    scene: Scene,
+    defaults: list[Settings],
+    hands: list[Hand],
+    load: Load,
+    breath: Callable[[int], float] | None = None,
+) -> str:
+    """Play it, let go, wait until all organs sleep. breath: share of its way that is told at a tick."""
+    loaded = scene.simulations[load.organ]
     restore(scene, defaults)
     storm = rng.choice([0.0, 0.02], p=[0.7, 0.3])
     farthest = 0.0
     for tick in range(TICKS):
         if rng.random() < storm:
             change_settings(rng, scene)
+        if breath is not None and scene.joined is not None:
+            scene.joined.tell_breath(breath(tick))
         for tool, hand in enumerate(hands):
             if (place := hand(tick)) is not None:
                 scene.move(tool, *place)
             if load.tips.any() and load.first <= tick < load.last:
                 scene.push(tool, load.tips[tool])
         if load.first <= tick < load.last and len(load.nodes):
-            simulation.apply_force(load.nodes, load.forces)
+            loaded.apply_force(load.nodes, load.forces)
         scene.step()
         look(scene, tick)
-        farthest = max(farthest, float(np.abs(simulation.positions - simulation.model.rest).max()))
-    ended, faults = simulation.state.count.faults, simulation.state.count.faults
+        farthest = max(farthest, moved(scene))
+    faults = faults_of(scene)
     settle_down(scene, defaults)
-    left = float(np.abs(simulation.positions - simulation.model.rest).max())
+    left = moved(scene)
     if left > LEFT:
         raise Broken(f"{1e3 * left:.3g} mm from rest at the end, asleep; was {1e3 * farthest:.3g} mm")
-    ended = simulation.state.count.faults - ended
-    return f"to {1e3 * farthest:.3g} mm, {faults} faults so far, {ended} afterwards"
+    return f"to {1e3 * farthest:.3g} mm, {faults} faults so far, {faults_of(scene) - faults} afterwards"
 
 
-def restore(scene: Scene, defaults: Settings) -> None:
+def moved(scene: Scene) -> float:
+    """How far any node is from its rest, m."""
+    return max(float(np.abs(one.positions - one.model.rest).max()) for one in scene.simulations)
+
+
+def faults_of(scene: Scene) -> int:
+    """Counted so far, of all organs."""
+    return sum(one.state.count.faults for one in scene.simulations)
+
+
+def restore(scene: Scene, defaults: list[Settings]) -> None:
     """As at the start."""
     scene.reset()
-    words_of(scene.simulation.settings)[:] = words_of(defaults)
-    scene.simulation.set_gravity(np.zeros(3))
-    scene.simulation.set_substeps()
+    usual(scene, defaults)
+
+
+def usual(scene: Scene, defaults: list[Settings]) -> None:
+    """The settings of the start."""
+    for one, settings in zip(scene.simulations, defaults, strict=True):
+        words_of(one.settings)[:] = words_of(settings)
+    scene.set_gravity(np.zeros(3))
+    scene.set_substeps()
 
 
 def look(scene: Scene, tick: int) -> None:
     """Everything is finite, and nobody feels more than the clamp. Raises Broken."""
-    simulation = scene.simulation
-    felt = scene.wrenches
-    if not (np.all(np.isfinite(felt)) and np.all(np.isfinite(simulation.positions))):
+    felt, settings = scene.wrenches, scene.simulation.settings
+    if not (np.all(np.isfinite(felt)) and all(np.all(np.isfinite(one.positions)) for one in scene.simulations)):
         raise Broken(f"what is not finite after tick {tick}")
-    if (most := float(np.linalg.norm(felt[:, :3], axis=1).max())) > ROUNDING * simulation.settings.force_clamp:
-        raise Broken(f"{most:.3g} N at tick {tick}, above the clamp of {simulation.settings.force_clamp:g} N")
-    span = float(np.abs(simulation.positions - simulation.model.rest).max())
-    if span > 2.0 * simulation.settings.runaway_span:
-        raise Broken(f"{span:.3g} m from rest at tick {tick}")
+    if (most := float(np.linalg.norm(felt[:, :3], axis=1).max())) > ROUNDING * settings.force_clamp:
+        raise Broken(f"{most:.3g} N at tick {tick}, above the clamp of {settings.force_clamp:g} N")
+    for one in scene.simulations:
+        span = float(np.abs(one.positions - one.model.rest).max())
+        if span > 2.0 * one.settings.runaway_span:
+            raise Broken(f"{span:.3g} m from rest at tick {tick}")
 
 
-def settle_down(scene: Scene, defaults: Settings) -> None:
-    """Without poses and loads, with the usual settings: no force is left soon, and the organ sleeps. Raises Broken."""
-    simulation = scene.simulation
-    words_of(simulation.settings)[:] = words_of(defaults)
-    simulation.set_gravity(np.zeros(3))
-    simulation.set_substeps()
+def settle_down(scene: Scene, defaults: list[Settings]) -> None:
+    """Without poses, loads and breath, with the usual settings: no force is left soon, and all sleep. Raises Broken."""
+    usual(scene, defaults)
+    if scene.joined is not None:
+        scene.joined.tell_breath(0.0)
     for tick in range(MOST_AFTER):
         scene.step()
-        if tick % 50 == 0 or simulation.state.status.asleep:
+        asleep = all(one.asleep for one in scene.simulations)
+        if tick % 50 == 0 or asleep:
             look(scene, TICKS + tick)
-        if tick >= SILENCE * simulation.rate:
-            if simulation.state.wrench.any():
+        if tick >= SILENCE * scene.simulation.rate:
+            if scene.wrenches.any():
                 raise Broken(f"a force is felt {tick} ticks after the last pose")
-            if simulation.state.status.asleep:
+            if asleep:
                 return
-    left = float(np.abs(simulation.positions - simulation.model.rest).max())
-    raise Broken(f"not asleep {MOST_AFTER} ticks after the last load, {1e3 * left:.3g} mm from rest")
+    raise Broken(f"not asleep {MOST_AFTER} ticks after the last load, {1e3 * moved(scene):.3g} mm from rest")

@@ -1,0 +1,96 @@
+"""Ticks of organs that touch, hang on each other and breathe, under what `ticks` does to one; afterwards all sleep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue_sim.bench.fuzz.cases import Case, Input
+from tissue_sim.bench.fuzz.scenes.ticks import TICKS_A_SET, TOOLS, Rng, a_hand, a_load, compiled, organ_called, use
+from tissue_sim.contact.attachments import Attachment, Breathing
+from tissue_sim.contact.scene import Scene
+from tissue_sim.model.settings import Settings
+from tissue_sim.organ.placing import placed
+
+SCENE = """
+format: 1
+organs:
+  - {name: left, file: kidney.npz, breathes: 1.0}
+  - {name: right, file: kidney.npz, position: [0.066, 0.0, 0.0], breathes: 0.6}
+attachments:
+  - {between: [left, right], within: 0.008, stiffness: 100.0, damping: 0.1}
+breathing: {way: [0.003, 0.0, 0.015]}
+friction: 0.3
+"""
+FRICTION = 0.3  # between organs
+WAY = (0.003, 0.0, 0.015)  # m that the first organ goes with the breath
+BREATHES = (1.0, 0.6)
+# The share of cases of each, what it is of, where the second organ lies beside the first (m), and what else is chosen.
+VARIANTS: dict[str, tuple[float, str, tuple[float, float, float], dict[str, Any]]] = {
+    "springs": (0.6, "small", (0.0, 0.061, 0.0), {}),
+    "springs, folding": (0.2, "small", (0.0, 0.061, 0.0), {"self_contact": True}),
+    "cells": (0.2, "kidney", (0.066, 0.0, 0.0), {"self_contact": True}),
+}
+
+
+def prepare(case: Case, folder: Path) -> Input:
+    """Two organs of one variant."""
+    rng = case.rng()
+    names = list(VARIANTS)
+    variant = names[rng.choice(len(names), p=[share for share, *_ in VARIANTS.values()])]
+    scene, defaults = made(variant)
+    hands = [a_hand(rng, scene.simulations[rng.integers(len(BREATHES))]) for _ in TOOLS]
+    organ = int(rng.integers(len(BREATHES)))
+    load, told = a_load(rng, scene.simulations[organ])
+    breath, how = a_breath(rng)
+    what = f"{variant}; {', '.join(name for name, _ in hands)}; {told}; {how}"
+    return Input(
+        what, lambda: use(rng, scene, defaults, [hand for _, hand in hands], load._replace(organ=organ), breath)
+    )
+
+
+def warm_up(folder: Path) -> None:
+    """As of ticks."""
+
+
+@lru_cache(maxsize=len(VARIANTS))
+def made(variant: str) -> tuple[Scene, list[Settings]]:
+    """The scene of a variant, which all its cases use, and the settings that its organs have by default."""
+    _, name, beside, chosen = VARIANTS[variant]
+    organ = organ_called(name)
+    return compiled(
+        Scene(
+            [organ, placed(organ, beside)],
+            list(TOOLS),
+            ticks_a_set=TICKS_A_SET,
+            attachments=[Attachment((0, 1), stiffness=100.0, damping=0.1, within=0.008)],
+            breathing=Breathing(0.0, WAY),
+            breathes=BREATHES,
+            organ_friction=FRICTION,
+            **chosen,
+        )
+    )
+
+
+def scene_file(folder: Path) -> Path:
+    """Write the scene of two kidneys for a node."""
+    organ_called("kidney").save(folder / "kidney.npz")
+    (path := folder / "scene.yaml").write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def a_breath(rng: Rng) -> tuple[Callable[[int], float], str]:
+    """The share of its way that a breath is told at a tick, and how."""
+    period = 10.0 ** rng.uniform(1.0, 3.0)  # ticks
+    ways: dict[str, Callable[[int], float]] = {
+        "no breath": lambda tick: 0.0,
+        "breathes": lambda tick: float(np.sin(np.pi * tick / period) ** 4),
+        "pants": lambda tick: float(tick // 10 % 2),
+        "gasps": lambda tick: float(rng.random()),
+    }
+    name = str(rng.choice(list(ways)))
+    return ways[name], name
