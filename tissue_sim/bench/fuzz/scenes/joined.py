@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -10,38 +11,50 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.bench.fuzz.cases import Case, Input
-from tissue_sim.bench.fuzz.scenes.ticks import TICKS_A_SET, TOOLS, Rng, a_hand, a_load, compiled, organ_called, use
+from tissue_sim.bench.fuzz.scenes.ticks import (
+    TICKS_A_SET,
+    TOOLS,
+    Rng,
+    a_hand,
+    a_load,
+    a_variant,
+    compiled,
+    organ_called,
+    use,
+)
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.scene_file import FORMAT
 from tissue_sim.model.settings import Settings
 from tissue_sim.organ.placing import placed
 
-SCENE = """
-format: 1
-organs:
-  - {name: left, file: kidney.npz, breathes: 1.0}
-  - {name: right, file: kidney.npz, position: [0.066, 0.0, 0.0], breathes: 0.6}
-attachments:
-  - {between: [left, right], within: 0.008, stiffness: 100.0, damping: 0.1}
-breathing: {way: [0.003, 0.0, 0.015]}
-friction: 0.3
-"""
 FRICTION = 0.3  # between organs
 WAY = (0.003, 0.0, 0.015)  # m that the first organ goes with the breath
 BREATHES = (1.0, 0.6)
+LIGAMENT = {"within": 0.008, "stiffness": 100.0, "damping": 0.1}
+BESIDE = (0.066, 0.0, 0.0)  # m, of the second kidney
+SCENE = {
+    "format": FORMAT,
+    "organs": [
+        {"name": "left", "file": "kidney.npz", "breathes": BREATHES[0]},
+        {"name": "right", "file": "kidney.npz", "breathes": BREATHES[1], "position": list(BESIDE)},
+    ],
+    "attachments": [{"between": ["left", "right"], **LIGAMENT}],
+    "breathing": {"way": list(WAY)},
+    "friction": FRICTION,
+}
 # The share of cases of each, what it is of, where the second organ lies beside the first (m), and what else is chosen.
 VARIANTS: dict[str, tuple[float, str, tuple[float, float, float], dict[str, Any]]] = {
     "springs": (0.6, "small", (0.0, 0.061, 0.0), {}),
     "springs, folding": (0.2, "small", (0.0, 0.061, 0.0), {"self_contact": True}),
-    "cells": (0.2, "kidney", (0.066, 0.0, 0.0), {"self_contact": True}),
+    "cells": (0.2, "kidney", BESIDE, {"self_contact": True}),
 }
 
 
 def prepare(case: Case, folder: Path) -> Input:
     """Two organs of one variant."""
     rng = case.rng()
-    names = list(VARIANTS)
-    variant = names[rng.choice(len(names), p=[share for share, *_ in VARIANTS.values()])]
+    variant = a_variant(rng, VARIANTS)
     scene, defaults = made(variant)
     hands = [a_hand(rng, scene.simulations[rng.integers(len(BREATHES))]) for _ in TOOLS]
     organ = int(rng.integers(len(BREATHES)))
@@ -67,7 +80,7 @@ def made(variant: str) -> tuple[Scene, list[Settings]]:
             [organ, placed(organ, beside)],
             list(TOOLS),
             ticks_a_set=TICKS_A_SET,
-            attachments=[Attachment((0, 1), stiffness=100.0, damping=0.1, within=0.008)],
+            attachments=[Attachment((0, 1), **LIGAMENT)],
             breathing=Breathing(0.0, WAY),
             breathes=BREATHES,
             organ_friction=FRICTION,
@@ -79,7 +92,7 @@ def made(variant: str) -> tuple[Scene, list[Settings]]:
 def scene_file(folder: Path) -> Path:
     """Write the scene of two kidneys for a node."""
     organ_called("kidney").save(folder / "kidney.npz")
-    (path := folder / "scene.yaml").write_text(SCENE, encoding="utf-8")
+    (path := folder / "scene.yaml").write_text(json.dumps(SCENE), encoding="utf-8")  # JSON is YAML, too
     return path
 
 

@@ -5,7 +5,7 @@ Every tool does one thing for the whole of a scene; so does the load, which fall
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,13 +63,18 @@ Hand = Callable[[int], Place | None]  # by the tick; None: no pose in this one
 def prepare(case: Case, folder: Path) -> Input:
     """A scene of one variant."""
     rng = case.rng()
-    names = list(VARIANTS)
-    variant = names[rng.choice(len(names), p=[share for share, *_ in VARIANTS.values()])]
+    variant = a_variant(rng, VARIANTS)
     scene, defaults = made(variant)
     hands = [a_hand(rng, scene.simulation) for _ in TOOLS]
     load, told = a_load(rng, scene.simulation)
     what = f"{variant}; {', '.join(name for name, _ in hands)}; {told}"
     return Input(what, lambda: use(rng, scene, defaults, [hand for _, hand in hands], load))
+
+
+def a_variant(rng: Rng, variants: Mapping[str, tuple[Any, ...]]) -> str:
+    """One of variants, whose first entry is its share of all cases."""
+    names = list(variants)
+    return names[rng.choice(len(names), p=[share for share, *_ in variants.values()])]
 
 
 def warm_up(folder: Path) -> None:
