@@ -1,6 +1,8 @@
 """Bags cut anywhere, in several files, behind a disk that stalls: what is in them is whole."""
 
 import shutil
+import subprocess
+import sys
 import threading
 import tracemalloc
 
@@ -235,3 +237,45 @@ def test_the_index_of_a_long_bag_takes_no_memory(tmp_path):
     assert grown < 50_000
     with Reader(tmp_path / "long") as reader:
         assert [stamp for _, stamp, _ in reader.messages()] == stamps[1:]
+
+
+STALLED = """
+import sys, threading
+from pathlib import Path
+from tissue_sim.ros.bags.spool import Spool
+from tissue_sim.ros.bags.writer import BagWriter, Topic
+
+def resident():
+    return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
+
+def fill(count):
+    let_go.clear()
+    for number in range(count):
+        assert spool.put("/pose", number.to_bytes(8, "little") * 12)
+    let_go.set()
+    while spool._count:
+        threading.Event().wait(0.05)
+    threading.Event().wait(1.0)
+
+let_go, write = threading.Event(), BagWriter.write
+BagWriter.write = lambda *words: let_go.wait() and write(*words)
+writer = BagWriter(Path(sys.argv[1]))
+writer.open()
+spool = Spool(writer, writer.add_topics({"/pose": Topic("geometry_msgs/msg/PoseStamped", [])}), {})
+fill(1000)
+before = resident()
+fill(100_000)
+print(resident() - before)
+spool.close(30.0)
+"""
+
+
+def test_what_waited_for_a_stalled_disk_leaves_no_memory(tmp_path):
+    """100,000 small messages, 12 MB, wait at once."""
+    told = subprocess.run(
+        [sys.executable, "-c", STALLED, tmp_path / "stalled"], capture_output=True, text=True, check=True
+    )
+    assert int(told.stdout) < 1e6
+    with Reader(tmp_path / "stalled") as reader:
+        found = [int.from_bytes(raw[:8], "little") for _, _, raw in reader.messages()]
+    assert found == [*range(1000), *range(100_000)]

@@ -36,7 +36,7 @@ OFFERED = {"mesh": LATCHED, "markers": LATCHED, "surface": STREAM, "skeleton": S
 
 
 class Recorder:
-    """Records while started. Messages may be written from any thread; they only go into a queue.
+    """Records while started. Messages may be written from any thread; they only go into memory.
 
     node_name: absolute, like /tissue_sim; organs: what is recorded of; named: each by its name, empty for an only one,
     and what makes its file's bytes. of_organ, joined: their parts of a bag.

@@ -1,22 +1,50 @@
-"""A bag's messages on their way to the disk: a queue with an end, and the thread that empties it."""
+"""A bag's messages on their way to the disk: a buffer with an end, and the thread that empties it."""
 
 from __future__ import annotations
 
-import queue
+import mmap
+import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from rosbags.interfaces import Connection
 
 from tissue_sim.ros.bags.writer import BagWriter
 
 FLUSH_EVERY = 0.5  # s; with the journal's 0.25 s a bag that is broken off lacks less than the last second
+PAUSE = 0.05  # s between looks at what waits: a thread that wakes for each message takes turns from those that put them
 MOST_WAITING = 256e6  # bytes; a disk that is so far behind ends the bag
-PER_MESSAGE = 256  # bytes in the queue, beside its own
 CLOSING_TIME = 0.4  # s that a bag which is closed before all is written may take for that
+BLOCK = 1 << 16  # bytes; a larger message has a block of its own
+_HEADER = struct.Struct("<qqq")  # stamp, topic, length
 
-_FLUSH = ""  # in place of a topic
+
+class _Block:
+    """Messages behind each other. Its pages are the system's own: none are kept when it is gone."""
+
+    def __init__(self, size: int) -> None:
+        self._memory = mmap.mmap(-1, size)
+        self._size, self.used = size, 0
+
+    def has_room(self, size: int) -> bool:
+        """Whether a message of so many bytes fits behind the others."""
+        return self.used + _HEADER.size + size <= self._size
+
+    def append(self, topic: int, stamp: int, raw: bytes) -> None:
+        """Put a message behind the others."""
+        _HEADER.pack_into(self._memory, self.used, stamp, topic, len(raw))
+        begin = self.used + _HEADER.size
+        self.used = begin + len(raw)
+        self._memory[begin : self.used] = raw
+
+    def messages(self) -> Iterator[tuple[int, int, memoryview]]:
+        """Topic, stamp and bytes of each."""
+        at, memory = 0, memoryview(self._memory)
+        while at < self.used:
+            stamp, topic, length = _HEADER.unpack_from(memory, at)
+            at += _HEADER.size + length
+            yield topic, stamp, memory[at - length : at]
 
 
 class Spool:
@@ -27,14 +55,16 @@ class Spool:
     """
 
     def __init__(self, writer: BagWriter, topics: Mapping[str, Connection], patience: Mapping[str, float]) -> None:
-        self._writer, self._topics = writer, topics
+        self._writer, self._topics = writer, list(topics.values())
+        self._index = {name: index for index, name in enumerate(topics)}
         self._most = {name: share * MOST_WAITING for name, share in patience.items()}
-        self._queue: queue.SimpleQueue[tuple[str, int, bytes] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._waiting = 0  # bytes
+        self._blocks: list[_Block] = []
+        self._count = self._waiting = 0  # messages, and bytes, that are not written yet
         self._newest = 0  # ns
         self._epoch = time.time_ns() - time.monotonic_ns()
-        self._hurry = threading.Event()
+        self._soon = self._hurry = False
+        self._wake = threading.Event()
         self.is_open = True
         self.lost = 0  # messages
         self.error = ""
@@ -42,8 +72,8 @@ class Spool:
         self._thread.start()
 
     def put(self, name: str, raw: bytes) -> bool:
-        """Queue a message of a topic; returns whether there was room for it."""
-        size = len(raw) + PER_MESSAGE
+        """Keep a message of a topic until it is written; returns whether there was room for it."""
+        size = len(raw) + _HEADER.size
         with self._lock:
             if not self.is_open:
                 return False
@@ -51,26 +81,28 @@ class Spool:
                 self.lost += 1
                 if name not in self._most:
                     self._fail(f"the disk can't keep up, {1e-6 * self._waiting:.0f} MB wait")
-                    self._queue.put(None)
                 return False
-            self._waiting += size
+            if not self._blocks or not self._blocks[-1].has_room(len(raw)):
+                self._blocks.append(_Block(max(BLOCK, size)))
             # Wall time, but never running backwards within a bag.
             self._newest = max(self._newest, self._epoch + time.monotonic_ns())
-            self._queue.put((name, self._newest, raw))
+            self._blocks[-1].append(self._index[name], self._newest, raw)
+            self._count += 1
+            self._waiting += size
             return True
 
     def flush(self) -> None:
-        """Have all that is queued on the disk soon."""
-        self._queue.put((_FLUSH, 0, b""))
+        """Have all that waits on the disk soon."""
+        self._soon = True
+        self._wake.set()
 
     def close(self, patience: float) -> None:
         """End the bag; what is not written within `patience` s is left out and counted as lost."""
         with self._lock:
-            if self.is_open:
-                self.is_open = False
-                self._queue.put(None)
+            self.is_open = False
+        self._wake.set()
         self._thread.join(timeout=patience)
-        self._hurry.set()
+        self._hurry = True
         self._thread.join(timeout=CLOSING_TIME)
         if self._thread.is_alive():
             self._fail("the disk doesn't answer")
@@ -80,35 +112,45 @@ class Spool:
         self.error = self.error or f"recording to {self._writer.path} failed: {reason}"
 
     def _run(self) -> None:
-        """Write until told to stop; a disk that fails ends the bag and is reported, the node goes on."""
+        """Write until the bag ends; a disk that fails ends it and is reported, the node goes on."""
         writer = self._writer
         try:
-            self._write()
+            self._write_all()
             writer.close()
         except Exception as error:  # anything that goes wrong on the way to the disk
             with self._lock:
                 self._fail((isinstance(error, OSError) and error.strerror) or str(error))
-                self.lost += self._queue.qsize()
-                self._queue = queue.SimpleQueue()  # what nobody will write needs no memory
             writer.abort()
+        with self._lock:
+            self.lost += self._count
+            self._blocks.clear()  # what nobody will write needs no memory
 
-    def _write(self) -> None:
-        writer, due = self._writer, time.monotonic() + FLUSH_EVERY
-        while True:
-            try:
-                item = self._queue.get(timeout=max(0.0, due - time.monotonic()))
-            except queue.Empty:
-                item = (_FLUSH, 0, b"")
-            if item is None:
+    def _write_all(self) -> None:
+        due = time.monotonic() + FLUSH_EVERY
+        while not self._hurry:
+            self._wake.wait(PAUSE)
+            self._wake.clear()
+            with self._lock:
+                blocks, self._blocks = self._blocks, []
+                ends, soon, self._soon = not self.is_open, self._soon, False
+            for block in blocks:
+                self._write(block)
+                if block is not blocks[-1]:
+                    self._writer.end_chunk()
+                if time.monotonic() >= due:
+                    self._writer.flush()
+                    due = time.monotonic() + FLUSH_EVERY
+            if ends:
                 return
-            name, stamp, raw = item
-            if self._hurry.is_set():
-                self.lost += self._queue.qsize()  # all but the None at the end, and this one
-                return
-            if name != _FLUSH:
-                writer.write(self._topics[name], stamp, raw)
-                with self._lock:
-                    self._waiting -= len(raw) + PER_MESSAGE
-            if name == _FLUSH or time.monotonic() >= due:
-                writer.flush()
+            if soon or time.monotonic() >= due:
+                self._writer.flush()
                 due = time.monotonic() + FLUSH_EVERY
+
+    def _write(self, block: _Block) -> None:
+        for topic, stamp, raw in block.messages():
+            if self._hurry:
+                return
+            self._writer.write(self._topics[topic], stamp, raw)
+            with self._lock:
+                self._count -= 1
+                self._waiting -= len(raw) + _HEADER.size

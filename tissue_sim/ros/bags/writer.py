@@ -103,12 +103,16 @@ class BagWriter(Writer):
         super().write(connection, timestamp, data)
         self._counts[connection.topic] += 1
 
+    def end_chunk(self) -> None:
+        """Compress the messages so far, which until then take some times their size; raises OSError."""
+        if self._file is not None and self._file.chunk.msgs:
+            self._file.close_chunk()
+
     def flush(self) -> None:
         """Bring all messages so far to the disk; raises OSError."""
+        self.end_chunk()
         file = self._file
         assert file is not None
-        if file.chunk.msgs:
-            file.close_chunk()
         if file.bio.tell() > self._flushed:
             file.bio.flush()
             os.fsync(file.bio.fileno())
