@@ -175,7 +175,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
     substeps = plan_together(worlds, awake, linked or touching)
     for substep in range(substeps):
         if linked:
-            pull_links(worlds, carried, links, awake, step / substeps)
+            pull_links(worlds, carried, links, awake, step / substeps, False)
         if touching:
             press_pairs(worlds, pairs, awake)
         for organ in range(len(worlds)):

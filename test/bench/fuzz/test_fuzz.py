@@ -70,8 +70,8 @@ def test_a_run_that_was_stopped_goes_on(monkeypatch, capsys):
     [
         [Case("tick", 5, number) for number in range(4)],
         [Case("joined", 5, number) for number in range(3)],
-        # two organs that tools drive through each other, and one through itself
-        [Case("joined", 3, number) for number in (1, 2)],
+        # two organs that tools drive through each other, one through itself, and one whose ligament is just taut
+        [Case("joined", 3, number) for number in (1, 2, 7)],
     ],
 )
 def test_organs_are_as_before_after_hostile_ticks(cases):
