@@ -15,7 +15,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.parameters import TOLD
-from tissue_sim.ros.viewer.panel import Panel, headline
+from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, headline
 from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for, light
 from tissue_sim.ros.viewer.services import Services
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
@@ -89,6 +89,7 @@ class Viewer:
         for one in self.organs:
             one.remove()
         self.organs = [ViewedOrgan(self._server, self._node, self._target, name) for name in names]
+        self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
 
     def _points(self) -> tuple[Floats | None, str]:
         """Where all surfaces were last, (n, 3) m, in which frame; None before they have come."""

@@ -6,6 +6,7 @@ import html
 import queue
 from collections.abc import Mapping
 from enum import Enum
+from typing import Any
 
 import viser
 
@@ -86,6 +87,9 @@ def legend_html() -> str:
     )
 
 
+TRANSLUCENT, SOLID = 0.8, 1.0  # of one organ, which shows its inside; of several, which would show through each other
+
+
 class Panel:
     """Builds the panel. What the buttons ask for waits in `wishes`."""
 
@@ -95,8 +99,8 @@ class Panel:
         self._headline = gui.add_html(headline_html(""))
         self._status = gui.add_markdown("", visible=False, order=LAST)
         gui.add_html(legend_html())
-        self.opacity = gui.add_slider(
-            "Opacity", min=0.2, max=1.0, step=0.05, initial_value=0.8, hint="Of the tissue over the skeleton"
+        self.opacity: Any = gui.add_slider(
+            "Opacity", min=0.2, max=1.0, step=0.05, initial_value=TRANSLUCENT, hint="Of the tissue over what is within"
         )
         self._reset = gui.add_button("Reset", hint="Back to the rest shape")
         self._record = gui.add_button("Record", hint="Start or stop a bag")

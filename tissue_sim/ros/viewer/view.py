@@ -80,8 +80,10 @@ def run(args: argparse.Namespace) -> int:
         try:
             due = time.monotonic()
             while not stop:
-                due = max(due + (FRAME_TIME if viewer.update() else IDLE_TIME), time.monotonic() + 0.001)
-                time.sleep(due - time.monotonic())
+                period = FRAME_TIME if viewer.update() else IDLE_TIME
+                now = time.monotonic()
+                due = max(due + period, now + 0.001)
+                time.sleep(due - now)
         finally:
             viewer.close()
     return 0
