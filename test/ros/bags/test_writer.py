@@ -240,7 +240,7 @@ def test_the_index_of_a_long_bag_takes_no_memory(tmp_path):
 
 
 STALLED = """
-import sys, threading
+import sys, threading, time
 from pathlib import Path
 from tissue_sim.ros.bags.spool import Spool
 from tissue_sim.ros.bags.writer import BagWriter, Topic
@@ -254,8 +254,8 @@ def fill(count):
         assert spool.put("/pose", number.to_bytes(8, "little") * 12)
     let_go.set()
     while spool._count:
-        threading.Event().wait(0.05)
-    threading.Event().wait(1.0)
+        time.sleep(0.05)
+    time.sleep(1.0)
 
 let_go, write = threading.Event(), BagWriter.write
 BagWriter.write = lambda *words: let_go.wait() and write(*words)

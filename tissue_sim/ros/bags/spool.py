@@ -6,6 +6,7 @@ import mmap
 import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping
 
 from rosbags.interfaces import Connection
@@ -59,11 +60,12 @@ class Spool:
         self._index = {name: index for index, name in enumerate(topics)}
         self._most = {name: share * MOST_WAITING for name, share in patience.items()}
         self._lock = threading.Lock()
-        self._blocks: list[_Block] = []
+        self._blocks: deque[_Block] = deque()
         self._count = self._waiting = 0  # messages, and bytes, that are not written yet
         self._newest = 0  # ns
         self._epoch = time.time_ns() - time.monotonic_ns()
         self._soon = self._hurry = False
+        self._due = time.monotonic() + FLUSH_EVERY
         self._wake = threading.Event()
         self.is_open = True
         self.lost = 0  # messages
@@ -93,7 +95,8 @@ class Spool:
 
     def flush(self) -> None:
         """Have all that waits on the disk soon."""
-        self._soon = True
+        with self._lock:
+            self._soon = True
         self._wake.set()
 
     def close(self, patience: float) -> None:
@@ -126,25 +129,26 @@ class Spool:
             self._blocks.clear()  # what nobody will write needs no memory
 
     def _write_all(self) -> None:
-        due = time.monotonic() + FLUSH_EVERY
         while not self._hurry:
             self._wake.wait(PAUSE)
             self._wake.clear()
             with self._lock:
-                blocks, self._blocks = self._blocks, []
+                blocks, self._blocks = self._blocks, deque()
                 ends, soon, self._soon = not self.is_open, self._soon, False
-            for block in blocks:
-                self._write(block)
-                if block is not blocks[-1]:
+            while blocks and not self._hurry:
+                self._write(blocks.popleft())
+                if blocks:
                     self._writer.end_chunk()
-                if time.monotonic() >= due:
-                    self._writer.flush()
-                    due = time.monotonic() + FLUSH_EVERY
+                    self._flush_if(False)
             if ends:
                 return
-            if soon or time.monotonic() >= due:
-                self._writer.flush()
-                due = time.monotonic() + FLUSH_EVERY
+            self._flush_if(soon)
+
+    def _flush_if(self, soon: bool) -> None:
+        """Bring what is written to the disk, soon or when it is due."""
+        if soon or time.monotonic() >= self._due:
+            self._writer.flush()
+            self._due = time.monotonic() + FLUSH_EVERY
 
     def _write(self, block: _Block) -> None:
         for topic, stamp, raw in block.messages():

@@ -14,6 +14,7 @@ from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour
 
 NO_VALUE = "-"
 LINES = 3  # that the headline has room for; more can be scrolled to
+TRANSLUCENT, SOLID = 0.8, 1.0  # of one organ, which shows its inside; of several, which would show through each other
 LAST = 1e9  # order in the panel: below everything that comes later
 
 
@@ -85,9 +86,6 @@ def legend_html() -> str:
         '<div style="padding:0 0.9em 0.6em"><div style="font-size:12px;padding-bottom:3px">'
         f'Displacement from rest, mm (from)</div><div style="display:flex">{cells}</div></div>'
     )
-
-
-TRANSLUCENT, SOLID = 0.8, 1.0  # of one organ, which shows its inside; of several, which would show through each other
 
 
 class Panel:
