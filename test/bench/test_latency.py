@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from tissue_sim.bench import latency, latency_busy
+from tissue_sim.bench import arguments, latency_busy
 from tissue_sim.bench.bare_loop import bare
 from tissue_sim.bench.latency import TRIPS, as_json
 from tissue_sim.bench.latency_busy import AFTER, BUSY, PHASES, QUIET
@@ -67,9 +67,16 @@ def test_seconds_out_of_range_are_refused(capsys):
     assert "--seconds" in capsys.readouterr().err
 
 
-def test_a_priority_that_is_not_allowed_is_refused_in_one_line(monkeypatch, capsys):
-    monkeypatch.setattr(latency, "is_allowed", lambda _: False)
-    assert main(["bench", "latency", "--realtime-priority", "20"]) == 2
+@pytest.mark.parametrize("name", ["latency", "soak"])
+def test_a_priority_out_of_range_is_refused(name, capsys):
+    assert main(["bench", name, "--realtime-priority", "100"]) == 2
+    assert "--realtime-priority 100 is outside 0..99" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["latency", "soak"])
+def test_a_priority_that_is_not_allowed_is_refused_in_one_line(name, monkeypatch, capsys):
+    monkeypatch.setattr(arguments, "is_allowed", lambda _: False)
+    assert main(["bench", name, "--realtime-priority", "20"]) == 2
     error = capsys.readouterr().err
     assert "real-time priority 20" in error
     assert error.count("\n") == 1

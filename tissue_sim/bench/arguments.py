@@ -1,4 +1,4 @@
-"""Arguments that benchmarks share: ORGAN, --json FILE, --out FOLDER."""
+"""Arguments that benchmarks share: ORGAN, --json FILE, --out FOLDER, --realtime-priority."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from tissue_sim.errors import UserError
+from tissue_sim.ros.shared.priority import HIGHEST, is_allowed
 
 DEFAULT_ORGAN = "the kidney that ships"
 AS_BUILT_ORGAN = "the kidney that ships, as built, with the paper's 48 atoms"
@@ -37,16 +38,35 @@ def add_shared(
         parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
 
 
+def add_priority(parser: argparse.ArgumentParser) -> None:
+    """--realtime-priority, of a node and what is measured beside it."""
+    parser.add_argument(
+        "--realtime-priority",
+        type=int,
+        default=0,
+        metavar="P",
+        help=f"of the node and of what it is held against, 1 to {HIGHEST}, where the system allows it (default: none)",
+    )
+
+
+def check_priority(priority: int) -> None:
+    """Raises UserError when the system allows no such priority."""
+    if not is_allowed(priority):
+        raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'")
+
+
 def check_shared(args: argparse.Namespace) -> None:
     """Say before the work what would fail after it, and make the folder of --out.
 
-    Raises UserError when the file for JSON is an organ (`--json ORGAN` takes it for one), the folder can't be made or
-    --seconds is out of range, ModuleNotFoundError when there is to be drawn without matplotlib.
+    Raises UserError when the file for JSON is an organ (`--json ORGAN` takes it for one), the folder can't be made, or
+    --seconds or --realtime-priority is out of range, ModuleNotFoundError when there is to be drawn without matplotlib.
     """
     if args.json and args.json.endswith(".npz"):
         raise UserError(f"--json {args.json} would write over an organ; put ORGAN before --json, or - after it")
     if not 1.0 <= getattr(args, "seconds", 1.0) <= 3600.0:
         raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")
+    if not 0 <= getattr(args, "realtime_priority", 0) <= HIGHEST:
+        raise UserError(f"--realtime-priority {args.realtime_priority} is outside 0..{HIGHEST}")
     if getattr(args, "out", None):
         import matplotlib  # noqa: F401
 

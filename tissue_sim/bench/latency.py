@@ -16,14 +16,13 @@ from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import latency_busy
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
-from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.probes.graph import NODE, Graph, ticks
-from tissue_sim.ros.shared.priority import HIGHEST, below, is_allowed
+from tissue_sim.ros.shared.priority import below
 
 if TYPE_CHECKING:
     from tissue_sim.ros.probes.probe import Trip
@@ -36,12 +35,7 @@ MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the node's trips: so many time
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, seconds=60.0, check=True)
-    parser.add_argument(
-        "--realtime-priority",
-        type=int,
-        default=0,
-        help="of the node and of what it is held against, 1 to 99, where the system allows it (default: 0, none)",
-    )
+    add_priority(parser)
     parser.add_argument(
         "--busy",
         action="store_true",
@@ -53,8 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
-    if not 0 <= args.realtime_priority <= HIGHEST:
-        raise UserError(f"--realtime-priority {args.realtime_priority} is outside 0..{HIGHEST}")
     mode = latency_busy if args.busy else sys.modules[__name__]
     found = mode.measure(args.organ, args.seconds, args.realtime_priority)
     emit(found, mode.text(found), args.json)
@@ -70,9 +62,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     priority: real-time priority of the node's loop and of the bare one; echo and node answer with the one below.
     Raises UserError when rclpy is not installed, the node doesn't start, or the system allows no such priority.
     """
-    if not is_allowed(priority):
-        raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'")
-
+    check_priority(priority)
     path = organ_file or str(shipped_organ())
     organ = Organ.load(path)
     with Graph() as graph:

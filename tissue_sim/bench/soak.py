@@ -21,7 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
 from tissue_sim.bench.soak_bag import BagFound, read_bag
@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, out="folder for a plot of memory and lateness over time", check=True)
     parser.add_argument("--minutes", type=float, default=30.0, help="how long the tools are played")
+    add_priority(parser)
     parser.add_argument("--bag-folder", metavar="DIR", help="keep the bag in this folder; else it is deleted")
     parser.add_argument(
         "--replay", action="store_true", help="also replay the bag, tick by tick; needs memory for all of it"
@@ -54,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
     if not SHORTEST <= args.minutes <= LONGEST:
         raise UserError(f"--minutes {args.minutes:g} is outside {SHORTEST:g}..{LONGEST:g}")
     with tempfile.TemporaryDirectory(prefix="tissue_sim-soak-") as folder:
-        found = measure(args.organ, args.minutes, Path(args.bag_folder or folder).absolute(), replays=args.replay)
+        bag_folder = Path(args.bag_folder or folder).absolute()
+        found = measure(args.organ, args.minutes, bag_folder, args.realtime_priority, replays=args.replay)
     emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.soak_plot import write_plot
@@ -66,18 +68,22 @@ def run(args: argparse.Namespace) -> int:
 # measuring -----------------------------------------------------------------------------------------
 
 
-def measure(organ_file: str | None, minutes: float, folder: Path, *, replays: bool = False) -> dict[str, Any]:
+def measure(
+    organ_file: str | None, minutes: float, folder: Path, priority: int = 0, *, replays: bool = False
+) -> dict[str, Any]:
     """Figures of a node that is used for so many minutes, with its bag in a folder.
 
-    Raises UserError when rclpy is not installed, the node does not start or ends, or the bag can't be read.
+    priority: real-time priority of the node's loop and of the bare one. Raises UserError when rclpy is not installed,
+    the system allows no such priority, the node does not start or ends, or the bag can't be read.
     """
+    check_priority(priority)
     path = organ_file or str(shipped_organ())
     organ = Organ.load(path)
     with Graph() as graph:
         from tissue_sim.ros.shared.client import client_node
 
-        parameters = f"rate:={RATE}", "marker_rate:=60.0", "record:=true", f"record_folder:={folder}"
-        served = graph.start_node(path, *parameters)
+        parameters = f"rate:={RATE}", f"realtime_priority:={priority}", "marker_rate:=60.0"
+        served = graph.start_node(path, *parameters, "record:=true", f"record_folder:={folder}")
         graph.start("probes.listener", NODE)
         ticks(served)
         own = graph.enter_context(client_node("soak", NODE))
@@ -86,7 +92,7 @@ def measure(organ_file: str | None, minutes: float, folder: Path, *, replays: bo
         clamp = _force_clamp(own)
         bridge = _bridge()
         graph.callback(bridge.stop)
-        samples, turns = _soak(watch, served, bridge, 60.0 * minutes)
+        samples, turns = _soak(watch, served, bridge, 60.0 * minutes, priority)
         bridge.stop()
         drift = float(np.abs(watch.at_rest() - before).max())
         bag = watch.close_bag()
@@ -99,6 +105,7 @@ def measure(organ_file: str | None, minutes: float, folder: Path, *, replays: bo
     return as_json(
         organ=organ.name,
         minutes=minutes,
+        priority=priority,
         samples=samples,
         turns=turns,
         drift=drift,
@@ -111,7 +118,7 @@ def measure(organ_file: str | None, minutes: float, folder: Path, *, replays: bo
 
 
 def _soak(
-    watch: Watch, served: Child, bridge: Child, seconds: float
+    watch: Watch, served: Child, bridge: Child, seconds: float, priority: int
 ) -> tuple[list[Sample], list[tuple[float, Floats]]]:
     """Look at the node every second; returns that, and when each turn of the bare loop began and how late it was."""
     samples: list[Sample] = []
@@ -126,7 +133,7 @@ def _soak(
             now = time.monotonic()
             if now >= next_turn and now + turn < began + seconds:
                 busy = 1e-6 * float(watch.values["tick_p50_us"])
-                turns.append((samples[-1].seconds, bare_loop.submit(bare, turn, busy)))
+                turns.append((samples[-1].seconds, bare_loop.submit(bare, turn, busy, priority)))
                 next_turn = now + turn + pause
             bar.update()
     return samples, [(at, made.result()) for at, made in turns]
@@ -190,6 +197,7 @@ def as_json(
     *,
     organ: str,
     minutes: float,
+    priority: int,
     samples: Sequence[Sample],
     turns: Sequence[tuple[float, Floats]],
     drift: float,
@@ -229,6 +237,7 @@ def as_json(
         "organ": organ,
         "minutes": minutes,
         "rate_hz": RATE,
+        "realtime_priority": priority,
         "drift_m": drift,
         "memory": memory,
         "shared_memory": memory_of(seconds, [one.shared_megabytes for one in samples]),
@@ -257,13 +266,15 @@ def text(found: dict[str, Any]) -> str:
     def shown(value: float | None, form: Callable[[float], str]) -> str:
         return "-" if value is None else form(value)
 
+    priority = found["realtime_priority"]
+    preferred = f", real-time priority {priority}" if priority else ""
     keys = ("first_mb", "last_mb", "growth_mb", "slope_mb_per_hour", "most_mb")
     rows = [["memory, MB", "minute 2", "last minute", "growth", "an hour", "most"]]
     for name, memory in (("the node's own", found["memory"]), ("shared with others", found["shared_memory"])):
         rows.append([name, *(shown(memory[key], lambda value: f"{value:.2f}") for key in keys)])
     lines = [
-        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz: two tools played, one subscriber of markers at 60 Hz,"
-        " a bag",
+        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz{preferred}: two tools played, one subscriber of"
+        " markers at 60 Hz, a bag",
         *aligned(rows),
         "",
         f"ticks late by more than a period: node {late['node_percent']:.2f} % of {late['ticks']}, a bare loop beside it"
