@@ -4,14 +4,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import numba
-import numpy as np
 import pytest
 
 import tissue_sim
-from tissue_sim.jit import cache_folder, folder_of, handle, is_compiled
+from tissue_sim.jit import cache_folder, folder_of, is_compiled
 
 LOAD = "from tissue_sim.jit import folder_of; print(folder_of('model'))"
 
@@ -67,7 +64,8 @@ def test_each_layer_has_a_folder_of_its_own():
 def test_kernels_that_call_the_models_are_compiled_again_when_those_change(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("tissue_sim.jit.__file__", str(tmp_path / "jit.py"))
-    (tmp_path / "jit.py").write_text("")
+    for own in ("jit.py", "handles.py"):
+        (tmp_path / own).write_text("")
     layers = ("organ", "model", "contact", "calibration", "bench")
     for layer in layers:
         (tmp_path / layer).mkdir()
@@ -82,76 +80,12 @@ def test_a_change_of_records_and_enumerations_compiles_kernels_again(monkeypatch
     """An enumeration is a constant in the kernels that name it."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("tissue_sim.jit.__file__", str(tmp_path / "jit.py"))
-    (tmp_path / "jit.py").write_text("")
+    for own in ("jit.py", "handles.py"):
+        (tmp_path / own).write_text("")
     (tmp_path / "model").mkdir()
     before = cache_folder("model")
     (tmp_path / "model" / "settings.py").write_text(source)
     assert cache_folder("model") != before
-
-
-class Inner(NamedTuple):
-    table: Any
-
-
-class Outer(NamedTuple):
-    values: Any
-    factor: float
-    inner: Any
-
-
-HANDLES = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import numba
-import numpy as np
-from tuples import Inner, Outer
-from tissue_sim.jit import handle
-
-@numba.njit
-def add(outer):
-    for k in range(len(outer.values)):
-        outer.values[k] += outer.factor * outer.inner.table[k]
-
-values, table = np.zeros(3), np.array([1.0, 2.0, 3.0])
-made = handle(Outer(values, 2.0, Inner(table)))
-add(made)
-print(*values)
-table[:] = 10.0
-add(made)
-print(*values)
-made = handle(Outer(values, 1.0, Inner(np.ones(3))))
-for _ in range(100):
-    np.full(3, 7.0)  # would lie where the table was, were it not kept
-add(made)
-print(*values)
-"""
-TUPLES = """
-from typing import Any, NamedTuple
-
-class Inner(NamedTuple):
-    table: Any
-
-class Outer(NamedTuple):
-    values: Any
-    factor: float
-    inner: Any
-"""
-
-
-def test_handle_shares_arrays_copies_numbers_and_keeps_both(tmp_path):
-    """In a process and a cache of its own: what is compiled for these tuples would be looked for by all others."""
-    (tmp_path / "tuples.py").write_text(TUPLES)
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    words = [sys.executable, "-c", HANDLES, str(tmp_path)]
-    shown = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert shown == ["2.0 4.0 6.0", "22.0 24.0 26.0", "23.0 25.0 27.0"]
-
-
-def test_handle_is_the_tuple_itself_without_the_compiler(monkeypatch):
-    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
-    outer = Outer(np.zeros(3), 2.0, Inner(np.ones(3)))
-    assert handle(outer) is outer
 
 
 def test_tick_counts_as_compiled_once_its_index_is_there(monkeypatch, tmp_path):

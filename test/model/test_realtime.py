@@ -12,7 +12,7 @@ import pytest
 from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from helpers.states import assert_same
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model.contact_set import contact_set

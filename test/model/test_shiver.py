@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, filled
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model.critical_step import model_step
 from tissue_sim.model.shiver import FAST, FAST_AGAIN, HALVED, LONGEST, MANY, MORE, count_turning, end_look, is_looked_at
 from tissue_sim.model.simulation import Simulation

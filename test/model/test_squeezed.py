@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.cell_law import STIFF
 from tissue_sim.model.cells import cells_of, swelling

@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import ball, changed, free_ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model.breathing import Breath, breathed_in
 from tissue_sim.model.links import least_substeps, make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model.tool_motion import set_frame
 from tissue_sim.model.watched import FAST, watch_contacts
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model.forces import elastic_forces
 
 if TYPE_CHECKING:

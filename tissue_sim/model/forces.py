@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import chosen, has, kernel
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.fans import cell_forces
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.jit import chosen, has, kernel, part
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.cells import cell_forces_among

@@ -16,7 +16,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tissue_sim.jit import chosen, has, kernel
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
 from tissue_sim.model import local_region
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.blocks import BLOCK

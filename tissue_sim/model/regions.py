@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from tissue_sim.jit import chosen, has, kernel, part
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model import local_region, modal_region
 from tissue_sim.model.arrays import copy, copy_nodes
 from tissue_sim.model.contact_constraint import add_contact_impulses

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tissue_sim.jit import chosen, has, kernel
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.arrays import copy
 
 LOOK_EVERY = 2  # substeps at the least

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model.adjacency import adjacency_of, with_cell_neighbours
 from tissue_sim.model.assembly import Model, assemble, model_of
 from tissue_sim.model.contact_set import ContactSet

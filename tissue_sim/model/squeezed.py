@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.jit import chosen, has, kernel
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.fans import CELLS, OWN, OWN_ROWS
 from tissue_sim.model.state import Region

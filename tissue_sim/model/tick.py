@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from tissue_sim.jit import chosen, has, kernel, part
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.contact_constraint import add_contact_impulses, carry_force, resolve_contacts
 from tissue_sim.model.contact_gap import is_touched
 from tissue_sim.model.felt import report_wrenches

@@ -10,7 +10,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.jit import handle, kernel
+from tissue_sim.handles import handle
+from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
 from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched

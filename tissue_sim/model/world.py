@@ -16,7 +16,7 @@ from tissue_sim.model.tick import tick
 
 
 class World(NamedTuple):
-    """What the kernels take; passed by reference (tissue_sim.jit.handle)."""
+    """What the kernels take; passed by reference (tissue_sim.handles.handle)."""
 
     model: Any
     state: Any

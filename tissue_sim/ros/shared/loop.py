@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model.joined_box import make_joined_box

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model.settings import Settings
 from tissue_sim.ros.shared.loop import Loop

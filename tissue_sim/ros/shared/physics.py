@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs, Mask
-from tissue_sim.jit import handle
+from tissue_sim.handles import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.records import words_of

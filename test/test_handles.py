@@ -1,0 +1,76 @@
+"""What kernels take by reference."""
+
+import os
+import subprocess
+import sys
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from tissue_sim.handles import handle
+
+
+class Inner(NamedTuple):
+    table: Any
+
+
+class Outer(NamedTuple):
+    values: Any
+    factor: float
+    inner: Any
+
+
+HANDLES = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import numba
+import numpy as np
+from tuples import Inner, Outer
+from tissue_sim.handles import handle
+
+@numba.njit
+def add(outer):
+    for k in range(len(outer.values)):
+        outer.values[k] += outer.factor * outer.inner.table[k]
+
+values, table = np.zeros(3), np.array([1.0, 2.0, 3.0])
+made = handle(Outer(values, 2.0, Inner(table)))
+add(made)
+print(*values)
+table[:] = 10.0
+add(made)
+print(*values)
+made = handle(Outer(values, 1.0, Inner(np.ones(3))))
+for _ in range(100):
+    np.full(3, 7.0)  # would lie where the table was, were it not kept
+add(made)
+print(*values)
+"""
+TUPLES = """
+from typing import Any, NamedTuple
+
+class Inner(NamedTuple):
+    table: Any
+
+class Outer(NamedTuple):
+    values: Any
+    factor: float
+    inner: Any
+"""
+
+
+def test_handle_shares_arrays_copies_numbers_and_keeps_both(tmp_path):
+    """In a process and a cache of its own: what is compiled for these tuples would be looked for by all others."""
+    (tmp_path / "tuples.py").write_text(TUPLES)
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    words = [sys.executable, "-c", HANDLES, str(tmp_path)]
+    shown = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert shown == ["2.0 4.0 6.0", "22.0 24.0 26.0", "23.0 25.0 27.0"]
+
+
+def test_handle_is_the_tuple_itself_without_the_compiler(monkeypatch):
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+    outer = Outer(np.zeros(3), 2.0, Inner(np.ones(3)))
+    assert handle(outer) is outer

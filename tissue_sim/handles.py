@@ -1,0 +1,126 @@
+"""Handles: NamedTuples of arrays, and rows of such, that kernels take by reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core import cgutils, types
+from numba.core.datamodel import default_manager, models
+from numba.core.extending import infer_getattr, lower_getattr_generic
+from numba.core.imputils import impl_ret_borrowed
+from numba.core.runtime.nrtdynmod import _meminfo_struct_type as _MEMORY
+from numba.core.typing.templates import AttributeTemplate
+from numba.experimental import structref
+from numba.experimental.jitclass.base import imp_dtor
+from numba.extending import intrinsic
+
+from tissue_sim.jit import folder_of
+
+_PAYLOAD = 3  # where Numba's reference-counted memory keeps the pointer to what it holds
+
+
+def has(values: Any, name: str) -> bool:
+    """True when a field of a NamedTuple, of a handle, or of the compiled type of one, isn't None."""
+    if isinstance(values, HandleProxy):
+        values = numba.typeof(values)
+    if isinstance(values, Handle):
+        return values.field_dict[name] != types.none
+    if isinstance(values, types.Type):
+        return values[values.fields.index(name)] != types.none  # type: ignore[attr-defined, index]
+    return getattr(values, name) is not None
+
+
+class Handle(types.StructRef):  # type: ignore[name-defined]
+    """Compiled type of a NamedTuple that is passed by reference; the tuples in it are by reference too."""
+
+
+class HandleProxy(structref.StructRefProxy):
+    """A handle as Python holds it; only kernels look inside."""
+
+
+default_manager.register(Handle, models.StructRefModel)
+structref.define_boxing(Handle, HandleProxy)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    """Types of a handle's fields."""
+
+    key = Handle
+
+    def generic_resolve(self, kind: Any, name: str) -> Any:
+        """Type of a field, or None when there is none of that name; of a record the record, not the array around it."""
+        field = kind.field_dict.get(name)
+        return field.dtype if _is_record(field) else field
+
+
+def _is_record(field: Any) -> bool:
+    """True for an array without dimensions that holds a record, as `handle` passes one."""
+    return isinstance(field, types.Array) and field.ndim == 0 and isinstance(field.dtype, types.Record)
+
+
+@lower_getattr_generic(Handle)
+def _field(context, builder, kind, value, name):  # type: ignore[no-untyped-def]
+    """A field as it lies in the handle, borrowed: kernels hold no references, and count none."""
+    memory = context.make_helper(builder, kind, value).meminfo
+    fields = builder.load(cgutils.gep_inbounds(builder, builder.bitcast(memory, _MEMORY.as_pointer()), 0, _PAYLOAD))
+    payload = context.data_model_manager[kind.get_data_type()].get_value_type()
+    held = context.make_data_helper(builder, kind.get_data_type(), ref=builder.bitcast(fields, payload.as_pointer()))
+    field, stored = kind.field_dict[name], getattr(held, name)
+    if _is_record(field):  # by reference: where the array's memory is
+        return context.make_helper(builder, field, stored).data
+    return impl_ret_borrowed(context, builder, field, stored)
+
+
+@intrinsic
+def _by_reference(typing_context, values):  # type: ignore[no-untyped-def]
+    """A new handle with the fields of a named tuple."""
+    kind = Handle(tuple(zip(values.fields, values.types, strict=True)))
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        payload = context.data_model_manager[kind.get_data_type()].get_value_type()
+        size = context.get_constant(types.uintp, context.get_abi_sizeof(payload))
+        memory = context.nrt.meminfo_alloc_dtor(builder, size, imp_dtor(context, builder.module, kind))
+        data = builder.bitcast(context.nrt.meminfo_data(builder, memory), payload.as_pointer())
+        builder.store(cgutils.get_null_value(payload), data)
+        made = context.make_helper(builder, kind)
+        made.meminfo = memory
+        target = context.make_data_helper(builder, kind.get_data_type(), ref=data)
+        for index, (name, field) in enumerate(zip(values.fields, values.types, strict=True)):
+            value = builder.extract_value(arguments[0], index)
+            context.nrt.incref(builder, field, value)
+            setattr(target, name, value)
+        return made._getvalue()
+
+    return kind(values), generate
+
+
+def _refer(values: Any) -> Any:
+    return _by_reference(values)
+
+
+def handle(values: Any) -> Any:
+    """A NamedTuple of arrays, records, numbers and further such tuples, for kernels to take by reference.
+
+    As plain arguments a hundred arrays are unpacked at every call, and again in every kernel that is compiled:
+    microseconds at each tick and minutes at the first one. Arrays and records (tissue_sim.model.records) are shared,
+    numbers copied.
+    Without the compiler kernels take the tuple itself.
+    """
+    if numba.config.DISABLE_JIT:
+        return values
+    return _refer(type(values)(*map(_held, values)))
+
+
+def _held(value: Any) -> Any:
+    """What a handle holds of a value."""
+    if isinstance(value, np.record):
+        around: Any = value.base  # the array of one record that it lies in
+        return around.reshape(())
+    return handle(value) if hasattr(value, "_fields") else value
+
+
+numba.config.CACHE_DIR = folder_of("model")
+_refer = numba.njit(cache=True)(_refer)
