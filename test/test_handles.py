@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from tissue_sim.handles import handle
+from tissue_sim.handles import handle, row
 
 
 class Inner(NamedTuple):
@@ -60,14 +60,63 @@ class Outer(NamedTuple):
 """
 
 
-def test_handle_shares_arrays_copies_numbers_and_keeps_both(tmp_path):
-    """In a process and a cache of its own: what is compiled for these tuples would be looked for by all others."""
-    (tmp_path / "tuples.py").write_text(TUPLES)
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+def shown(code, folder):
+    """Lines that code prints.
+
+    In a process and a cache of its own: what is compiled for these tuples would be looked for by all others.
+    """
+    (folder / "tuples.py").write_text(TUPLES)
+    environment = os.environ | {"XDG_CACHE_HOME": str(folder)}
     environment.pop("NUMBA_CACHE_DIR", None)
-    words = [sys.executable, "-c", HANDLES, str(tmp_path)]
-    shown = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
-    assert shown == ["2.0 4.0 6.0", "22.0 24.0 26.0", "23.0 25.0 27.0"]
+    words = [sys.executable, "-c", code, str(folder)]
+    return subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def test_handle_shares_arrays_copies_numbers_and_keeps_both(tmp_path):
+    assert shown(HANDLES, tmp_path) == ["2.0 4.0 6.0", "22.0 24.0 26.0", "23.0 25.0 27.0"]
+
+
+ROWS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import numba
+import numpy as np
+from tuples import Inner, Outer
+from tissue_sim.handles import handle, row
+
+@numba.njit
+def add(rows):
+    total = 0.0
+    for k in range(len(rows)):
+        total += rows[k].factor * rows[k].inner.table.sum()
+    rows[0].values[:] = total
+
+def outer(factor):
+    return Outer(values, factor, Inner(np.array([1.0, factor])))
+
+values = np.zeros(1)
+for count in (1, 2, 5):
+    made = row([handle(outer(1.0 + number)) for number in range(count)])
+    for _ in range(100):
+        np.full(2, 7.0)  # would lie where a table was, were it not kept
+    add(made)
+    print(*values)
+print(len(add.signatures))
+try:
+    row([handle(outer(1.0)), handle(Inner(values))])
+except ValueError as error:
+    print(error)
+"""
+
+
+def test_a_row_is_one_type_however_many_handles_it_has(tmp_path):
+    """Factors 1, 2, ... of tables (1, factor)."""
+    assert shown(ROWS, tmp_path) == ["2.0", "8.0", "70.0", "1", "2 types of handles in a row; wanted: one"]
+
+
+def test_a_row_is_a_tuple_without_the_compiler(monkeypatch):
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+    assert row([1, 2]) == (1, 2)
 
 
 def test_handle_is_the_tuple_itself_without_the_compiler(monkeypatch):

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numba
 import numpy as np
 from numba.core import cgutils, types
 from numba.core.datamodel import default_manager, models
-from numba.core.extending import infer_getattr, lower_getattr_generic
+from numba.core.extending import infer_getattr, lower_builtin, lower_getattr_generic
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.runtime.nrtdynmod import _meminfo_struct_type as _MEMORY
-from numba.core.typing.templates import AttributeTemplate
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
 from numba.experimental import structref
 from numba.experimental.jitclass.base import imp_dtor
-from numba.extending import intrinsic
+from numba.extending import NativeValue, intrinsic, unbox
 
 from tissue_sim.jit import folder_of
 
@@ -122,5 +124,106 @@ def _held(value: Any) -> Any:
     return handle(value) if hasattr(value, "_fields") else value
 
 
+class Row(types.Type):  # type: ignore[name-defined]
+    """Compiled type of a HandleRow: that of its handles, not how many they are."""
+
+    def __init__(self, dtype: Handle) -> None:
+        self.dtype = dtype
+        super().__init__(f"row of {dtype}")
+
+
+class HandleRow:
+    """Handles of one type as Python holds them; only kernels look inside."""
+
+    def __init__(self, handles: Sequence[HandleProxy]) -> None:
+        self._handles = tuple(handles)  # kept, as kernels count no references
+        self._places = np.array([_place(one) for one in handles], dtype=np.int64)
+        self.address, self.count = self._places.ctypes.data, len(handles)
+        kinds = {numba.typeof(one) for one in handles}
+        if len(kinds) != 1:
+            raise ValueError(f"{len(kinds)} types of handles in a row; wanted: one")
+        self._numba_type_ = Row(kinds.pop())
+
+
+def row(handles: Sequence[Any]) -> Any:
+    """Handles of one type, for kernels to take by reference, however many: as a tuple each number is another type.
+
+    Raises ValueError where their types differ, or there is none. Without the compiler kernels take a tuple.
+    """
+    return tuple(handles) if numba.config.DISABLE_JIT else HandleRow(handles)
+
+
+class _RowModel(models.StructModel):
+    """Where the handles' memory is, one after the other."""
+
+    def __init__(self, manager: Any, kind: Row) -> None:
+        super().__init__(manager, kind, [("places", types.CPointer(types.intp)), ("count", types.intp)])  # type: ignore[attr-defined]
+
+
+default_manager.register(Row, _RowModel)
+
+
+@unbox(Row)
+def _unbox_row(kind, row, c):  # type: ignore[no-untyped-def]
+    """As kernels take it."""
+    made = c.context.make_helper(c.builder, kind)
+    address, count = (c.pyapi.object_getattr_string(row, name) for name in ("address", "count"))
+    made.places = c.builder.inttoptr(c.unbox(types.intp, address).value, made.places.type)
+    made.count = c.unbox(types.intp, count).value
+    for number in (address, count):
+        c.pyapi.decref(number)
+    return NativeValue(made._getvalue())
+
+
+@infer_global(operator.getitem)
+class _Item(AbstractTemplate):
+    """Type of a row's handle."""
+
+    def generic(self, arguments: Any, _: Any) -> Any:
+        """As numba asks for it; None for what isn't a row."""
+        if isinstance(arguments[0], Row) and isinstance(arguments[1], types.Integer):
+            return signature(arguments[0].dtype, arguments[0], types.intp)
+        return None
+
+
+@lower_builtin(operator.getitem, Row, types.intp)
+def _item(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    """A handle, borrowed as fields are."""
+    places = context.make_helper(builder, signature.args[0], arguments[0]).places
+    made = context.make_helper(builder, signature.return_type)
+    made.meminfo = builder.inttoptr(builder.load(builder.gep(places, [arguments[1]])), made.meminfo.type)
+    return impl_ret_borrowed(context, builder, signature.return_type, made._getvalue())
+
+
+@infer_global(len)
+class _Length(AbstractTemplate):
+    """Type of how many there are."""
+
+    def generic(self, arguments: Any, _: Any) -> Any:
+        """As numba asks for it; None for what isn't a row."""
+        return signature(types.intp, arguments[0]) if isinstance(arguments[0], Row) else None
+
+
+@lower_builtin(len, Row)
+def _length(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    """How many."""
+    return context.make_helper(builder, signature.args[0], arguments[0]).count
+
+
+@intrinsic
+def _memory_of(typing_context, made):  # type: ignore[no-untyped-def]
+    """Where a handle's memory is."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        memory = context.make_helper(builder, signature.args[0], arguments[0]).meminfo
+        return builder.ptrtoint(memory, context.get_value_type(types.intp))
+
+    return types.intp(made), generate
+
+
+def _place(made: Any) -> Any:
+    return _memory_of(made)
+
+
 numba.config.CACHE_DIR = folder_of("model")
-_refer = numba.njit(cache=True)(_refer)
+_refer, _place = numba.njit(cache=True)(_refer), numba.njit(cache=True)(_place)

@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import ball, changed, free_ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
-from tissue_sim.handles import handle
+from tissue_sim.handles import handle, row
 from tissue_sim.model.breathing import Breath, breathed_in
 from tissue_sim.model.links import least_substeps, make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
@@ -21,17 +21,16 @@ class Organs:
     its node, or a point."""
 
     def __init__(self, simulations, links=(), breath=None, moves=None, unfelt=1e9):
-        # Two at the least: for each number of organs the tick is compiled anew.
-        simulations = [*simulations, *[Simulation(ball()) for _ in range(2 - len(simulations))]]
         self.simulations = simulations
         self.links = make_links(len(links))
-        for row, (ends, slack, stiffness, damping) in enumerate(links):
+        for number, (ends, slack, stiffness, damping) in enumerate(links):
             for side, end in enumerate(ends):
                 if len(end) == 2:
-                    self.links.organ[row, side], self.links.node[row, side] = end
+                    self.links.organ[number, side], self.links.node[number, side] = end
                 else:
-                    self.links.point[row, side] = end
-            self.links.slack[row], self.links.stiffness[row], self.links.damping[row] = slack, stiffness, damping
+                    self.links.point[number, side] = end
+            self.links.slack[number] = slack
+            self.links.stiffness[number], self.links.damping[number] = stiffness, damping
         light = [one.model.inverse_mass for one in simulations]
         weigh_ends(self.links, light)
         self.least = least_substeps(self.links, fastest(simulations), 1e-3)
@@ -40,7 +39,7 @@ class Organs:
         moves = [*(moves or []), *[0.0] * len(simulations)][: len(simulations)]
         gravity = np.zeros((len(simulations), 3))
         self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
-        self._worlds = tuple(one.world for one in simulations)
+        self._worlds = row([one.world for one in simulations])
         self._joined = handle(
             Together(self.carried, self.links, make_pairs(), np.zeros(len(simulations), dtype=np.int64))
         )

@@ -179,7 +179,7 @@ def tick_implied_one(worlds: Any, joined: Any) -> None:
 def _loop(
     worlds: Any, boxes: Any, loop: Any, take: Any, tick: Any, post: Any, keep: Any, joined: Any, joined_box: Any
 ) -> None:
-    """Tick worlds (a tuple), each with its mailboxes; take, tick, post, keep: kernels for them, and what joins them."""
+    """Tick a row of worlds, each with its mailboxes; take, tick, post, keep: kernels for them, and what joins them."""
     settings, control, pace = worlds[0].settings, loop.control, loop.pace
     for organ in range(len(boxes)):
         boxes[organ].demand.moved = True  # the rest shape

@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.handles import handle
+from tissue_sim.handles import handle, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
@@ -76,7 +76,7 @@ class Joined:
             )
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
-        self.worlds = tuple(one.world for one in self.simulations)
+        self.worlds = row([one.world for one in self.simulations])
         self.handle = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
         self.set_substeps()
 
@@ -164,7 +164,7 @@ def let_go(worlds: Any, joined: Any) -> None:
 
 @kernel
 def tick_together(worlds: Any, joined: Any) -> None:
-    """Advance several organs, a tuple of worlds, by one tick of the first one's settings."""
+    """Advance several organs, a row of worlds, by one tick of the first one's settings."""
     step, carried, links = worlds[0].settings.tick_time, joined.carried, joined.links
     pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
     if carried.breath.period > 0.0 or carried.breath.follows:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.handles import handle
+from tissue_sim.handles import handle, row
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model.joined_box import make_joined_box
@@ -54,11 +54,11 @@ class Loop:
 
     def _tick_on(self) -> None:
         # Settings of their own: those of a simulation change between ticks, when a parameter does.
-        worlds = tuple(
+        worlds = [
             handle(make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch))
             for one in self.simulations
-        )
-        loop = worlds, tuple(map(handle, self.boxes)), handle(self.words)
+        ]
+        loop = row(worlds), row([handle(box) for box in self.boxes]), handle(self.words)
         if self.joined is not None:
             rt.run_joined_loop(*loop, self.joined.handle, handle(self.joined_box))
         elif self.simulations[0].implied:
