@@ -40,6 +40,15 @@ def test_no_number_is_off_by_infinity():
     assert found.force.first_beyond == 11
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("bits", [0x7FA00000, 0x7FC00000, 0x7F800000], ids=["signalling", "quiet", "infinite"])
+def test_what_a_damaged_bag_calls_numbers_is_off_without_a_word(bits):
+    damaged = shown([1.0])
+    damaged.surfaces[0].view(np.uint32)[0, 0, 0] = bits
+    assert compare(damaged, shown([1.0]), 1.0, 1.0).position.largest == np.inf
+    assert not compare(damaged, damaged, 1.0, 1.0).passes
+
+
 def test_nothing_to_compare_is_no_success():
     nothing = shown([], np.zeros((0, 3)))
     found = compare(nothing, nothing, 1.0, 1.0)

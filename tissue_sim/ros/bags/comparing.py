@@ -138,6 +138,7 @@ def compare(wanted: Shown, found: Shown, force_tolerance: float, position_tolera
 
 def _off(wanted: NDArray, found: NDArray) -> Floats:
     """How far each number is off; what is no number is off by infinity."""
-    apart = np.abs(np.asarray(wanted, dtype=np.float64) - found)
+    with np.errstate(invalid="ignore"):  # of what a damaged bag says to be numbers
+        apart = np.abs(np.asarray(wanted, dtype=np.float64) - found)
     apart[np.isnan(apart)] = np.inf
     return apart
