@@ -135,24 +135,15 @@ class Scene:
     def wrenches(self) -> Floats:
         """(T, 6) N and N m about each tool's origin: what the hands should feel.
 
-        The live array, unless a tool has more than one body.
+        The live array of an organ alone, unless a tool has more than one body.
         """
-        felt = [self._felt(one.simulation, offset) for one, offset in zip(self.organs, self.offsets, strict=True)]
-        if len(felt) == 1:
-            return felt[0]
-        total = np.sum(felt, axis=0)
-        size = np.linalg.norm(total[:, :3], axis=1)
-        most = self.simulation.settings.force_clamp
-        total[size > most] *= most / size[size > most, None]
-        return np.asarray(total)
-
-    def _felt(self, simulation: Simulation, offset: Floats) -> Floats:
-        wrench, poses = simulation.state.wrench, simulation.state.body_pose[:, :3]
-        if len(wrench) == len(self.tools.tools):
-            return wrench
-        origins = self._origin - offset
-        bodies = self.tools.bodies
-        return np.array([about(origins[tool], wrench[own], poses[own]) for tool, own in enumerate(bodies)])
+        felt, poses = self.simulation.state.wrench, self.simulation.state.body_pose[:, :3]
+        if self.joined is not None:
+            felt = self.joined.wrench
+        if len(felt) == len(self.tools.tools):
+            return felt
+        origins = self._origin - self.offsets[0]
+        return np.array([about(at, felt[own], poses[own]) for at, own in zip(origins, self.tools.bodies, strict=True)])
 
     def move(
         self,

@@ -41,6 +41,24 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
 
 
 @kernel
+def sum_felt(worlds: Any, wrench: Any) -> None:
+    """Write what every body feels of all organs, (b, 6) N and N m; the clamp holds for the sum over a tool's bodies."""
+    first = worlds[0]
+    for body in range(len(wrench)):
+        for axis in range(6):
+            total = 0.0
+            for organ in range(len(worlds)):
+                total += worlds[organ].state.wrench[body, axis]
+            wrench[body, axis] = total
+    for tool in range(len(wrench)):
+        share = clamp_share(wrench, first.shapes.tool, tool, first.settings.force_clamp)
+        for body in range(len(wrench)):
+            if first.shapes.tool[body] == tool and share < 1.0:
+                for axis in range(6):
+                    wrench[body, axis] *= share
+
+
+@kernel
 def clamp_share(values: Any, tools: Any, tool: int, most: float) -> float:
     """Factor that brings the sum of a tool's forces, the first three of values (T, 6), to `most`."""
     x = y = z = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath
-from tissue_sim.model.felt import clamp_share
+from tissue_sim.model.felt import sum_felt
 from tissue_sim.model.mailboxes import JOURNAL_ROWS, Mailbox, fence, mailbox, put, take
 from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set, take_pairs
 from tissue_sim.model.records import Record
@@ -97,21 +97,9 @@ def note_joined(box: Any, tick: int) -> None:
 
 @kernel
 def post_felt(worlds: Any, box: Any) -> None:
-    """Hand out the sum of what a tool feels of each organ, no more than the clamp."""
-    wrench, first = box.wrench, worlds[0]
-    box.felt_words[0] = first.state.status.tick
-    for body in range(len(wrench)):
-        for axis in range(6):
-            total = 0.0
-            for organ in range(len(worlds)):
-                total += worlds[organ].state.wrench[body, axis]
-            wrench[body, axis] = total
-    for tool in range(len(wrench)):
-        share = clamp_share(wrench, first.shapes.tool, tool, first.settings.force_clamp)
-        for body in range(len(wrench)):
-            if first.shapes.tool[body] == tool and share < 1.0:
-                for axis in range(6):
-                    wrench[body, axis] *= share
+    """Hand out what tools feel of all organs."""
+    box.felt_words[0] = worlds[0].state.status.tick
+    sum_felt(worlds, box.wrench)
     put(box.felt, 0, box.felt_words)
 
 

@@ -13,6 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
+from tissue_sim.model.felt import sum_felt
 from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
 from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
 from tissue_sim.model.records import words_of
@@ -83,6 +84,13 @@ class Joined:
     def step(self) -> None:
         """Advance all by one tick."""
         tick_together(self.worlds, self.handle)
+
+    @property
+    def wrench(self) -> Floats:
+        """What every body of the tools feels of all organs, (b, 6) N and N m about its origin."""
+        wrench = np.zeros_like(self.simulations[0].state.wrench)
+        sum_felt(self.worlds, wrench)
+        return wrench
 
     def set_substeps(self) -> None:
         """Work out the substeps of each, and those that links ask for, after stiffness, damping or the rate changed."""

@@ -13,7 +13,6 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model.felt import clamp_share
 from tissue_sim.model.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparing import Shown
@@ -62,26 +61,11 @@ class Player:
     def _wrench(self, tool: int, recorded: Floats) -> Floats:
         """A tool's wrench, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
         bodies = self.tools.bodies[tool]
-        if self.joined is not None:
-            of_bodies = self._felt()
-        else:
-            of_bodies = np.asarray(self.organs[0].simulation.state.wrench)
+        joined, alone = self.joined, self.organs[0].simulation
+        of_bodies = np.asarray(alone.state.wrench if joined is None else joined.joined.wrench)
         if len(bodies) == 1:
             return np.asarray(of_bodies[bodies[0]])
         return np.concatenate([of_bodies[bodies, :3].sum(axis=0), recorded[3:]])
-
-    def _felt(self) -> Floats:
-        """What tools feel of all organs, as the loop hands it out, (B, 6)."""
-        simulations = [one.simulation for one in self.organs]
-        total = simulations[0].state.wrench.copy()
-        for one in simulations[1:]:
-            total += one.state.wrench
-        of_body, most = simulations[0].shapes.tool, float(simulations[0].settings.force_clamp)
-        for tool in range(len(total)):
-            share = clamp_share(total, of_body, tool, most)
-            if share < 1.0:
-                total[of_body == tool] *= share
-        return total
 
     def run(self, wanted: Shown, watch: Callable[[int], None] | None = None) -> Replayed:
         """Go through the recording, and show what is wanted of its ticks; watch is called after each tick."""
