@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import tissue_sim
-from tissue_sim.jit import cache_folder, folder_of, is_compiled
+from tissue_sim.jit import VERSIONS, cache_folder, folder_of, is_compiled
 
 LOAD = "from tissue_sim.jit import folder_of; print(folder_of('model'))"
 
@@ -54,6 +54,21 @@ def test_second_process_finds_the_first_ones_kernels(tmp_path):
     first = kernels()
     assert first
     assert kernels() == first
+
+
+def test_versions_used_longest_ago_go_where_a_new_one_comes(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    kept = tmp_path / "tissue_sim"
+    for age in range(VERSIONS + 2):
+        (kept / f"model-numba-0-{age}" / "kernels").mkdir(parents=True)
+        os.utime(kept / f"model-numba-0-{age}", (1e9 - age, 1e9 - age))
+    (kept / "organ-numba-0-0").mkdir()
+    folder = cache_folder("model")
+    left = {path.name for path in kept.iterdir()}
+    assert left == {folder.name, "organ-numba-0-0"} | {f"model-numba-0-{age}" for age in range(VERSIONS - 1)}
+    os.utime(folder, (1.0, 1.0))
+    assert cache_folder("model") == folder
+    assert folder.stat().st_mtime > 1e9, "used now"
 
 
 def test_each_layer_has_a_folder_of_its_own():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,8 @@ from numba.extending import overload
 
 from tissue_sim.store import user_cache
 
+VERSIONS = 4  # of a layer's kernels that are kept; those used longest ago go
+
 
 def cache_folder(layer: str) -> Path:
     """Folder of a layer's compiled kernels, one for each version of their source.
@@ -22,7 +26,8 @@ def cache_folder(layer: str) -> Path:
     Numba notices a change in the file of a kernel but not in the files of the kernels that it
     calls, so the folder's name carries a digest of all that the layer has, and of the model's, whose kernels those of
     contact and calibration call. It lies in the user's cache, because
-    the install folder may be read-only, or in the temporary folder when the user has no home.
+    the install folder may be read-only, or in the temporary folder when the user has no home. Where it is a new one,
+    those of versions that were used longest ago go.
     """
     digest = hashlib.sha256()
     for own in (Path(__file__), Path(__file__).with_name("handles.py")):
@@ -36,13 +41,25 @@ def cache_folder(layer: str) -> Path:
     name = f"{layer}-numba-{numba.__version__}-{digest.hexdigest()[:16]}"
     for base in (user_cache(), Path(tempfile.gettempdir()) / f"tissue_sim-{os.getuid()}"):
         folder = base / name
+        is_new = not folder.is_dir()
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)  # used now
         except OSError:
             continue
         if os.access(folder, os.W_OK):
+            if is_new:
+                forget_oldest(base, layer)
             return folder
     return Path(tempfile.mkdtemp(prefix="tissue_sim-"))
+
+
+def forget_oldest(base: Path, layer: str) -> None:
+    """Remove a layer's kernels but those of the VERSIONS used last: each takes a hundred megabytes or more."""
+    with contextlib.suppress(OSError):  # another process removes some, too
+        used = sorted(base.glob(f"{layer}-numba-*"), key=lambda folder: folder.stat().st_mtime)
+        for folder in used[:-VERSIONS]:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 _chosen: dict[str, str] = {}
