@@ -1,5 +1,6 @@
 """What kernels take by reference."""
 
+import inspect
 import os
 import subprocess
 import sys
@@ -47,17 +48,7 @@ for _ in range(100):
 add(made)
 print(*values)
 """
-TUPLES = """
-from typing import Any, NamedTuple
-
-class Inner(NamedTuple):
-    table: Any
-
-class Outer(NamedTuple):
-    values: Any
-    factor: float
-    inner: Any
-"""
+TUPLES = "\n".join(["from typing import Any, NamedTuple", inspect.getsource(Inner), inspect.getsource(Outer)])
 
 
 def shown(code, folder):

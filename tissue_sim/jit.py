@@ -15,7 +15,7 @@ from typing import Any
 import numba
 from numba.extending import overload
 
-from tissue_sim.store import user_cache
+from tissue_sim.store import used_longest_ago, user_cache
 
 VERSIONS = 4  # of a layer's kernels that are kept; those used longest ago go
 
@@ -57,8 +57,7 @@ def cache_folder(layer: str) -> Path:
 def forget_oldest(base: Path, layer: str) -> None:
     """Remove a layer's kernels but those of the VERSIONS used last: each takes a hundred megabytes or more."""
     with contextlib.suppress(OSError):  # another process removes some, too
-        used = sorted(base.glob(f"{layer}-numba-*"), key=lambda folder: folder.stat().st_mtime)
-        for folder in used[:-VERSIONS]:
+        for folder in used_longest_ago(base, f"{layer}-numba-*", VERSIONS):
             shutil.rmtree(folder, ignore_errors=True)
 
 

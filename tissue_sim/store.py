@@ -20,6 +20,11 @@ def user_cache() -> Path:
     return Path(home) / "tissue_sim"
 
 
+def used_longest_ago(folder: Path, pattern: str, kept: int) -> list[Path]:
+    """What a folder has of a pattern, but for so many that were touched last. Raises OSError where one is gone."""
+    return sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)[:-kept]
+
+
 def remembered(kind: str, key: str, make: Callable[[], dict[str, NDArray]]) -> dict[str, NDArray]:
     """Arrays made by `make`, or those of the same kind and key that were kept before.
 
@@ -40,8 +45,7 @@ def remembered(kind: str, key: str, make: Callable[[], dict[str, NDArray]]) -> d
         folder.mkdir(parents=True, exist_ok=True)
         np.savez(part, **arrays)  # type: ignore[arg-type]
         part.replace(path)
-        kept = sorted(folder.glob(f"{kind}-*.npz"), key=lambda file: file.stat().st_mtime)
-        for old in kept[:-KEPT]:
+        for old in used_longest_ago(folder, f"{kind}-*.npz", KEPT):
             old.unlink(missing_ok=True)
     except OSError:
         with contextlib.suppress(OSError):
