@@ -12,6 +12,7 @@ from tissue_sim.bench.page import as_json, text
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.organ.placing import placed
+from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
 
 ORGANS = [ball(1), placed(ball(1), [0.2, 0.0, 0.0])]
 SCENE = SimpleNamespace(names=("left", "right"), organs=ORGANS)
@@ -43,13 +44,22 @@ def test_a_node_that_sends_too_little_is_told():
 def test_wrong_use_is_refused(capsys):
     assert main(["bench", "page", "--seconds", "0"]) == 2
     assert "--seconds" in capsys.readouterr().err
+    assert main(["bench", "page", "--delay", "2"]) == 2
+    assert "--delay 2 is outside 0..1" in capsys.readouterr().err
     assert main(["bench", "page", "--scene", "none.yaml"]) == 2
     assert "none.yaml" in capsys.readouterr().err
 
 
 @pytest.mark.timeout(600)
-def test_short_run_with_real_processes(tmp_path, monkeypatch):
+@pytest.mark.parametrize("place", [[], ["--delay", "0.01"]], ids=["here", "far"])
+def test_short_run_with_real_processes(tmp_path, monkeypatch, place):
     pytest.importorskip("viser")
+    if place:
+        try:
+            with lossy_link(0.0, 0.0):
+                pass
+        except Unavailable as reason:
+            pytest.skip(str(reason))
     monkeypatch.setattr(page, "MOVING", 1)  # on a machine of any speed
     lines = ["format: 1", "organs:"]
     for name, organ in zip(SCENE.names, ORGANS, strict=True):
@@ -57,7 +67,7 @@ def test_short_run_with_real_processes(tmp_path, monkeypatch):
         lines.append(f"  - {{name: {name}, file: {name}.npz}}")
     scene, file = tmp_path / "balls.yaml", tmp_path / "page.json"
     scene.write_text("\n".join(lines))
-    assert main(["bench", "page", "--seconds", "8", "--scene", str(scene), "--json", str(file)]) == 0
+    assert main(["bench", "page", "--seconds", "8", "--scene", str(scene), "--json", str(file), *place]) == 0
     told = json.loads(file.read_text())
     assert [row["organ"] for row in told["organs"]] == ["left", "right"]
     assert min(row["pictures_hz"] for row in told["organs"]) > 0.0

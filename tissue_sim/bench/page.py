@@ -2,7 +2,8 @@
 
 The organs of a scene, carried by a breath so gentle that they sleep meanwhile: it is the page that is tried, not the
 ticks. A watcher on the page's websocket, in a process of its own, counts in those seconds in which the node sends
-(nearly) as many surfaces as it may: at the ends of a breath nothing moves. Beside it at the same time a bare loop.
+(nearly) as many surfaces as it may: at the ends of a breath nothing moves. Beside it at the same time a bare loop. With
+--delay the watcher is behind a link, as on another machine.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,9 +28,12 @@ from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.shipped import shipped_file
 from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, free_port, ticks, told
+from tissue_sim.ros.probes.lossy_link import ADDRESSES, inside, lossy_link
+from tissue_sim.ros.shared.children import Child
 
 SCENE = "config/scenes/abdomen.yaml"
 LEAST = 30.0  # pictures a second
+HERE: tuple[str, Sequence[str]] = ("127.0.0.1", ())  # address of the page, and the command that runs its watcher
 BREATHS, WAY = 6.0, 0.015  # a minute; m
 MOVING = 50  # surfaces that the node sends in a second in which pictures are counted, of 60
 LOOK = 0.05  # s that is looked at once at what the node sends
@@ -39,23 +44,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, seconds=20.0, check=True, organ=None)
     parser.add_argument("--scene", metavar="FILE", help="show the organs of this scene (.yaml); default: the abdomen")
+    parser.add_argument(
+        "--delay", type=float, metavar="S", help="watch from behind a link that takes so long each way (Linux, root)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
+    if not 0.0 <= (args.delay or 0.0) <= 1.0:
+        raise UserError(f"--delay {args.delay:g} is outside 0..1")
     path = Path(args.scene) if args.scene else shipped_file(SCENE)
     if path is None:
         raise UserError("no scene comes with this installation; name one with --scene")
-    found = measure(SceneFile.read(path), args.seconds)
+    with nullcontext(HERE) if args.delay is None else far(args.delay) as (host, within):
+        found = measure(SceneFile.read(path), args.seconds, host, within)
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)
 
 
-def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
+@contextmanager
+def far(delay: float) -> Iterator[tuple[str, Sequence[str]]]:
+    """Address for the page, and the command that runs its watcher behind a link that takes so many s each way.
+
+    Raises Unavailable, see `lossy_link`.
+    """
+    with lossy_link(0.0, delay) as (here, there), inside(here):
+        yield ADDRESSES[0], ("ip", "netns", "exec", there)
+
+
+def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) -> dict[str, Any]:
     """Pictures of each organ, bytes, and shares of the processor.
 
-    Raises UserError when rclpy or viser is missing, or a process fails.
+    host: address at which the page is served; within: the command, if any, that runs the watcher. Raises UserError
+    when rclpy or viser is missing, or a process fails.
     """
     with Graph() as graph, tempfile.TemporaryDirectory() as folder:
         from tissue_sim.ros.probes.viewer import Viewer
@@ -63,10 +85,9 @@ def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
 
         node = graph.serve(f"scene_file:={carried(scene, Path(folder))}")
         ticks(node)
-        port = free_port()
-        page = graph.start_command("view", "--port", str(port), "--node", NODE)
+        page = graph.start_command("view", "--host", host, "--port", str(free_port()), "--node", NODE)
         children = {PAGE: page, SERVED: node, BARE: graph.start("probes.sleeper", str(LEAST))}
-        watcher = graph.start("probes.page_watcher", str(port), str(seconds))
+        watcher = graph.start("probes.page_watcher", served_at(page), str(seconds), within=within)
         first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture came")
         own = graph.enter_context(client_node("bench", NODE))
         topic = f"/{NODE}/{scene.names[0]}/surface"
@@ -82,6 +103,17 @@ def measure(scene: SceneFile, seconds: float) -> dict[str, Any]:
         shares = shares_during(spent, note)
         watched = json.loads(told(watcher))
     return as_json(scene, watched, sent, shares, seconds)
+
+
+def served_at(page: Child) -> str:
+    """The address that a viewer prints. Raises UserError when it ends, or prints none."""
+
+    def told_address() -> str:
+        if page.exit_code is not None:
+            raise UserError(f"the page did not start: {page.last_words()}")
+        return next((line.partition(" ")[2] for line in page.output if line.startswith("open ")), "")
+
+    return first_within(told_address, START_TIME, "no page was served")
 
 
 def carried(scene: SceneFile, folder: Path) -> Path:

@@ -18,9 +18,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
-from tissue_sim.calibration.fe_mesh import Grading
-from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import own_points, squeezed
+from tissue_sim.calibration.squeeze import squeezed, touchable
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
@@ -34,7 +32,6 @@ DEPTHS = np.array([0.001, 0.002, 0.003, 0.004])  # m
 MAP_DEPTH = 0.003  # m
 AROUND = 0.025  # m from the place over the inclusion, that the map reaches
 UNDER = 0.009  # m from there, where the finger may touch
-FINE = Grading(near=1)  # of the finite elements there: two nodes on an edge, so that contact is that of a sphere
 CLEAR = 0.002  # m between finger and organ at the start
 SPEED, HOLDING = 0.02, 0.4  # m/s, s at each depth
 STEPS = 2  # of the finite elements for each depth
@@ -160,13 +157,11 @@ def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
 def by_elements(organ: Organ, press: Press) -> Floats:
     """The same force (d,) N of finite elements, touched at all of their own nodes; nan where they don't settle."""
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
-    touched[organ.fixed] = False
-    body = Body(organ, np.flatnonzero(touched), FINE)
-    points = own_points(body, np.flatnonzero(touched[organ.surface_triangles].all(axis=1)))
+    solid, points = touchable(organ, touched)
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
     shares = (np.arange(STEPS) + 1.0) / STEPS
     deep = (starts[:, None] + np.outer(DEPTHS - starts, shares)).ravel()
-    steps = squeezed(body.solid, points, np.array([[press.at(depth)] for depth in deep]), FINGER)
+    steps = squeezed(solid, points, np.array([[press.at(depth)] for depth in deep]), FINGER)
     found = np.full(len(deep), np.nan)
     for number, step in enumerate(steps):
         if step.settled:

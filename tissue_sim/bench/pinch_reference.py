@@ -10,8 +10,7 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.printing import Bound, aligned
 from tissue_sim.bench.two_tools import SPHERE, Place, both, pinched, place
-from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import organ_points, squeezed
+from tissue_sim.calibration.squeeze import squeezed, touchable
 from tissue_sim.organ.organ import Organ
 
 SHARES = (0.2, 0.4)  # of the organ's width
@@ -57,15 +56,12 @@ def compared(organ: Organ, axis: int) -> list[Compared]:
 
 def by_elements(organ: Organ, where: Place, axis: int) -> list[tuple[Floats, float, bool]]:
     """For every share the force on the tools (2, 3) N, the least det F and whether the body settled."""
-    surface, triangles = organ.surface_positions, organ.surface_triangles
-    touched = np.linalg.norm(np.delete(surface - where.start[0], axis, axis=1), axis=1) < UNDER
-    touched[organ.fixed] = False
-    body = Body(organ, np.flatnonzero(touched))
+    beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
+    solid, points = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER)
     deepest = 0.5 * SHARES[-1] * where.width
     count = STEPS * len(SHARES)
     paths = np.array([where.at(deepest * (step + 1) / count) for step in range(count)])
-    points = organ_points(body, triangles[touched[triangles].all(axis=1)])
-    steps = squeezed(body.solid, points, paths, SPHERE)
+    steps = squeezed(solid, points, paths, SPHERE)
     found = []
     for number in range(len(SHARES)):
         last = steps[min(STEPS * (number + 1), len(steps)) - 1]

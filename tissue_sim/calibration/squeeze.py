@@ -7,14 +7,18 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lu_factor, lu_solve
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.cholesky import Cholesky, NotPositive
+from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Solid
+from tissue_sim.organ.organ import Organ
 
+FINE = Grading(near=1)  # where an organ may be touched: two nodes on an edge of its surface
 TIE = 2000.0  # N/m, by which a touching point is held to its place on the sphere: 10 um under 20 mN
 ENTERED = 1e-6  # m inside a sphere
 MOST_ROUNDS = 12  # of finding out which points touch, at one depth
@@ -39,22 +43,16 @@ class Squeezed(NamedTuple):
     settled: bool
 
 
-def organ_points(body: Body, near: Ints) -> Points:
-    """Contact points as the model has them: the organ's nodes, and the middles of edges and triangles near (t, 3).
+def touchable(organ: Organ, touched: NDArray[np.bool_]) -> tuple[Solid, Points]:
+    """Finite elements of an organ that may be touched around surface nodes (n,), and isn't where it is held.
 
-    A force on an organ's node is a traction around it, as for all loads; so the node goes where that traction does
-    its work, by the mean of what it acts on.
+    They are fine there, so that contact is that of a sphere, and touched at all nodes of their own. Raises UserError
+    as Body does.
     """
-    organ = body.organ
-    edges = np.unique(np.sort(near[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2), axis=0)
-    means = []
-    for group in (np.unique(near)[:, None], edges, near):
-        count, size = group.shape
-        rows = np.repeat(np.arange(count), size)
-        values = np.full(group.size, 1.0 / size)
-        means.append(csr_array((values, (rows, group.ravel())), shape=(count, organ.n_surface)))
-    mean = csr_array(vstack(means))
-    return Points(mean @ organ.surface_positions, csr_array(mean @ body.load_matrix.T))
+    touched = touched.copy()
+    touched[organ.fixed] = False
+    body = Body(organ, np.flatnonzero(touched), FINE)
+    return body.solid, own_points(body, np.flatnonzero(touched[organ.surface_triangles].all(axis=1)))
 
 
 def own_points(body: Body, near: Longs) -> Points:

@@ -27,6 +27,7 @@ from tissue_sim.unexpected import catch_all
 OWN_FRAME = 4  # PACKET_OUTGOING: what we sent ourselves
 ALL_PROTOCOLS = 3  # ETH_P_ALL
 SIOCETHTOOL, SET_TX_CHECKSUM = 0x8946, 0x17
+ADDRESSES = "10.201.7.1", "10.201.7.2"  # of the two sides
 
 
 class Unavailable(UserError):
@@ -64,7 +65,7 @@ def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
         for number, side in enumerate(sides):
             # eth0 of a side ends in the middle.
             run("ip", "-n", side, "link", "add", "eth0", "type", "veth", "peer", "name", f"to{number}", "netns", middle)
-            run("ip", "-n", side, "addr", "add", f"10.201.7.{number + 1}/24", "dev", "eth0")
+            run("ip", "-n", side, "addr", "add", f"{ADDRESSES[number]}/24", "dev", "eth0")
             run("ip", "-n", side, "link", "set", "eth0", "up")
             run("ip", "-n", side, "route", "add", "224.0.0.0/4", "dev", "eth0")
             run("ip", "-n", middle, "link", "set", f"to{number}", "up")
@@ -96,6 +97,17 @@ def lossy_link(loss: float, delay: float) -> Iterator[tuple[str, str]]:
             relay.wait(10.0)
         for name in made:
             subprocess.run(["ip", "netns", "del", name], capture_output=True)
+
+
+@contextmanager
+def inside(namespace: str) -> Iterator[None]:
+    """This thread, and what it starts meanwhile, in a network namespace of that name."""
+    with open("/proc/thread-self/ns/net") as own, open(f"/run/netns/{namespace}") as other:
+        os.setns(other.fileno(), os.CLONE_NEWNET)
+        try:
+            yield
+        finally:
+            os.setns(own.fileno(), os.CLONE_NEWNET)
 
 
 def carry(loss: float, delay: float, names: tuple[str, str]) -> None:

@@ -1,6 +1,6 @@
 """Looks at a page as a browser does, but draws nothing: counts the pictures that come over its websocket.
 
-`python -m tissue_sim.ros.probes.page_watcher PORT SECONDS` prints a line when it begins to count, and at the end, as
+`python -m tissue_sim.ros.probes.page_watcher ADDRESS SECONDS` prints a line when it begins to count, and at the end, as
 JSON, when pictures of each organ came, s, and how many bytes.
 """
 
@@ -43,8 +43,11 @@ def pictures(message: bytes) -> Iterator[str]:
             yield one["name"].rpartition("/")[0]
 
 
-def watch(port: int, seconds: float) -> dict[str, Any]:
-    """When pictures come, monotonic s, by whose they are, and how many bytes come, for so many s from when it began."""
+def watch(address: str, seconds: float) -> dict[str, Any]:
+    """When pictures come, monotonic s, by whose they are, and how many bytes come, for so many s from when it began.
+
+    address: of the page, as the viewer prints it.
+    """
     import msgspec
     import viser
     from websockets.sync.client import connect
@@ -52,7 +55,7 @@ def watch(port: int, seconds: float) -> dict[str, Any]:
     def connected() -> Any:
         try:
             return connect(
-                f"ws://127.0.0.1:{port}",
+                "ws" + address.removeprefix("http"),
                 subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
                 compression=None,
                 max_size=None,
@@ -79,9 +82,9 @@ def watch(port: int, seconds: float) -> dict[str, Any]:
     return {"began": began, "came": came, "bytes": size}
 
 
-def main(port: str, seconds: str) -> None:
+def main(address: str, seconds: str) -> None:
     """Watch and tell."""
-    print(json.dumps(watch(int(port), float(seconds))))
+    print(json.dumps(watch(address, float(seconds))))
 
 
 if __name__ == "__main__":
