@@ -33,7 +33,9 @@ MAP_DEPTH = 0.003  # m
 AROUND = 0.025  # m from the place over the inclusion, that the map reaches
 UNDER = 0.009  # m from there, where the finger may touch
 CLEAR = 0.002  # m between finger and organ at the start
-SPEED, HOLDING = 0.02, 0.4  # m/s, s at each depth
+SPEED = 0.002  # m/s: so slow that an organ that bends at 1 Hz is not swung, and sticks where a still one would
+HOLDING, LONGEST = 0.2, 5.0  # s between two looks at the force at a depth, and at the most
+STILL = 1e-3  # of the force, by which it has changed since the last look
 STEPS = 2  # of the finite elements for each depth
 FRICTION = 10.0  # at which nothing slips
 MOST_OFF = 5.0  # %
@@ -146,12 +148,22 @@ def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
         for place in np.linspace(deep, depth, ticks + 1)[1:]:
             scene.move(0, press.at(float(place)))
             scene.step()
-        for _ in range(round(HOLDING / tick)):
-            scene.move(0, press.at(float(depth)))
-            scene.step()
         deep = float(depth)
-        found.append(-float(scene.wrenches[0, :3] @ press.way))
+        found.append(held(scene, press, deep))
     return np.array(found)
+
+
+def held(scene: Scene, press: Press, deep: float) -> float:
+    """Force, N, on a finger that stays so deep, m, until it changes no more: an organ may take seconds to bend."""
+    tick, force, before = scene.simulation.settings.tick_time, np.inf, np.inf
+    for _ in range(round(LONGEST / HOLDING)):
+        for _ in range(round(HOLDING / tick)):
+            scene.move(0, press.at(deep))
+            scene.step()
+        before, force = force, -float(scene.wrenches[0, :3] @ press.way)
+        if abs(force - before) <= STILL * abs(force):
+            break
+    return force
 
 
 def by_elements(organ: Organ, press: Press) -> Floats:

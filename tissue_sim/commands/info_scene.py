@@ -70,10 +70,10 @@ def scene_lines(found: dict[str, Any]) -> list[str]:
             f" from {low} to {high} mm{extra}"
         )
     for one in found["attachments"]:
-        least, most = one["slack_mm"]
+        least, most = (f"{slack:.1f}" for slack in one["slack_mm"])
         lines.append(
             f"  {one['from']} to {one['to']}: {one['links']} links, {one['stiffness_n_per_m']:g} N/m in all,"
-            f" slack up to {least:.1f} to {most:.1f} mm"
+            f" slack {least if least == most else f'{least} to {most}'} mm"
         )
     if found["attachments"]:
         lines.append(f"  substeps for the attachments: {found['substeps_for_attachments']} at the least")
