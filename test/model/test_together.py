@@ -116,6 +116,14 @@ def test_a_taut_link_pulls_by_its_stretch_and_a_slack_one_not_at_all():
     assert not slack.links.force.any()
 
 
+def test_a_link_that_is_taut_by_rounding_lets_organs_sleep():
+    at = ball().surface_positions[TOP]
+    organs = Organs([Simulation(ball())], [(((0, TOP), at + [0.0, 0.0, 0.05]), 0.05 * (1.0 - 1e-12), 2.0, 0.0)])
+    organs.step(10)
+    assert organs.simulations[0].asleep
+    assert not organs.links.force.any()
+
+
 @pytest.mark.parametrize("stiffness", [1.0, 30.0, 1000.0])
 def test_stiff_links_take_shorter_steps_and_come_to_rest(stiffness):
     at = ball().surface_positions[TOP]

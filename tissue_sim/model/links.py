@@ -20,6 +20,7 @@ from tissue_sim.model.regions import largest_motion
 from tissue_sim.model.rest import SNAPPED_DISPLACEMENT
 
 POINT = -1  # in place of an organ
+SLIGHT = 1e-9  # m of a link's stretch that are rounding: organs at rest would keep each other awake for them
 UNFELT = 1e-6  # m of a link's stretch that don't hold an organ in a false rest shape
 
 
@@ -104,7 +105,7 @@ def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float, w
         x, y, z = x1 - x0, y1 - y0, z1 - z0
         length = math.sqrt(x * x + y * y + z * z)
         stretch, tension = length - links.slack[link], 0.0
-        taut = stretch > 0.0 and length > 0.0
+        taut = stretch > SLIGHT and length > 0.0
         if taut and not (waking and stretch < UNFELT and is_far(worlds, links, link)):
             x, y, z = x / length, y / length, z / length
             vx0, vy0, vz0 = end_speed(worlds, carried, links, link, 0)
