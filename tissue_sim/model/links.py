@@ -20,7 +20,7 @@ from tissue_sim.model.regions import largest_motion
 from tissue_sim.model.rest import SNAPPED_DISPLACEMENT
 
 POINT = -1  # in place of an organ
-SLIGHT = 1e-9  # m of a link's stretch that are rounding: organs at rest would keep each other awake for them
+SLIGHT = 1e-12  # m of a link's stretch that are rounding: organs at rest would keep each other awake for them
 UNFELT = 1e-6  # m of a link's stretch that don't hold an organ in a false rest shape
 
 
@@ -84,21 +84,21 @@ def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
 
 
 @kernel
-def wake_linked(worlds: Any, carried: Any, links: Any, awake: Any, caught: Any, step: float) -> None:
+def wake_linked(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
     """Load the nodes of links that are taut, so that the coming tick advances their organs."""
     links.force[:] = 0.0
     awake[:] = 1
-    pull_links(worlds, carried, links, awake, caught, step, True)
+    pull_links(worlds, carried, links, awake, step, True)
 
 
 @kernel
-def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, caught: Any, step: float, waking: bool) -> None:
-    """Let every link whose organs are awake, and not caught, pull as it does in a substep of `step` s.
+def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float, waking: bool) -> None:
+    """Let every link whose organs are awake pull as it does in a substep of `step` s.
 
     waking: but for those that hardly do, of an organ far from rest: it is to be found alone, and led back.
     """
     for link in range(len(links.slack)):
-        if not (is_pulled(links, link, 0, awake, caught) and is_pulled(links, link, 1, awake, caught)):
+        if not (is_awake(links, link, 0, awake) and is_awake(links, link, 1, awake)):
             continue
         x0, y0, z0 = end_position(worlds, carried, links, link, 0)
         x1, y1, z1 = end_position(worlds, carried, links, link, 1)
@@ -126,10 +126,10 @@ def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, caught: Any, s
 
 
 @kernel
-def is_pulled(links: Any, link: int, end: int, awake: Any, caught: Any) -> bool:
-    """True for a point, and for an organ that this tick advances and that isn't let go."""
+def is_awake(links: Any, link: int, end: int, awake: Any) -> bool:
+    """True for a point, and for an organ that this tick advances."""
     organ = links.organ[link, end]
-    return organ < 0 or (awake[organ] == 1 and caught[organ] == 0)
+    return organ < 0 or awake[organ] == 1
 
 
 @kernel

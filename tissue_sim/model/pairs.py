@@ -65,6 +65,7 @@ class Pairs(NamedTuple):
     pressed_before: Floats  # (p,) room
     held_before: Floats  # (p, 3) room
     plane: Floats  # (4,) room: a normal, and how far the node is outside, m
+    caught: Longs  # (MOST_ORGANS,) room: 1 for an organ that is let go in this tick
 
 
 def make_pairs(friction: float = 0.0) -> Pairs:
@@ -82,6 +83,7 @@ def make_pairs(friction: float = 0.0) -> Pairs:
         pressed_before=np.zeros(MOST_PAIRS),
         held_before=np.zeros((MOST_PAIRS, 3)),
         plane=np.zeros(4),
+        caught=np.zeros(MOST_ORGANS, dtype=np.int64),
     )
 
 
@@ -121,11 +123,12 @@ def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
 
 
 @kernel
-def wake_touched(worlds: Any, pairs: Any, caught: Any) -> None:
+def wake_touched(worlds: Any, pairs: Any) -> None:
     """Load what pairs press with, so that the coming tick advances organs that others touch."""
+    note_caught(worlds, pairs)
     for pair in range(pairs.found[0]):
         pairs.loaded[pair, 0] = pairs.loaded[pair, 1] = pairs.loaded[pair, 2] = 0.0
-        if is_let_go(pairs, pair, caught):
+        if is_let_go(pairs, pair):
             pairs.pressed[pair] = 0.0
             pairs.held[pair, 0] = pairs.held[pair, 1] = pairs.held[pair, 2] = 0.0
             continue
@@ -138,32 +141,33 @@ def wake_touched(worlds: Any, pairs: Any, caught: Any) -> None:
 
 
 @kernel
-def note_entangled(worlds: Any, pairs: Any, caught: Any) -> None:
+def note_caught(worlds: Any, pairs: Any) -> None:
     """Find organs that have had a fault, and have not slept since, and lie deep in each other.
 
     They were driven through each other, and no force leads out of that: without any, each goes back to its own shape.
     """
+    pairs.caught[:] = 0
     for pair in range(pairs.found[0]):
         first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
         if worlds[first].state.status.backoff > 1 or worlds[second].state.status.backoff > 1:
             measure(worlds, pairs, pair)
             if pairs.plane[3] < -CAUGHT:
-                caught[first] = caught[second] = 1
+                pairs.caught[first] = pairs.caught[second] = 1
 
 
 @kernel
-def is_let_go(pairs: Any, pair: int, caught: Any) -> bool:
+def is_let_go(pairs: Any, pair: int) -> bool:
     """True when one of a pair's organs is caught: it presses on none until it is out."""
-    return caught[pairs.organ[pair, 0]] == 1 or caught[pairs.organ[pair, 1]] == 1
+    return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 
 @kernel
-def press_pairs(worlds: Any, pairs: Any, awake: Any, caught: Any) -> None:
+def press_pairs(worlds: Any, pairs: Any, awake: Any) -> None:
     """Let every pair press as it did at the end of the last substep."""
     for pair in range(pairs.found[0]):
         loaded = pairs.loaded[pair]
         was = loaded[0] != 0.0 or loaded[1] != 0.0 or loaded[2] != 0.0
-        if is_resolved(pairs, pair, awake, caught) and (pairs.pressed[pair] > 0.0 or was):
+        if is_resolved(pairs, pair, awake) and (pairs.pressed[pair] > 0.0 or was):
             measure(worlds, pairs, pair)
             bear(worlds, pairs, pair)
 
@@ -185,12 +189,12 @@ def bear(worlds: Any, pairs: Any, pair: int) -> None:
 
 
 @kernel
-def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, caught: Any, step: float) -> None:
+def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, step: float) -> None:
     """Keep every node outside its triangle at the end of a substep of `step` s."""
     for _ in range(SWEEPS):
         changed = total = 0.0
         for pair in range(pairs.found[0]):
-            if is_resolved(pairs, pair, awake, caught):
+            if is_resolved(pairs, pair, awake):
                 changed += resolve_pair(worlds, carried, pairs, pair, step)
                 total += pairs.pressed[pair]
         if changed <= TOLERANCE * total:
@@ -198,10 +202,10 @@ def resolve_pairs(worlds: Any, carried: Any, pairs: Any, awake: Any, caught: Any
 
 
 @kernel
-def is_resolved(pairs: Any, pair: int, awake: Any, caught: Any) -> bool:
+def is_resolved(pairs: Any, pair: int, awake: Any) -> bool:
     """True when this tick advances both organs of a pair, and neither is let go."""
     both = awake[pairs.organ[pair, 0]] == 1 and awake[pairs.organ[pair, 1]] == 1
-    return both and not is_let_go(pairs, pair, caught)
+    return both and not is_let_go(pairs, pair)
 
 
 @kernel

@@ -15,21 +15,11 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.felt import sum_felt
 from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
-from tissue_sim.model.pairs import (
-    MOST_ORGANS,
-    Pairs,
-    PairSet,
-    note_entangled,
-    press_pairs,
-    resolve_pairs,
-    take_pairs,
-    wake_touched,
-)
+from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
 from tissue_sim.model.records import words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
-from tissue_sim.model.tool_motion import has_tip_force
 
 UNFELT = 1e-4  # m by which the acceleration of its frame bends an organ that sleeps on
 
@@ -54,13 +44,6 @@ class Together(NamedTuple):
     links: Links
     pairs: Pairs
     awake: Longs  # (k,) 1 for organs that this tick advances
-    caught: Longs  # (k,) 1 for organs that links and other organs let go in this tick
-
-
-def together(carried: Carried, links: Links, pairs: Pairs) -> Together:
-    """What joins organs, with room for what each tick notes."""
-    awake, caught = np.zeros((2, len(carried.moves)), dtype=np.int64)
-    return Together(carried, links, pairs, awake, caught)
 
 
 class Joined:
@@ -95,7 +78,7 @@ class Joined:
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
         self.worlds = row([one.world for one in self.simulations])
-        self.handle = handle(together(self.carried, links, pairs))
+        self.handle = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
         self.set_substeps()
 
     def step(self) -> None:
@@ -191,45 +174,29 @@ def let_go(worlds: Any, joined: Any) -> None:
 def tick_together(worlds: Any, joined: Any) -> None:
     """Advance several organs, a row of worlds, by one tick of the first one's settings."""
     step, carried, links = worlds[0].settings.tick_time, joined.carried, joined.links
-    pairs, awake, caught, linked = joined.pairs, joined.awake, joined.caught, len(links.slack) > 0
+    pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
     if carried.breath.period > 0.0 or carried.breath.follows:
         breathe(worlds, carried, step)
-    note_caught(worlds, pairs, caught)
     if linked:
-        wake_linked(worlds, carried, links, awake, caught, step)
-    wake_touched(worlds, pairs, caught)
+        wake_linked(worlds, carried, links, awake, step)
+    wake_touched(worlds, pairs)
     touching = pairs.found[0] > 0
     substeps = plan_together(worlds, awake, linked or touching)
     for substep in range(substeps):
         if linked:
-            pull_links(worlds, carried, links, awake, caught, step / substeps, False)
+            pull_links(worlds, carried, links, awake, step / substeps, False)
         if touching:
-            press_pairs(worlds, pairs, awake, caught)
+            press_pairs(worlds, pairs, awake)
         for organ in range(len(worlds)):
             world = worlds[organ]
             if awake[organ] == 1 and substep < world.scratch.plan.substeps:
                 take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, substep)
         if touching:
-            resolve_pairs(worlds, carried, pairs, awake, caught, step / substeps)
+            resolve_pairs(worlds, carried, pairs, awake, step / substeps)
     for organ in range(len(worlds)):
         world = worlds[organ]
         if awake[organ] == 1:
             end_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
-
-
-@kernel
-def note_caught(worlds: Any, pairs: Any, caught: Any) -> None:
-    """Find organs that links and other organs are to let go in this tick: what they do holds them in a false shape.
-
-    Those whose inside is turned inside out and that no hand touches, or that are led back from there; and those that
-    lie deep in each other. Alone, each goes back to its own shape.
-    """
-    for organ in range(len(worlds)):
-        state = worlds[organ].state
-        status = state.status
-        handled = status.touching > 0 or status.loaded > 0 or has_tip_force(state, worlds[organ].settings)
-        caught[organ] = 1 if (status.turned > 0 or status.snapped) and not handled else 0
-    note_entangled(worlds, pairs, caught)
 
 
 @kernel
