@@ -4,9 +4,9 @@ import json
 
 import pytest
 
+from helpers.ros.two_machines import link_or_skip
 from tissue_sim.bench.arriving import as_json, text
 from tissue_sim.cli import main
-from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
 
 
 def rates(node, sender):
@@ -37,11 +37,8 @@ def test_short_run_of_a_larger_organ(tmp_path):
 
 @pytest.mark.timeout(300)
 def test_short_run_behind_a_link(tmp_path):
-    try:
-        with lossy_link(0.0, 0.0):
-            pass
-    except Unavailable as reason:
-        pytest.skip(str(reason))
+    with link_or_skip():
+        pass
     file = tmp_path / "link.json"
     assert main(["bench", "markers", "--loss", "0.05", "--seconds", "1", "--json", str(file)]) == 0
     assert set(json.loads(file.read_text())["arriving"]) == {"surface"}

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from helpers.ros.two_machines import link_or_skip
 from helpers.scenes import ball
 from tissue_sim.bench import page
 from tissue_sim.bench.page import as_json, text
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.organ.placing import placed
-from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
 
 ORGANS = [ball(1), placed(ball(1), [0.2, 0.0, 0.0])]
 SCENE = SimpleNamespace(names=("left", "right"), organs=ORGANS)
@@ -55,11 +55,8 @@ def test_wrong_use_is_refused(capsys):
 def test_short_run_with_real_processes(tmp_path, monkeypatch, place):
     pytest.importorskip("viser")
     if place:
-        try:
-            with lossy_link(0.0, 0.0):
-                pass
-        except Unavailable as reason:
-            pytest.skip(str(reason))
+        with link_or_skip():
+            pass
     monkeypatch.setattr(page, "MOVING", 1)  # on a machine of any speed
     lines = ["format: 1", "organs:"]
     for name, organ in zip(SCENE.names, ORGANS, strict=True):

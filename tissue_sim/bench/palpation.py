@@ -155,7 +155,7 @@ def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
 
 def held(scene: Scene, press: Press, deep: float) -> float:
     """Force, N, on a finger that stays so deep, m, until it changes no more: an organ may take seconds to bend."""
-    tick, force, before = scene.simulation.settings.tick_time, np.inf, np.inf
+    tick, force = scene.simulation.settings.tick_time, np.inf
     for _ in range(round(LONGEST / HOLDING)):
         for _ in range(round(HOLDING / tick)):
             scene.move(0, press.at(deep))

@@ -8,9 +8,20 @@ from pathlib import Path
 import pytest
 
 from helpers.ros.processes import Process
-from tissue_sim.ros.probes.lossy_link import Unavailable, lossy_link
+from tissue_sim.ros.probes.lossy_link import ADDRESSES, Unavailable, lossy_link
 
-ADDRESS = "10.201.7.1"  # of the first
+ADDRESS = ADDRESSES[0]  # of the first
+
+
+@contextmanager
+def link_or_skip(loss: float = 0.0, delay: float = 0.0) -> Iterator[tuple[str, str]]:
+    """As `lossy_link`; skips the test where there is none."""
+    with ExitStack() as ending:
+        try:
+            ends = ending.enter_context(lossy_link(loss, delay))
+        except Unavailable as reason:
+            pytest.skip(f"no network namespaces here: {reason}")
+        yield ends
 
 
 @contextmanager
@@ -20,10 +31,7 @@ def two_machines(folder: Path, loss: float = 0.0, delay: float = 0.0) -> Iterato
     loss: share of the packets; delay: s. Skips the test where there are no namespaces.
     """
     with ExitStack() as ending:
-        try:
-            here, there = ending.enter_context(lossy_link(loss, delay))
-        except Unavailable as reason:
-            pytest.skip(f"no network namespaces here: {reason}")
+        here, there = ending.enter_context(link_or_skip(loss, delay))
 
         def start(machine: str, name: str, *words: str, **environment: str) -> Process:
             command = ["netns", "exec", machine, sys.executable, *words]
