@@ -83,20 +83,21 @@ def test_what_is_pressed_gives_way_and_is_not_entered():
     assert speed < 1e-3, "it holds still"
 
 
-@pytest.mark.parametrize("faulty", [False, True])
-def test_organs_that_were_driven_through_each_other_are_let_go_until_they_are_out(faulty):
-    """After a fault, which tells that no force leads out; without one they press."""
+@pytest.mark.parametrize("what", ["sound", "faulted", "snapped"])
+def test_organs_that_were_driven_through_each_other_are_let_go_until_they_are_out(what):
+    """After a fault, which tells that no force leads out, or when one is led back; else they press."""
     scene = Scene([ball(2), placed(ball(2), [2.0 * RADIUS + 0.001, 0.0, 0.0])], TOOL)
     second = scene.simulations[1]
     second.positions[second.model.moving] -= [0.012, 0.0, 0.0]
     for one in scene.simulations:
         one.state.status.asleep = False
-    second.state.status.backoff = 2 if faulty else 1
+    if what != "sound":
+        setattr(second.state.status, what, True)
     scene.step()
     pairs = scene.joined.pairs
     count = int(pairs.found[0])
     assert count > 0
-    assert np.any(pairs.pressed[:count] > 0.0) == (not faulty)
+    assert np.any(pairs.pressed[:count] > 0.0) == (what == "sound")
     for _ in range(4000):
         scene.step()
     assert all(one.asleep for one in scene.simulations)
@@ -106,10 +107,10 @@ def test_organs_that_were_driven_through_each_other_are_let_go_until_they_are_ou
 def test_after_a_fault_what_is_pressed_is_not_entered_either():
     scene = pressed()
     for one in scene.simulations:
-        one.state.status.backoff = 2
+        one.state.status.faulted = True
     for _ in range(300):
         scene.step()
-    assert scene.simulations[1].state.status.backoff == 2
+    assert scene.simulations[1].state.status.faulted
     assert deepest(scene) < 5e-4
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from helpers.scenes import ball, changed, kidney
+from helpers.scenes import ball, ball_of_cells, changed, kidney
 from tissue_sim.model.regions import largest_motion
-from tissue_sim.model.rest import LONGEST_WAY, QUIET_TICKS, TURNED_TIME, pace
+from tissue_sim.model.rest import LONGEST_WAY, QUIET_TICKS, SNAPPED_DISPLACEMENT, TURNED_TIME, pace
 from tissue_sim.model.simulation import Simulation
 
 
@@ -88,6 +88,50 @@ def test_load_keeps_an_organ_that_stands_still_away_from_rest_where_it_is():
     assert np.abs(simulation.positions - simulation.model.rest).max() > 5e-4
     settles(simulation)
     assert simulation.state.count.snaps == 0, "a sound organ finds back by itself"
+
+
+def test_an_organ_that_sags_is_set_up_anew_once_after_a_fault():
+    simulation = Simulation(ball(2))
+    simulation.settings.gravity_z = -9.81
+    state, count = simulation.state, simulation.state.count
+    for _ in range(3000):
+        simulation.step()
+    sagged = simulation.positions.copy()
+    assert np.abs(sagged - simulation.model.rest).max() > SNAPPED_DISPLACEMENT
+    assert count.snaps == 0
+    state.status.faulted = True
+    farthest = 0.0
+    for _ in range(6000):
+        simulation.step()
+        farthest = max(farthest, float(np.abs(simulation.positions - sagged).max()))
+    assert count.snaps == 1
+    assert farthest > 0.9 * np.abs(sagged - simulation.model.rest).max(), "it was at rest without weight"
+    np.testing.assert_allclose(simulation.positions, sagged, atol=1e-6)
+
+
+@pytest.mark.parametrize("squeezed", [False, True])
+def test_an_organ_that_bears_weight_is_led_back_where_squeezed_cells_tremble_for_good(squeezed):
+    simulation = awake(ball_of_cells(), model="cells")
+    simulation.settings.gravity_z = -1.0
+    state, model, settings = simulation.state, simulation.model, simulation.settings
+    longest = LONGEST_WAY / (pace(model, settings) * settings.tick_time)
+    left = model.rest.copy()
+    left[model.moving, 2] += 1e-3
+    if squeezed:  # the whole of it, so that it is so for longer than a tick
+        left[model.moving] *= [1.0, 1.0, 0.1]
+    for tick in range(round(longest) + 5):
+        state.position[:] = left
+        state.velocity[model.moving] = [0.0, 0.0, 0.1 * (-1.0) ** tick]
+        simulation.step()
+        if state.status.snapped:
+            break
+    assert state.count.faults == 0
+    assert state.status.snapped == squeezed
+    assert not squeezed or abs(tick - longest) <= 3
+    for _ in range(2000):
+        simulation.step()
+    assert state.count.snaps == squeezed
+    assert not state.status.snapped
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,35 @@ def test_a_link_that_is_taut_by_rounding_lets_organs_sleep():
     assert not organs.links.force.any()
 
 
+def test_an_organ_that_hangs_is_let_go_once_after_a_fault_when_no_hand_is_left():
+    """So that what pulls it doesn't hold it for good in the false shape that the fault may have left."""
+    up = ball().surface_positions[TOP] + [0.0, 0.0, 0.05]
+    organs = Organs([Simulation(ball()), Simulation(ball())], [(((0, TOP), up), 0.04, 20.0, 0.0)])
+    hanging, other = organs.simulations
+    status, count = hanging.state.status, hanging.state.count
+    organs.step(3000)
+    pulled = organs.links.force.copy()
+    assert np.linalg.norm(pulled) > 1e-3
+    assert count.snaps == 0, "a sound one hangs as it hangs"
+
+    status.faulted = True
+    for _ in range(1000):
+        other.apply_force([TOP], [[0.0, 0.0, 1e-6]])
+        organs.step()
+    assert count.snaps == 0, "a hand is on one of the organs"
+    for _ in range(2000):
+        organs.step()
+        if status.snapped:
+            break
+    assert status.snapped
+    organs.step()
+    assert not organs.links.force.any()
+    organs.step(4000)
+    assert count.snaps == 1
+    assert not status.snapped
+    np.testing.assert_allclose(organs.links.force, pulled, rtol=1e-4, atol=1e-7)
+
+
 @pytest.mark.parametrize("stiffness", [1.0, 30.0, 1000.0])
 def test_stiff_links_take_shorter_steps_and_come_to_rest(stiffness):
     at = ball().surface_positions[TOP]

@@ -48,6 +48,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     if collapsing and not status.collapsing:
         count.faults += 1
         status.fault_kind = Fault.COLLAPSED
+        status.faulted = True
     status.collapsing = collapsing
     if fault == 0:
         if collapsing:
@@ -61,6 +62,7 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     scratch.impulse[:] = 0.0
     count.faults += 1
     status.fault_kind = fault
+    status.faulted = True
     again = status.good_age > KEEP_EVERY
     status.good_age = KEEP_EVERY + 1
     if status.backoff < MAX_BACKOFF:

@@ -157,7 +157,7 @@ def carry_impulses(state: Any, found: Any) -> None:
 def reset_state(model: Any, state: Any) -> None:
     """Back to the rest shape, asleep, without tools; the counters go on."""
     status = state.status
-    status.snapped = status.collapsing = False
+    status.snapped = status.collapsing = status.faulted = False
     status.fault_kind = status.substeps = status.quiet = status.alone = status.calm = 0
     status.touching = status.active = status.loaded = status.turned = status.next_cell = 0
     status.good_age = status.shown = status.shivering = status.halving = 0

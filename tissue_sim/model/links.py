@@ -16,12 +16,9 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.critical_step import substeps_for
 from tissue_sim.model.inputs import load_node
-from tissue_sim.model.regions import largest_motion
-from tissue_sim.model.rest import SNAPPED_DISPLACEMENT
 
 POINT = -1  # in place of an organ
 SLIGHT = 1e-12  # m of a link's stretch that are rounding: organs at rest would keep each other awake for them
-UNFELT = 1e-6  # m of a link's stretch that don't hold an organ in a false rest shape
 
 
 class Links(NamedTuple):
@@ -85,18 +82,19 @@ def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
 
 @kernel
 def wake_linked(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
-    """Load the nodes of links that are taut, so that the coming tick advances their organs."""
+    """Load the nodes of links that are taut, so that the coming tick advances their organs.
+
+    But not of those that are led back from a false rest shape: links hold them in it.
+    """
     links.force[:] = 0.0
-    awake[:] = 1
-    pull_links(worlds, carried, links, awake, step, True)
+    for organ in range(len(worlds)):
+        awake[organ] = 0 if worlds[organ].state.status.snapped else 1
+    pull_links(worlds, carried, links, awake, step)
 
 
 @kernel
-def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float, waking: bool) -> None:
-    """Let every link whose organs are awake pull as it does in a substep of `step` s.
-
-    waking: but for those that hardly do, of an organ far from rest: it is to be found alone, and led back.
-    """
+def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
+    """Let every link whose organs are awake pull as it does in a substep of `step` s."""
     for link in range(len(links.slack)):
         if not (is_awake(links, link, 0, awake) and is_awake(links, link, 1, awake)):
             continue
@@ -105,8 +103,7 @@ def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float, w
         x, y, z = x1 - x0, y1 - y0, z1 - z0
         length = math.sqrt(x * x + y * y + z * z)
         stretch, tension = length - links.slack[link], 0.0
-        taut = stretch > SLIGHT and length > 0.0
-        if taut and not (waking and stretch < UNFELT and is_far(worlds, links, link)):
+        if stretch > SLIGHT and length > 0.0:
             x, y, z = x / length, y / length, z / length
             vx0, vy0, vz0 = end_speed(worlds, carried, links, link, 0)
             vx1, vy1, vz1 = end_speed(worlds, carried, links, link, 1)
@@ -130,19 +127,6 @@ def is_awake(links: Any, link: int, end: int, awake: Any) -> bool:
     """True for a point, and for an organ that this tick advances."""
     organ = links.organ[link, end]
     return organ < 0 or awake[organ] == 1
-
-
-@kernel
-def is_far(worlds: Any, links: Any, link: int) -> bool:
-    """True when one of a link's organs is far from its rest shape."""
-    for end in range(2):
-        organ = links.organ[link, end]
-        if organ >= 0:
-            world = worlds[organ]
-            _, away = largest_motion(world.model, world.state, world.scratch)
-            if away > SNAPPED_DISPLACEMENT:
-                return True
-    return False
 
 
 @kernel

@@ -142,14 +142,20 @@ def wake_touched(worlds: Any, pairs: Any) -> None:
 
 @kernel
 def note_caught(worlds: Any, pairs: Any) -> None:
-    """Find organs that have had a fault, and have not slept since, and lie deep in each other.
+    """Find organs that are to go back to their own shapes, without any force that may lead them elsewhere.
 
-    They were driven through each other, and no force leads out of that: without any, each goes back to its own shape.
+    Those that have had a fault, and lie deep in each other: they were driven through each other. And those that are
+    led back from a false rest shape.
     """
     pairs.caught[:] = 0
     for pair in range(pairs.found[0]):
         first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
-        if worlds[first].state.status.backoff > 1 or worlds[second].state.status.backoff > 1:
+        one, other = worlds[first].state.status, worlds[second].state.status
+        if one.snapped:
+            pairs.caught[first] = 1
+        if other.snapped:
+            pairs.caught[second] = 1
+        if one.faulted or other.faulted:
             measure(worlds, pairs, pair)
             if pairs.plane[3] < -CAUGHT:
                 pairs.caught[first] = pairs.caught[second] = 1
@@ -157,7 +163,7 @@ def note_caught(worlds: Any, pairs: Any) -> None:
 
 @kernel
 def is_let_go(pairs: Any, pair: int) -> bool:
-    """True when one of a pair's organs is caught: it presses on none until it is out."""
+    """True when one of a pair's organs is caught: it presses on none until it is out, and back."""
     return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 

@@ -8,6 +8,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.guard import lead_back
 from tissue_sim.model.regions import largest_motion, leave_region
+from tissue_sim.model.squeezed import has_stiff_cells
 
 QUIET_SPEED = 2e-5  # m/s
 QUIET_DISPLACEMENT = 5e-6  # m
@@ -27,22 +28,26 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     Springs pushed through each other can come to rest in a false shape, finite and still. An organ that
     nobody touches and that stands still away from its rest shape, that is not back long after a sound one would be, as
     squeezed cells can tremble at the same places for good, or whose inside stays turned inside out, is led back to it.
+    What hangs, bears weight or is pressed by its neighbours may well be away from rest: it is led back only after a
+    fault, or where squeezed cells tremble; and on its way these let go of it.
     """
     status = state.status
-    if status.turned > 0 and status.alone * settings.tick_time > TURNED_TIME:
+    doubted = status.faulted or not scratch.plan.forced
+    if doubted and status.turned > 0 and status.alone * settings.tick_time > TURNED_TIME:
         snap(model, state, settings, scratch)
         return
-    speed, away = largest_motion(model, state, scratch)
     rate = pace(model, settings)
     lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # what isn't damped swings on
-    if away > SNAPPED_DISPLACEMENT and lasted > LONGEST_WAY:
+    overdue = lasted > LONGEST_WAY
+    if not doubted and not (overdue and has_stiff_cells(model)):
+        return
+    speed, away = largest_motion(model, state, scratch)
+    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
+    slow = speed <= max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away)
+    if away > SNAPPED_DISPLACEMENT and overdue and (doubted or not slow):
         snap(model, state, settings, scratch)
         return
-    # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
-    if speed > max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away):
-        status.quiet = 0
-        return
-    status.quiet += 1
+    status.quiet = status.quiet + 1 if slow and doubted else 0
     if status.quiet < QUIET_TICKS:
         return
     if away <= QUIET_DISPLACEMENT:
@@ -68,7 +73,7 @@ def fall_asleep(model: Any, state: Any) -> None:
     status = state.status
     status.asleep = True
     status.backoff = 1
-    status.turned = status.collapsing = False
+    status.turned = status.collapsing = status.faulted = False
     state.is_turned[:] = 0
     copy(model.rest, state.position)
     copy(model.rest, state.good_position)
@@ -80,6 +85,7 @@ def snap(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     """Start the way back from a false rest shape."""
     leave_region(model, state, settings, scratch)
     state.status.snapped = True
+    state.status.alone = 0
     state.count.snaps += 1
 
 
@@ -90,5 +96,6 @@ def find_back(model: Any, state: Any, settings: Any) -> None:
     # A fault on the way must not restore the false shape.
     copy(state.position, state.good_position)
     if displacement <= QUIET_DISPLACEMENT:
-        state.status.snapped = False
+        state.status.snapped = state.status.faulted = False
         state.status.quiet = 0
+        state.status.backoff = 1

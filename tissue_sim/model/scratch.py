@@ -20,7 +20,8 @@ class Plan(Record):
     """How a tick is to be made."""
 
     substeps: int
-    forced: bool  # something pulls or leads nodes
+    handled: bool  # a hand touches, pulls or leads nodes, not a link, another organ or the weight
+    forced: bool  # anything pulls or leads nodes
     whole: bool  # the whole organ moves
     implicit: bool  # implicitly
     regional: bool  # a region of cells moves

@@ -31,6 +31,21 @@ SETTLED = 0.2  # of the impulses on cells, which a pass may still change
 
 
 @kernel
+def _has_stiff_cells(model: Any) -> bool:
+    return model.tissue.stiff[0] > 0
+
+
+@kernel
+def _has_no_stiff_cells(model: Any) -> bool:
+    return False
+
+
+@chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_no_stiff_cells)
+def has_stiff_cells(model: Any) -> Any:
+    """True when the last forces found cells that are squeezed so much that they ask for shorter substeps."""
+
+
+@kernel
 def volume_of(position: Any, nodes: Any, inverse: float) -> float:
     """Volume of a cell over that at rest; inverse: 1 / (6 V), 1/m^3."""
     i, j, k, m = nodes[0], nodes[1], nodes[2], nodes[3]

@@ -41,11 +41,12 @@ class Status(Record):
     fault_kind: int  # Fault, what the guard found last
     substeps: int  # of the last tick
     backoff: int  # factor on the substeps after a fault
+    faulted: bool  # the guard has found a fault since the organ was last as it is built
     shivering: int  # ticks for which a step that was too long stays halved
     halving: int  # ticks for which the next one is halved; 0 for the least
     turning: float  # m^2/s^2, of nodes that turned around at the last look
     quiet: int  # ticks in a row that were as good as at rest
-    alone: int  # ticks in a row without touch and load
+    alone: int  # ticks in a row in which no hand touched or loaded it, or an organ that is ticked with it
     calm: int  # ticks in a row with a load small enough for a local region
     touching: int  # contact points that touched in the last tick
     active: int  # nodes that were integrated in the last tick

@@ -39,6 +39,7 @@ from tissue_sim.model.regions import (
 from tissue_sim.model.rest import find_back, rest_if_quiet
 from tissue_sim.model.settings import Integrator
 from tissue_sim.model.shiver import begin_look, end_look, is_looked_at
+from tissue_sim.model.squeezed import has_stiff_cells
 from tissue_sim.model.state import Region
 from tissue_sim.model.tool_motion import (
     add_tip_forces,
@@ -56,6 +57,7 @@ CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four tim
 @part
 def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
     """Advance the organ by one tick of settings.tick_time seconds."""
+    scratch.plan.handled = state.status.loaded > 0
     if not plan_tick(model, state, shapes, settings, scratch):
         return
     begin_tick(model, state, shapes, settings, scratch)
@@ -66,12 +68,15 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
 
 @part
 def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
-    """Whether there is anything to advance, and in scratch.plan how."""
+    """Whether there is anything to advance, and in scratch.plan how.
+
+    scratch.plan.handled tells whether nodes were loaded before links and other organs did.
+    """
     status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
     advance_held(state, settings, scratch)
-    forced = status.loaded > 0 or has_tip_force(state, settings)
-    forced = forced or status.prescribed > 0 or is_out_of_balance(model, settings)
+    handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
+    forced = handled or status.loaded > 0 or is_out_of_balance(model, settings)
     status.touching = 0
     if status.asleep:
         if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
@@ -80,10 +85,10 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
             status.active = 0
             return False
         status.asleep = False
-        status.quiet = 0
+        status.quiet = status.alone = 0
         choose_region(model, state, settings, scratch)
     if status.snapped:
-        if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
+        if not handled and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
             check_cells(model, state, scratch)
             follow_held(state)
@@ -95,6 +100,7 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
 
     scratch.impulse[:] = 0.0
     # The first forces tell how stiff the cells are.
+    plan.handled = handled
     plan.forced = forced
     plan.whole = status.region == Region.WHOLE
     plan.implicit = steps_implicitly(model, state, settings, scratch)
@@ -147,7 +153,7 @@ def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -
     report_wrenches(state, shapes, settings, scratch)
     change_region(model, state, shapes, settings, scratch)
     unload_nodes(state)
-    status.alone = 0 if plan.forced or status.touching > 0 else status.alone + 1
+    status.alone = 0 if plan.handled or status.touching > 0 else status.alone + 1
     if status.alone > 0:
         rest_if_quiet(model, state, settings, scratch)
 
@@ -179,21 +185,6 @@ def steps_implicitly(model: Any, state: Any, settings: Any, scratch: Any) -> Any
     Not in a local region; nor after a fault, while nodes shiver, or where cells are inside out or stiffer than its
     matrix knows, where its one step gains energy.
     """
-
-
-@kernel
-def _has_stiff_cells(model: Any) -> bool:
-    return model.tissue.stiff[0] > 0
-
-
-@kernel
-def _has_none(model: Any) -> bool:
-    return False
-
-
-@chosen(lambda model: _has_stiff_cells if has(model, "tissue") else _has_none)
-def has_stiff_cells(model: Any) -> Any:
-    """True when the last forces found cells that are squeezed so much that they ask for shorter substeps."""
 
 
 @kernel

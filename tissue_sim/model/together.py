@@ -177,6 +177,8 @@ def tick_together(worlds: Any, joined: Any) -> None:
     pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
     if carried.breath.period > 0.0 or carried.breath.follows:
         breathe(worlds, carried, step)
+    for organ in range(len(worlds)):
+        worlds[organ].scratch.plan.handled = worlds[organ].state.status.loaded > 0
     if linked:
         wake_linked(worlds, carried, links, awake, step)
     wake_touched(worlds, pairs)
@@ -184,7 +186,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
     substeps = plan_together(worlds, awake, linked or touching)
     for substep in range(substeps):
         if linked:
-            pull_links(worlds, carried, links, awake, step / substeps, False)
+            pull_links(worlds, carried, links, awake, step / substeps)
         if touching:
             press_pairs(worlds, pairs, awake)
         for organ in range(len(worlds)):
@@ -193,10 +195,22 @@ def tick_together(worlds: Any, joined: Any) -> None:
                 take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, substep)
         if touching:
             resolve_pairs(worlds, carried, pairs, awake, step / substeps)
+    handled = are_handled(worlds)
     for organ in range(len(worlds)):
         world = worlds[organ]
         if awake[organ] == 1:
+            world.scratch.plan.handled = handled
             end_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
+
+
+@kernel
+def are_handled(worlds: Any) -> bool:
+    """True when a hand touches, pulls or leads any organ: through it, it may hold the others as they are."""
+    for organ in range(len(worlds)):
+        world = worlds[organ]
+        if world.scratch.plan.handled or world.state.status.touching > 0:
+            return True
+    return False
 
 
 @kernel
