@@ -29,7 +29,7 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     nobody touches and that stands still away from its rest shape, that is not back long after a sound one would be, as
     squeezed cells can tremble at the same places for good, or whose inside stays turned inside out, is led back to it.
     What hangs, bears weight or is pressed by its neighbours may well be away from rest: it is led back only after a
-    fault, or where squeezed cells tremble; and on its way these let go of it.
+    fault, or where it is still inside out, or squeezed cells tremble, long after; and on its way these let go of it.
     """
     status = state.status
     doubted = status.faulted or not scratch.plan.forced
@@ -39,12 +39,12 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     rate = pace(model, settings)
     lasted = min(1.0, settings.damping_scale) * rate * status.alone * settings.tick_time  # what isn't damped swings on
     overdue = lasted > LONGEST_WAY
-    if not doubted and not (overdue and has_stiff_cells(model)):
+    if not doubted and not (overdue and (status.turned > 0 or has_stiff_cells(model))):
         return
     speed, away = largest_motion(model, state, scratch)
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
     slow = speed <= max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away)
-    if away > SNAPPED_DISPLACEMENT and overdue and (doubted or not slow):
+    if away > SNAPPED_DISPLACEMENT and overdue and (doubted or status.turned > 0 or not slow):
         snap(model, state, settings, scratch)
         return
     status.quiet = status.quiet + 1 if slow and doubted else 0
