@@ -26,8 +26,8 @@ def guard(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
     Bounded: no node farther from rest than the organ's own size, none faster than that in a tick, and not all of
     them together faster than a hundred times that in a second. After a fault the substeps double, up to 8 times and
-    then from 1 again, until the organ has slept; where these are no remedy, the good shape is led back a little. So is,
-    in each tick, an organ of which more than half is inside out.
+    then from 1 again, until the organ has slept or was led back; where these are no remedy, the good shape is led back
+    a little. So is, in each tick, an organ of which more than half is inside out.
     """
     status, count = state.status, state.count
     span = settings.runaway_span

@@ -75,11 +75,11 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
     status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
     advance_held(state, settings, scratch)
-    handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
-    forced = handled or status.loaded > 0 or is_out_of_balance(model, settings)
+    plan.handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
+    plan.forced = plan.handled or status.loaded > 0 or is_out_of_balance(model, settings)
     status.touching = 0
     if status.asleep:
-        if not forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
+        if not plan.forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             follow_held(state)
             count.asleep_ticks += 1
             status.active = 0
@@ -88,7 +88,7 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
         status.quiet = status.alone = 0
         choose_region(model, state, settings, scratch)
     if status.snapped:
-        if not handled and not is_touched(state, shapes, scratch.origin, scratch.rotation):
+        if not plan.handled and not is_touched(state, shapes, scratch.origin, scratch.rotation):
             find_back(model, state, settings)
             check_cells(model, state, scratch)
             follow_held(state)
@@ -100,8 +100,6 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
 
     scratch.impulse[:] = 0.0
     # The first forces tell how stiff the cells are.
-    plan.handled = handled
-    plan.forced = forced
     plan.whole = status.region == Region.WHOLE
     plan.implicit = steps_implicitly(model, state, settings, scratch)
     if plan.whole and not plan.implicit:
