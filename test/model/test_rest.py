@@ -5,7 +5,7 @@ import pytest
 
 from helpers.scenes import ball, ball_of_cells, changed, kidney
 from tissue_sim.model.regions import largest_motion
-from tissue_sim.model.rest import LONGEST_WAY, QUIET_TICKS, SNAPPED_DISPLACEMENT, TURNED_TIME, pace
+from tissue_sim.model.rest import LONGEST_WAY, QUIET_TICKS, SNAPPED_DISPLACEMENT, TURNED_TIME, pace, rest_if_quiet
 from tissue_sim.model.simulation import Simulation
 
 
@@ -109,29 +109,29 @@ def test_an_organ_that_sags_is_set_up_anew_once_after_a_fault():
     np.testing.assert_allclose(simulation.positions, sagged, atol=1e-6)
 
 
-@pytest.mark.parametrize("squeezed", [False, True])
-def test_an_organ_that_bears_weight_is_led_back_where_squeezed_cells_tremble_for_good(squeezed):
+@pytest.mark.parametrize(
+    ("weight", "turned", "stiff", "speed", "led_back"),
+    [
+        (0.0, 0, 0, 0.1, False),
+        (0.0, 0, 5, 0.0, True),
+        (9.81, 0, 5, 0.0, False),
+        (9.81, 0, 5, 0.1, True),
+        (9.81, 3, 0, 0.0, True),
+    ],
+)
+def test_an_organ_that_is_pulled_is_led_back_where_it_can_not_be_right_for_long(weight, turned, stiff, speed, led_back):
+    """Of cells: inside out or squeezed; it may move, or lie squeezed by its weight."""
     simulation = awake(ball_of_cells(), model="cells")
-    simulation.settings.gravity_z = -1.0
-    state, model, settings = simulation.state, simulation.model, simulation.settings
+    state, model, settings, scratch = simulation.state, simulation.model, simulation.settings, simulation.scratch
+    settings.gravity_z = -weight
     longest = LONGEST_WAY / (pace(model, settings) * settings.tick_time)
-    left = model.rest.copy()
-    left[model.moving, 2] += 1e-3
-    if squeezed:  # the whole of it, so that it is so for longer than a tick
-        left[model.moving] *= [1.0, 1.0, 0.1]
-    for tick in range(round(longest) + 5):
-        state.position[:] = left
-        state.velocity[model.moving] = [0.0, 0.0, 0.1 * (-1.0) ** tick]
-        simulation.step()
-        if state.status.snapped:
-            break
-    assert state.count.faults == 0
-    assert state.status.snapped == squeezed
-    assert not squeezed or abs(tick - longest) <= 3
-    for _ in range(2000):
-        simulation.step()
-    assert state.count.snaps == squeezed
-    assert not state.status.snapped
+    state.position[model.moving, 2] += 1e-3
+    state.velocity[model.moving, 2] = speed
+    state.status.turned, model.tissue.stiff[0], scratch.plan.forced = turned, stiff, True
+    for share, snapped in ((0.99, False), (1.01, led_back)):
+        state.status.alone = round(share * longest)
+        rest_if_quiet(model, state, settings, scratch)
+        assert state.status.snapped == snapped
 
 
 @pytest.mark.parametrize(

@@ -153,6 +153,34 @@ def test_an_organ_that_hangs_is_let_go_once_after_a_fault_when_no_hand_is_left()
     np.testing.assert_allclose(organs.links.force, pulled, rtol=1e-4, atol=1e-7)
 
 
+def test_an_organ_that_breathes_in_its_ligaments_is_as_if_nothing_had_been_some_time_after_faults():
+    """Beside one that was left alone: the guard steps in for forces that throw it out of its shape."""
+    up = ball().surface_positions[TOP] + [0.0, 0.0, 0.05]
+    thrown, alone = (
+        Organs(
+            [Simulation(ball()), Simulation(ball())],
+            [(((0, TOP), up), 0.04, 20.0, 0.01), (((0, TOP - 1), (1, TOP)), 0.0, 5.0, 0.01)],
+            breath=a_breath(1.0, (0.0, 0.0, 0.005)),
+            moves=[1.0, 0.5],
+            unfelt=0.0,
+        )
+        for _ in range(2)
+    )
+    organ = thrown.simulations[0]
+    nodes = np.arange(0, 40, 2)
+    for tick in range(60):
+        organ.apply_force(nodes, np.tile([30.0 * (-1.0) ** (tick // 10), 20.0, -40.0], (len(nodes), 1)))
+        thrown.step()
+        alone.step()
+    assert organ.state.count.faults > 3
+    thrown.step(4000)
+    alone.step(4000)
+    assert organ.state.count.snaps > 0
+    for one, other in zip(thrown.simulations, alone.simulations, strict=True):
+        assert np.abs(other.positions - other.model.rest).max() > 1e-4
+        np.testing.assert_allclose(one.positions, other.positions, atol=1e-8)
+
+
 @pytest.mark.parametrize("stiffness", [1.0, 30.0, 1000.0])
 def test_stiff_links_take_shorter_steps_and_come_to_rest(stiffness):
     at = ball().surface_positions[TOP]

@@ -6,6 +6,7 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
+from tissue_sim.model.gravity import is_out_of_balance
 from tissue_sim.model.guard import lead_back
 from tissue_sim.model.regions import largest_motion, leave_region
 from tissue_sim.model.squeezed import has_stiff_cells
@@ -29,7 +30,7 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     nobody touches and that stands still away from its rest shape, that is not back long after a sound one would be, as
     squeezed cells can tremble at the same places for good, or whose inside stays turned inside out, is led back to it.
     What hangs, bears weight or is pressed by its neighbours may well be away from rest: it is led back only after a
-    fault, or where it is still inside out, or squeezed cells tremble, long after; and on its way these let go of it.
+    fault, or where it is still inside out or squeezed long after; and on its way these let go of it.
     """
     status = state.status
     doubted = status.faulted or not scratch.plan.forced
@@ -44,7 +45,9 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
     speed, away = largest_motion(model, state, scratch)
     # Far from rest, a false shape may tremble for good; slow is what wouldn't get back in ten times a sound one's time.
     slow = speed <= max(QUIET_SPEED, min(TREMBLING, CREEPING * rate) * away)
-    if away > SNAPPED_DISPLACEMENT and overdue and (doubted or status.turned > 0 or not slow):
+    # Its weight may squeeze an organ for good, which then lies still.
+    lies = not doubted and status.turned == 0 and slow and is_out_of_balance(model, settings)
+    if away > SNAPPED_DISPLACEMENT and overdue and not lies:
         snap(model, state, settings, scratch)
         return
     status.quiet = status.quiet + 1 if slow and doubted else 0
