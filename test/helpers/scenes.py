@@ -70,9 +70,9 @@ def filled(organ: Organ, count: int) -> Organ:
 
 
 @cache
-def ball_of_cells() -> Organ:
-    """The fine ball with atoms in a layer under its surface, and cells between all of them."""
-    organ = assemble_like(ball(3), interior_atoms=300, interior_layer=0.7, provenance=None)
+def ball_of_cells(subdivisions: int = 3, interior_atoms: int = 300) -> Organ:
+    """A ball with atoms in a layer under its surface, and cells between all of them."""
+    organ = assemble_like(ball(subdivisions), interior_atoms=interior_atoms, interior_layer=0.7, provenance=None)
     return with_cells(organ)
 
 
