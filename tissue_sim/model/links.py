@@ -82,13 +82,8 @@ def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
 
 @kernel
 def wake_linked(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
-    """Load the nodes of links that are taut, so that the coming tick advances their organs.
-
-    But not of those that are led back from a false rest shape: links hold them in it.
-    """
+    """Load the nodes of links that are taut, so that the coming tick advances their organs, those that may be awake."""
     links.force[:] = 0.0
-    for organ in range(len(worlds)):
-        awake[organ] = 0 if worlds[organ].state.status.snapped else 1
     pull_links(worlds, carried, links, awake, step)
 
 

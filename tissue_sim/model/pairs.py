@@ -123,12 +123,12 @@ def comes_before(first: Any, pair: int, second: Any, other: int) -> bool:
 
 
 @kernel
-def wake_touched(worlds: Any, pairs: Any) -> None:
-    """Load what pairs press with, so that the coming tick advances organs that others touch."""
+def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
+    """Load what pairs press with, so that the coming tick advances organs that others touch, if they may be awake."""
     note_caught(worlds, pairs)
     for pair in range(pairs.found[0]):
         pairs.loaded[pair, 0] = pairs.loaded[pair, 1] = pairs.loaded[pair, 2] = 0.0
-        if is_let_go(pairs, pair):
+        if not is_resolved(pairs, pair, awake):
             pairs.pressed[pair] = 0.0
             pairs.held[pair, 0] = pairs.held[pair, 1] = pairs.held[pair, 2] = 0.0
             continue
@@ -142,20 +142,14 @@ def wake_touched(worlds: Any, pairs: Any) -> None:
 
 @kernel
 def note_caught(worlds: Any, pairs: Any) -> None:
-    """Find organs that are to go back to their own shapes, without any force that may lead them elsewhere.
+    """Find organs that have had a fault, and have not been as they are built since, and lie deep in each other.
 
-    Those that have had a fault, and lie deep in each other: they were driven through each other. And those that are
-    led back from a false rest shape.
+    They were driven through each other, and no force leads out of that: without any, each goes back to its own shape.
     """
     pairs.caught[:] = 0
     for pair in range(pairs.found[0]):
         first, second = pairs.organ[pair, 0], pairs.organ[pair, 1]
-        one, other = worlds[first].state.status, worlds[second].state.status
-        if one.snapped:
-            pairs.caught[first] = 1
-        if other.snapped:
-            pairs.caught[second] = 1
-        if one.faulted or other.faulted:
+        if worlds[first].state.status.faulted or worlds[second].state.status.faulted:
             measure(worlds, pairs, pair)
             if pairs.plane[3] < -CAUGHT:
                 pairs.caught[first] = pairs.caught[second] = 1
@@ -163,7 +157,7 @@ def note_caught(worlds: Any, pairs: Any) -> None:
 
 @kernel
 def is_let_go(pairs: Any, pair: int) -> bool:
-    """True when one of a pair's organs is caught: it presses on none until it is out, and back."""
+    """True when one of a pair's organs is caught: it presses on none until it is out."""
     return pairs.caught[pairs.organ[pair, 0]] == 1 or pairs.caught[pairs.organ[pair, 1]] == 1
 
 

@@ -43,7 +43,7 @@ class Together(NamedTuple):
     carried: Carried
     links: Links
     pairs: Pairs
-    awake: Longs  # (k,) 1 for organs that this tick advances
+    awake: Longs  # (k,) 1 for organs that this tick advances; until it is planned, for those that it may
 
 
 class Joined:
@@ -178,10 +178,13 @@ def tick_together(worlds: Any, joined: Any) -> None:
     if carried.breath.period > 0.0 or carried.breath.follows:
         breathe(worlds, carried, step)
     for organ in range(len(worlds)):
-        worlds[organ].scratch.plan.handled = worlds[organ].state.status.loaded > 0
+        status = worlds[organ].state.status
+        worlds[organ].scratch.plan.handled = status.loaded > 0
+        # What is led back from a false rest shape is let go of by links and other organs, which hold it there.
+        awake[organ] = 0 if status.snapped else 1
     if linked:
         wake_linked(worlds, carried, links, awake, step)
-    wake_touched(worlds, pairs)
+    wake_touched(worlds, pairs, awake)
     touching = pairs.found[0] > 0
     substeps = plan_together(worlds, awake, linked or touching)
     for substep in range(substeps):
