@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-least regress bags lint format organ colcon pins audit clean FORCE
+.PHONY: help demo test test-all test-slow test-least regress bags lint style format organ colcon pins audit clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -25,12 +25,20 @@ demo: .venv/.installed-demo ## node, scripted haptic bridge and viewer (http://1
 	@set -- .venv/bin/tissue_sim demo $(if $(SECONDS),--seconds '$(SECONDS)'); \
 	if [ -t 0 ]; then set -m; "$$@"; else exec "$$@"; fi
 
-# Kernels are compiled before several processes would all do it. Three at once, as those with real processes mostly wait;
-# loadfile: a file's nodes and organs are made once, in the order of test/conftest.py. What shares cores has no threads of
-# its own, that would only wait. 5: none was selected.
-test: lint ## checks and tests; PYTEST="-k node" for some of them
+# Three at once, as those with real processes mostly wait; loadfile: a file's nodes and organs are made once, in the order of
+# test/conftest.py. What shares cores has no threads of its own, that would only wait. 5: none was selected.
+PYTEST_ON = OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+# mypy goes on beside the tests, which wait much; what it says comes last. Kernels are compiled before several processes
+# would all do it.
+test: style ## checks and tests in five minutes; PYTEST="-k node" for some of them
+	@$(PY) -m mypy > .mypy.log & mypy=$$!; $(PY) .ci/compile; \
+	$(PYTEST_ON) $(PYTEST); tests=$$?; wait $$mypy; types=$$?; cat .mypy.log; rm -f .mypy.log; \
+	[ $$types = 0 ] && { [ $$tests = 0 ] || [ $$tests = 5 ]; }
+
+test-all: lint ## the same and the extended tests: hostile input, clusters, other processors, packaging, the browser
 	@$(PY) .ci/compile
-	@OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(PYTEST) || [ $$? = 5 ]
+	@$(PYTEST_ON) -m "not slow" $(PYTEST) || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)
@@ -45,10 +53,12 @@ regress: .venv/.installed-demo ## replays the scenes in bags/ and compares
 bags: .venv/.installed ## records the scenes in bags/ anew; SCENES="poke nip" for some of them
 	@$(PY) -m tissue_sim.ros.bags.suite $(SCENES)
 
-lint: .venv/.installed ## ruff and mypy
+lint: style ## ruff and mypy
+	@$(PY) -m mypy
+
+style: .venv/.installed
 	@$(PY) -m ruff check --output-format concise
 	@$(PY) -m ruff format --check --output-format concise || { echo 'run "make format"'; exit 1; }
-	@$(PY) -m mypy
 
 format: .venv/.installed ## ruff's formatting and safe fixes
 	@$(PY) -m ruff check --fix --output-format concise
