@@ -36,6 +36,7 @@ def run(script, folder):
     )
 
 
+@pytest.mark.extended
 def test_the_shell_blocks_run_as_printed(folder):
     """One records over DDS and keeps the bag, the next replays it."""
     recording, replaying = blocks("bash")
@@ -49,6 +50,7 @@ def test_the_shell_blocks_run_as_printed(folder):
     assert (folder / "pictures" / "poke.png").is_file()
 
 
+@pytest.mark.extended
 def test_the_workflow_replays(folder):
     """What GitHub runs, but for the installation."""
     yaml = pytest.importorskip("yaml")

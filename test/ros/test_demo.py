@@ -35,6 +35,7 @@ def children_of(process: Process) -> list[int]:
     return [int(pid) for pid in listed.stdout.split()]
 
 
+@pytest.mark.extended
 def test_it_runs_its_seconds_and_names_its_bag(tmp_path):
     process = start_demo(tmp_path, "--seconds", "1.5", "--port", str(free_port()))
     assert process.wait() == 0, process.text()
@@ -57,6 +58,7 @@ def test_ctrl_c_ends_it_with_0_and_leaves_no_child(tmp_path):
             os.kill(pid, 0)
 
 
+@pytest.mark.extended
 def test_a_node_that_dies_is_named_with_its_last_line(tmp_path):
     process = start_demo(tmp_path, "--no-viewer", node="--dies-after 1.0")
     assert process.wait() == 1

@@ -132,31 +132,36 @@ def test_a_scene_has_the_topics_of_its_organs():
     assert "/tissue_sim/respiration" in found["/tissue_sim"]["subscribe"]
 
 
-def test_the_nodes_that_ship_do_what_the_policy_allows_and_nothing_else(tmp_path, graph):
-    with running_node(tmp_path, "rate:=100.0"):
-        # tf isn't among the wheels, and nobody has asked for the simulation's clock.
-        here = {"/tf", "/tf_static"}
-        check(graph, SHIPPED, "/tissue_sim", ["/tissue_sim"], publish=here, subscribe=here | {"/clock"})
-
-        bridge = Process(["-m", "tissue_sim", "bridge", "--rate", "100"], tmp_path / "bridge.log")
-        nodes = ("/haptic_bridge", "/haptic_bridge_parameters")
-        forces = {"/left/measured_cf", "/right/measured_cf"}  # of a device that measures them
-        check(graph, SHIPPED, "/tissue_sim/bridge", nodes, publish=forces)
-        assert bridge.stop() == 0, bridge.text()
+@pytest.fixture(scope="module")
+def node(tmp_path_factory):
+    """The node that ships, with its default tools and names."""
+    with running_node(tmp_path_factory.mktemp("node"), "rate:=100.0") as process:
+        yield process
 
 
-def test_a_viewer_does_what_the_policy_allows_and_nothing_else(tmp_path, graph, open_page):
+def test_the_nodes_that_ship_do_what_the_policy_allows_and_nothing_else(node, tmp_path, graph):
+    # tf isn't among the wheels, and nobody has asked for the simulation's clock.
+    here = {"/tf", "/tf_static"}
+    check(graph, SHIPPED, "/tissue_sim", ["/tissue_sim"], publish=here, subscribe=here | {"/clock"})
+
+    bridge = Process(["-m", "tissue_sim", "bridge", "--rate", "100"], tmp_path / "bridge.log")
+    nodes = ("/haptic_bridge", "/haptic_bridge_parameters")
+    forces = {"/left/measured_cf", "/right/measured_cf"}  # of a device that measures them
+    check(graph, SHIPPED, "/tissue_sim/bridge", nodes, publish=forces)
+    assert bridge.stop() == 0, bridge.text()
+
+
+def test_a_viewer_does_what_the_policy_allows_and_nothing_else(node, graph, open_page):
     pytest.importorskip("viser")
     nodes = ("/viewer", "/viewer_parameters", "/viewer_services")
-    with running_node(tmp_path, "rate:=100.0"):
-        page = open_page("left", "right")
-        poses = {"/left/measured_cp", "/right/measured_cp"}
-        check(graph, SHIPPED, "/tissue_sim/viewer", nodes, publish=poses)
-        assert page.wait(lambda: not page.poke._box.disabled)
-        page.tick(True)
-        assert page.wait(lambda: page.poke._tool.held)
-        check(graph, SHIPPED, "/tissue_sim/viewer", nodes, publish=poses - {"/left/measured_cp"})
-        page.tick(False)
+    page = open_page("left", "right")
+    poses = {"/left/measured_cp", "/right/measured_cp"}
+    check(graph, SHIPPED, "/tissue_sim/viewer", nodes, publish=poses)
+    assert page.wait(lambda: not page.poke._box.disabled)
+    page.tick(True)
+    assert page.wait(lambda: page.poke._tool.held)
+    check(graph, SHIPPED, "/tissue_sim/viewer", nodes, publish=poses - {"/left/measured_cp"})
+    page.tick(False)
 
 
 def test_the_command_prints_that_of_a_node_with_other_tools_and_names(tmp_path, graph):

@@ -34,7 +34,11 @@ def test_profiles_hold_known_parameters(name):
     assert all(tool.keys() <= {spec.name for spec in TOOL_SPECS} for tool in tools)
 
 
-@pytest.fixture(scope="module", params=PROFILES)
+# One shows that a profile, the node and a bridge go together; what differs in the others, test_tool_types shows.
+SERVED = [name if name == "dvrk" else pytest.param(name, marks=pytest.mark.extended) for name in PROFILES]
+
+
+@pytest.fixture(scope="module", params=SERVED)
 def served(request, tmp_path_factory):
     """A profile, and a node with it."""
     with running_node(tmp_path_factory.mktemp(request.param), UNHURRIED, profile=PROFILES[request.param]) as node:
@@ -93,6 +97,7 @@ def test_a_bridge_feels_the_kidney(served, tmp_path):
         stand_in.close()
 
 
+@pytest.mark.extended
 def test_its_tool_can_be_poked_with_in_the_viewer(served, open_page):
     name, node = served
     said = len(node.text())

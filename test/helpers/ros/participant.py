@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from helpers.patience import LIMIT
 from tissue_sim.ros.shared.client import newest_status
 
-ASK_AGAIN = 4.0  # s
+ASK_AGAIN, ASK_AGAIN_FIRST = 4.0, 0.25  # s
 
 
 class Participant:
@@ -59,17 +59,19 @@ class Participant:
         return self.diagnostics
 
     def call(self, kind: type, name: str, request: object) -> object:
-        if name not in self._clients:
+        is_first = name not in self._clients
+        if is_first:
             self._clients[name] = self.node.create_client(kind, name)
             assert self._clients[name].wait_for_service(LIMIT), f"no service {name}"
         # A server drops the answer to a client that it has not wholly found yet, which the client can't know: the
-        # first request may have to be sent again.
-        asked = []
+        # first request may have to be sent again, and soon.
+        asked, patience = [], ASK_AGAIN_FIRST if is_first else ASK_AGAIN
         end = time.monotonic() + LIMIT
         while time.monotonic() < end:
             asked.append(self._clients[name].call_async(request))
-            if self.spin_until(lambda: any(future.done() for future in asked), ASK_AGAIN):
+            if self.spin_until(lambda: any(future.done() for future in asked), patience):
                 return next(future.result() for future in asked if future.done())
+            patience = min(2.0 * patience, ASK_AGAIN)
         raise AssertionError(f"no answer from {name}")
 
     def set_parameter(self, name: str, value: object) -> SetParametersResult:

@@ -26,6 +26,7 @@ print(one.frequency.hex(), hashlib.sha256(b"".join(parts)).hexdigest())
 """
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 def test_a_model_is_the_same_by_any_linear_algebra():
     told = {
@@ -41,6 +42,7 @@ def test_a_model_is_the_same_by_any_linear_algebra():
     assert len(told) == 1
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="another architecture was not measured")
 @pytest.mark.parametrize("kernels", KERNELS_OF_BLAS)
 def test_another_processors_linear_algebra_repeats_to_the_last_bit(kernels):

@@ -56,6 +56,8 @@ def kill_and_replay(folder: Path, start, capsys, moment: float, phase: float) ->
     time.sleep(moment)
     queued = time.time_ns()
     wait_for(lambda: time.sleep(0.1) or newest_on_disk(bag) > queued, "nothing more reaches the disk")
+    assert main(["replay", str(bag)]) == 2
+    assert "is still being recorded" in capsys.readouterr().err
     time.sleep(phase)
     node.child.kill()
     node.child.wait()
@@ -73,7 +75,9 @@ def kill_and_replay(folder: Path, start, capsys, moment: float, phase: float) ->
     assert "broken off" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("seed", "moment", "phase"), MOMENTS[:2])
+@pytest.mark.parametrize(
+    ("seed", "moment", "phase"), [MOMENTS[1], pytest.param(*MOMENTS[0], marks=pytest.mark.extended)]
+)
 def test_what_was_recorded_before_a_kill_replays(tmp_path, start, capsys, seed, moment, phase):
     kill_and_replay(tmp_path, start, capsys, moment, phase)
 
@@ -84,6 +88,7 @@ def test_what_was_recorded_before_a_kill_replays_always(tmp_path, start, capsys,
     kill_and_replay(tmp_path, start, capsys, moment, phase)
 
 
+@pytest.mark.extended
 def test_a_full_disk_ends_the_bag_and_nothing_else(tmp_path, capsys):
     """The node is allowed no larger file than some MB, which looks the same to it."""
     with running_node(tmp_path, UNHURRIED, f"record_folder:={tmp_path / 'bags'}") as node:
@@ -117,6 +122,7 @@ def test_a_full_disk_ends_the_bag_and_nothing_else(tmp_path, capsys):
     opens_elsewhere(Path(started.message))
 
 
+@pytest.mark.extended
 def test_a_bag_that_is_still_recorded_is_left_alone(tmp_path, start, capsys):
     node = start(tmp_path, "record:=true", f"record_folder:={tmp_path / 'bags'}")
     (bag,) = (tmp_path / "bags").iterdir()
@@ -127,6 +133,7 @@ def test_a_bag_that_is_still_recorded_is_left_alone(tmp_path, start, capsys):
     assert (bag / "metadata.yaml").exists()
 
 
+@pytest.mark.extended
 def test_a_bag_in_several_files_is_one(tmp_path, capsys):
     words = (UNHURRIED, f"record_folder:={tmp_path / 'bags'}", "record_split_duration:=1.0")
     with running_node(tmp_path, *words) as node:

@@ -270,6 +270,7 @@ spool.close(30.0)
 """
 
 
+@pytest.mark.extended
 def test_what_waited_for_a_stalled_disk_leaves_no_memory(tmp_path):
     """100,000 small messages, 12 MB, wait at once."""
     told = subprocess.run(

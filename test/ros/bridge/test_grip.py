@@ -215,6 +215,7 @@ class Run(NamedTuple):
     forces: list[float]  # N, that the hand feels
 
 
+@pytest.mark.extended
 def test_the_bridge_lifts_the_kidney_and_lets_go(tmp_path):
     """It grips again and again; a busy machine may not see every time how the fold between the jaws follows them."""
     node = start_node(tmp_path, UNHURRIED, profile=PARAMETERS)

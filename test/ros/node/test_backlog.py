@@ -128,6 +128,7 @@ def waits(guarded):
         context.try_shutdown()
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(EventsExecutor is None, reason="an old rclpy waits for messages, and keeps no events")
 def test_streams_that_come_faster_than_they_are_handled_leave_room_for_others():
     assert waits(guarded=True) < 0.3 * waits(guarded=False)

@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.node.contact_kernels import compile_beside
 
@@ -23,6 +25,7 @@ print("compiled", len(recorder.buffer))
 """
 
 
+@pytest.mark.extended
 def test_a_node_with_other_tools_finds_its_contact_kernels_on_disk(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     beside = compile_beside(shipped_organ())

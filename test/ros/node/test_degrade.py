@@ -208,6 +208,7 @@ def client(node):
     client.close()
 
 
+@pytest.mark.extended
 def test_node_with_an_impossible_load_degrades_in_order(client, node):
     """4000 implicit ticks a second are too many; fewer of them are as long."""
     touch, inward = poke_path(shipped(), radius=0.0)

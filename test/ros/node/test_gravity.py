@@ -42,6 +42,7 @@ def repeats(client, capsys):
     return recorded
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("before", [0.0, 1.0])
 def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, repeats, before):
     """Whether the parameter changes before or after the state is taken that the bag begins with."""
@@ -53,7 +54,8 @@ def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, 
         assert client.spin_until(lambda: client.moved() < 1e-6)
 
 
-def test_a_bag_that_begins_with_a_reset_replays(client, repeats):
+def test_it_sags_without_gravity_and_a_bag_that_begins_with_a_reset_replays(client, repeats):
+    assert client.moved() < 1e-6, "it hangs in its own shape"
     assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful
     assert client.spin_until(lambda: client.moved() > 5e-3)
     with repeats():

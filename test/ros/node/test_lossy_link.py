@@ -2,12 +2,15 @@
 
 import signal
 
+import pytest
+
 from helpers.ros.processes import PUBLISHER, READY, WATCHER, shipped
 from helpers.ros.two_machines import two_machines
 
 LOSS, DELAY, WANTED = 0.05, 0.05, 100  # share, s, surfaces that differ
 
 
+@pytest.mark.extended
 def test_a_viewer_behind_a_lossy_link_sees_the_organ_move(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     with two_machines(tmp_path, LOSS, DELAY) as (here, there, start):

@@ -10,7 +10,16 @@ from rosbags.rosbag2 import Reader
 from visualization_msgs.msg import Marker
 
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, Process, poke_path, running_node, shipped, start_node, start_publisher
+from helpers.ros.processes import (
+    UNHURRIED,
+    Process,
+    poke_path,
+    press_until_felt,
+    running_node,
+    shipped,
+    start_node,
+    start_publisher,
+)
 from tissue_sim.cli import main
 
 
@@ -77,8 +86,18 @@ def test_markers_are_what_rviz_can_bear(client):
     assert all(marker.points for marker in markers.values()), "an empty list crashes RViz"
 
 
-def test_force_fades_when_poses_stop(client, tmp_path):
+def test_force_fades_when_poses_stop(client):
     """A stale pose ramps the wrench to zero and leaves no force standing; after how many ticks, test/contact shows."""
+    position = press_until_felt(client, client.ask, deepest=0.003)
+    assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.03)
+    assert client.set_parameter("stale_time", 0.05).successful
+    assert client.spin_until(lambda: client.hand_force() == 0.0), client.diagnostics
+    client.spin(0.2)
+    assert np.abs(client.wrenches[-1][1]).max() == 0.0
+
+
+@pytest.mark.extended
+def test_force_fades_when_who_sends_poses_is_killed(client, tmp_path):
     publisher = start_publisher(tmp_path, depth=0.003)
     assert client.spin_until(lambda: publisher.says("pressed") and client.hand_force() > 0.03), publisher.text()
     publisher.child.kill()
@@ -177,16 +196,15 @@ def test_parameters_change_live_or_say_why_not(client):
     assert client.set_parameter("marker_rate", 30.0).successful
 
 
-def test_recording_on_demand_replays_bit_for_bit(client, tmp_path, capsys):
+def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     started = client.record(True)
     assert started.success, started.message
     assert not client.record(True).success, "one bag at a time"
     client.set_parameter("stiffness_scale", 2.0)
-    publisher = start_publisher(tmp_path, depth=0.004)
-    assert client.spin_until(lambda: publisher.says("pressed") and client.hand_force() > 0.05), publisher.text()
-    publisher.child.terminate()
-    assert client.spin_until(lambda: publisher.child.poll() is not None)
-    assert publisher.stop() == 0, publisher.text()
+    position = press_until_felt(client, client.ask, deepest=0.004)
+    for _ in range(300):
+        client.ask(position)
+    assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.05)
     client.reset()
     assert client.spin_until(lambda: client.moved() < 1e-6)
     client.set_parameter("stiffness_scale", 1.0)
@@ -233,6 +251,8 @@ REFUSED_STARTS = {
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",
     "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a quaternion of zero",
+    "scene_file:=none.yaml": "none.yaml can't be read",
+    "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both given",
 }
 
 
@@ -245,7 +265,8 @@ from tissue_sim.ros.node.serve import serve
 ending = Ending()
 for parameter in sys.argv[1:]:
     print("start", parameter, flush=True)
-    code = serve(["tissue_node", "--ros-args", "-p", parameter], ending)
+    words = [word for one in parameter.split(" -p ") for word in ("-p", one)]
+    code = serve(["tissue_node", "--ros-args", *words], ending)
     print("code", code, flush=True)
 """
 

@@ -56,6 +56,7 @@ def test_only_the_loop_goes_first():
     assert loop.priority == 0
 
 
+@pytest.mark.extended
 def test_the_node_tells_its_priority_or_why_it_has_none(tmp_path):
     with running_node(tmp_path, "realtime_priority:=7") as node:
         client = Client(markers=False)

@@ -112,6 +112,7 @@ def test_a_long_jump_forward_is_dropped_and_counted(client, simulator):
     assert any("dropped_ticks" in message for message in client.told)
 
 
+@pytest.mark.extended
 def test_use_sim_time_can_be_left_and_taken_live(client, simulator):
     assert client.set_parameter("use_sim_time", False).successful
     before = int(client.report()["tick"])

@@ -63,6 +63,7 @@ def test_both_profiles_differ_in_the_interfaces_alone():
     assert plain == local
 
 
+@pytest.mark.extended
 def test_a_node_is_heard_on_its_machine_alone_until_the_switch_is_set(tmp_path, monkeypatch):
     for name in (REACH, *PROFILE_VARIABLES):
         monkeypatch.delenv(name, raising=False)

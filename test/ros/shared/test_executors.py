@@ -9,6 +9,7 @@ from helpers.ros.processes import OLD_RCLPY, UNHURRIED, press_until_felt, runnin
 from tissue_sim.ros.shared import executors
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("old", [True, False])
 def test_the_organ_is_felt_with_an_old_rclpy_too_and_the_log_says_so(tmp_path, old):
     path = os.pathsep.join(filter(None, [OLD_RCLPY if old else "", os.environ.get("PYTHONPATH", "")]))

@@ -2,24 +2,28 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
 import yaml
 
 from helpers.paths import CONFIG
-from helpers.patience import LIMIT, wait_for
+from helpers.patience import wait_for
 from helpers.ros.clients import Client
 from helpers.ros.processes import Process, running_node
+from tissue_sim.cli import main
+from tissue_sim.ros.viewer import layout
 from tissue_sim.ros.viewer.layout import LAYOUTS, fitted
 
 
-def printed(kind, node):
-    words = [sys.executable, "-m", "tissue_sim", "view", "--layout", kind, "--node", node]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT)
-    assert done.returncode == 0, done.stderr
-    return done
+@pytest.fixture
+def printed(capsys):
+    """What is printed of a layout for a node."""
+
+    def one(kind, node):
+        assert main(["view", "--layout", kind, "--node", node]) == 0
+        return capsys.readouterr()
+
+    return one
 
 
 def topics_in(kind, text):
@@ -60,12 +64,12 @@ def ward(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
-def test_it_names_what_a_node_in_a_namespace_has(kind, ward, graph):
-    text = printed(kind, "/ward/tissue_sim").stdout
+def test_it_names_what_a_node_in_a_namespace_has(kind, ward, client, printed):
+    text = printed(kind, "/ward/tissue_sim").out
     wanted = topics_in(kind, text)
     assert "/ward/tissue_sim/surface" in wanted
     assert ("/desk/servo_cf" in wanted) == (kind == "foxglove")
-    wait_for(lambda: wanted <= {name for name, _ in graph.get_topic_names_and_types()})
+    wait_for(lambda: wanted <= {name for name, _ in client.node.get_topic_names_and_types()})
     frame = re.search(r'(?:Fixed Frame: |"followTf": ")(\w+)', text)[1]
     assert frame == "liver"
     assert "left" not in text
@@ -73,11 +77,12 @@ def test_it_names_what_a_node_in_a_namespace_has(kind, ward, graph):
         assert re.search(r"^ +probe: true$", text, re.MULTILINE)
 
 
-def test_without_an_answer_it_says_what_it_takes_for_granted():
-    done = printed("foxglove", "ward/nobody")
-    assert done.stderr == "/ward/nobody doesn't answer: frame organ and tools left, right are taken for its own\n"
-    assert "/ward/left/servo_cf" in topics_in("foxglove", done.stdout)
-    assert "/ward/nobody/surface" in topics_in("foxglove", done.stdout)
+def test_without_an_answer_it_says_what_it_takes_for_granted(monkeypatch, printed):
+    monkeypatch.setattr(layout, "WAIT", 0.3)
+    said = printed("foxglove", "ward/nobody")
+    assert said.err == "/ward/nobody doesn't answer: frame organ and tools left, right are taken for its own\n"
+    assert "/ward/left/servo_cf" in topics_in("foxglove", said.out)
+    assert "/ward/nobody/surface" in topics_in("foxglove", said.out)
 
 
 def test_programs_beside_the_node_are_in_its_namespace_under_names_of_their_own(ward, tmp_path):
