@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.extended
+
 ROOT = Path(__file__).resolve().parents[1]
 PINS = runpy.run_path(str(ROOT / ".ci/pins"))
 AUDIT = runpy.run_path(str(ROOT / ".ci/audit"))

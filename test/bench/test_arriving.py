@@ -28,6 +28,7 @@ def test_what_is_out_of_range_is_refused(option, value, capsys):
     assert f"{option} {value} is outside" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 def test_short_run_of_a_larger_organ(tmp_path):
     file = tmp_path / "large.json"
@@ -35,6 +36,7 @@ def test_short_run_of_a_larger_organ(tmp_path):
     assert set(json.loads(file.read_text())["arriving"]) == {"markers", "surface"}
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 def test_short_run_behind_a_link(tmp_path):
     with link_or_skip():

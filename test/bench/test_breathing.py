@@ -1,9 +1,12 @@
 """An organ whose clamp breathes, against finite elements."""
 
+import pytest
+
 from helpers.scenes import ball_of_cells
 from tissue_sim.bench.breathing import WAY, as_json, measure, text
 
 
+@pytest.mark.extended
 def test_a_slow_breath_carries_an_organ_as_finite_elements_go():
     organ = ball_of_cells(2, 120)
     found = measure(organ, (40.0, 120.0), {"along z": (0.0, 0.0, 1.0)})

@@ -1,6 +1,7 @@
 """The precomputed compliance against what the model settles to."""
 
 import numpy as np
+import pytest
 
 from helpers.scenes import ball
 from tissue_sim.bench.compliance import Product, surface_compliance
@@ -16,6 +17,7 @@ def settled(organ, nodes, forces):
     return displacement
 
 
+@pytest.mark.extended
 def test_product_is_what_a_tiny_load_settles_to():
     organ = ball(2)
     nodes, forces = patch_load(organ, 1e-4)

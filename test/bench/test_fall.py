@@ -19,6 +19,7 @@ def met(found):
     return [bound["met"] for bound in as_json(found)["bounds"]]
 
 
+@pytest.mark.extended
 def test_cells_come_to_the_shape_of_the_raised_load(ball_with_cells):
     _, found = ball_with_cells
     assert met(found) == [True, True, True]
@@ -28,6 +29,7 @@ def test_cells_come_to_the_shape_of_the_raised_load(ball_with_cells):
         assert 1e-3 < gentle.deepest < hard.deepest
 
 
+@pytest.mark.extended
 def test_a_dent_that_stays_is_seen():
     """Springs that a fall has turned over hold the organ in another shape than the raised load does."""
     (one, *_) = [one for one in measure(ball(3), 6, (1.0,)) if one.turned]
@@ -42,6 +44,7 @@ def test_text_has_a_row_for_each_traction(ball_with_cells):
     assert [line.split()[0] for line in lines[3:5]] == ["0.2", "0.4"]
 
 
+@pytest.mark.extended
 def test_command_writes_json(capsys, tmp_path):
     path = tmp_path / "ball.npz"
     ball_of_cells().save(path)

@@ -36,6 +36,7 @@ def test_carried_modes_are_orthonormal_and_held(carried):
     assert not np.any(modes.shape[fine.fixed])
 
 
+@pytest.mark.extended
 def test_simulation_takes_the_modes_and_keeps_nothing(carried, monkeypatch, tmp_path):
     fine, _, modes = carried
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

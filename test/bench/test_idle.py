@@ -21,6 +21,7 @@ def test_least_of_the_turns_is_held_against_the_bound():
     assert "40 x" in next(line for line in lines if line.startswith(BARE))
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 def test_short_run_with_real_processes(tmp_path):
     file = tmp_path / "idle.json"

@@ -124,6 +124,7 @@ def test_bounds_beside_busy_programs():
     assert busy_bounds(0, rate=500.0, late=900.0)["ticks lacking, busy"] is None  # that of the priority: not measured
 
 
+@pytest.mark.extended
 def test_short_run_beside_busy_programs(tmp_path, monkeypatch):
     monkeypatch.setattr(latency_busy, "LONGEST_BACK", 2.0)  # s; beside other tests it may take long to come back
     file = tmp_path / "busy.json"

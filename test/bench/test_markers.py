@@ -50,6 +50,7 @@ def test_turn_is_what_a_subscriber_adds(monkeypatch):
     assert found[SENDING]["percent"] == 0.0
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 def test_short_run_with_real_processes(tmp_path, monkeypatch):
     monkeypatch.setattr(markers, "TURN", 0.5)

@@ -50,6 +50,7 @@ def test_wrong_use_is_refused(capsys):
     assert "none.yaml" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("place", [[], ["--delay", "0.01"]], ids=["here", "far"])
 def test_short_run_with_real_processes(tmp_path, monkeypatch, place):

@@ -31,6 +31,7 @@ def organs():
     return with_cells(assemble_like(plain, interior_atoms=plain.n_interior)), with_cells(made)
 
 
+@pytest.mark.extended
 def test_the_finger_feels_the_hard_ball(organs):
     plain, organ = organs
     inclusion = hard([0.0, 0.0, plain.surface_positions[:, 2].max() - 0.012])
@@ -42,6 +43,7 @@ def test_the_finger_feels_the_hard_ball(organs):
     assert (stiff > 1.1 * soft).all()
 
 
+@pytest.mark.extended
 def test_the_map_is_stiffest_over_it_and_starts_anew_at_every_place(organs, monkeypatch):
     _, organ = organs
     monkeypatch.setattr(palpation, "AROUND", 0.013)

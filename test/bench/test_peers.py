@@ -154,6 +154,7 @@ def test_missing_package_is_named(monkeypatch, name):
         make[name]()
 
 
+@pytest.mark.extended
 def test_our_models_settle_as_the_simulation_does():
     engine = Ours(ORGAN)
     answer = engine.settle(load())
@@ -164,6 +165,7 @@ def test_our_models_settle_as_the_simulation_does():
     assert np.median(engine.burst(load())(20)) > 0.0
 
 
+@pytest.mark.extended
 def test_local_region_is_kept_whatever_the_load():
     frozen = Ours(ORGAN, local_region="frozen")
     whole, local = (engine.settle(load(0.5)).displacement for engine in (Ours(ORGAN), frozen))

@@ -21,6 +21,7 @@ def is_met(cases):
     return [bound["met"] for bound in as_json(cases, [])["bounds"]]
 
 
+@pytest.mark.extended
 def test_auto_keeps_its_bounds_by_handing_over_and_what_is_frozen_is_far_off(cases):
     assert all(is_met(cases))
     assert max(case.modal for case in cases) > max(case.auto for case in cases)
@@ -51,6 +52,7 @@ def test_places_are_away_from_what_is_held_and_reach_the_ends():
     assert np.argmax(x[:, 2]) in found or np.argmin(x[:, 2]) in found
 
 
+@pytest.mark.extended
 def test_a_bean_is_timed_and_auto_goes_by_its_cells():
     (size,) = measure_sizes([80], 0.2)
     assert size.points == 80
@@ -63,6 +65,7 @@ def test_error_is_relative():
     assert off(np.array([1.1, 0.0]), np.array([1.0, 0.0])) == pytest.approx(10.0)
 
 
+@pytest.mark.extended
 def test_command_writes_json(capsys, tmp_path):
     path = tmp_path / "ball.npz"
     ball_of_cells().save(path)

@@ -11,6 +11,7 @@ from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.shared.report import STARVED
 
 
+@pytest.mark.extended
 def test_organ_comes_back_and_the_bag_is_whole(tmp_path):
     out = tmp_path / "soak.json"
     priority = 20 if is_allowed(20) else 0

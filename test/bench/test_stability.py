@@ -146,12 +146,14 @@ def test_probe_through_a_part_of_the_organ_comes_back():
     assert record.newtons == 0.0
 
 
+@pytest.mark.extended
 def test_stiff_organ_gains_no_energy_of_an_implicit_step():
     record = run_cell(cell("stiffness", 1e3, "implicit"))
     assert record.problems == ()
     assert record.energy_gain < 1e-3
 
 
+@pytest.mark.extended
 def test_soft_organ_gains_no_energy_of_its_modal_region():
     """It creeps, and so must the region's surroundings."""
     record = run_cell(replace(cell("stiffness", 0.01, region="modal"), organ=str(shipped_organ(AS_BUILT))))
@@ -253,6 +255,7 @@ def bench(*words):
     return main(["bench", "stability", *words])
 
 
+@pytest.mark.extended
 def test_quick_sweep_of_one_axis_writes_map_and_records(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(AXES, "rate", AXES["rate"]._replace(quick=(100.0, 1000.0)))  # 4 kHz takes longest by far
     assert bench("--quick", "--axes", "rate", "--jobs", "2", "--out", str(tmp_path), "--json", "-") == 0
@@ -273,6 +276,7 @@ def one_fault(monkeypatch):
     monkeypatch.setattr(stability, "sweep", lambda *_: [good, bad, forgiven])
 
 
+@pytest.mark.extended
 def test_a_cluster_finds_what_this_machine_does(cluster):
     cells = [cell(), cell(value=2.0)]
     here, there = stability.sweep(cells, 1), stability.sweep(cells, 1, cluster[0])

@@ -53,11 +53,13 @@ def test_text_has_every_part_and_what_stands_beside_it():
     assert "4 x" in lines, "0.8 of 2 s are four times a peer's 0.4"
 
 
+@pytest.mark.extended
 def test_peers_run():
     for code in start.PEERS.values():
         assert start.peer_start(code, os.environ).processor > 0.0
 
 
+@pytest.mark.extended
 def test_parts_of_a_first_start_make_up_all_of_it():
     Simulation(Organ.load(shipped_organ())).step()  # the kernels are on disk now
     one = first_start(shipped_organ(), os.environ)
@@ -74,6 +76,7 @@ def test_organ_that_can_not_be_read_is_told(tmp_path, capsys):
     assert "none.npz" in capsys.readouterr().err
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(400)
 def test_command_runs_with_real_processes(capsys, monkeypatch):
     monkeypatch.setattr(start, "TIMES", 1)

@@ -60,6 +60,7 @@ def found():
     return table1.measure(ball(2), 2e-4, quick=True)[0]
 
 
+@pytest.mark.extended
 def test_every_cell_is_measured(found):
     assert len(found) * len(found["LF(25)"]) == 25
     for row in found.values():
@@ -116,6 +117,7 @@ def test_released_organ_is_back_at_rest(pinched):
     assert "at rest" in release.title
 
 
+@pytest.mark.extended
 def test_pictures_show_the_organ(pinched, tmp_path):
     image = pytest.importorskip("matplotlib.image")
     organ = kidney()

@@ -101,6 +101,7 @@ def test_a_module_of_our_own_that_is_missing_is_no_reason_to_skip():
         rows.make_bursts({"row": broken})
 
 
+@pytest.mark.extended
 def test_every_row_is_measured_with_a_positive_time():
     pytest.importorskip("mujoco")
     makers = rows.makers_of(ball(2))

@@ -185,6 +185,7 @@ def faked(monkeypatch):
     monkeypatch.setattr(tradeoff, "in_one_thread", lambda *_: found())
 
 
+@pytest.mark.extended
 @pytest.mark.usefixtures("faked")
 def test_command_prints_json_and_draws(capsys, tmp_path):
     image = pytest.importorskip("matplotlib.image")
@@ -227,6 +228,7 @@ def test_missing_finite_elements_are_named(monkeypatch, capsys):
     assert "Traceback" not in shown
 
 
+@pytest.mark.extended
 def test_reference_hands_out_loads_for_tuning_apart_from_the_others():
     body, cases, tuning, accuracy = tradeoff.reference(ball(1), 1, 1)
     assert [case.kind == "sharp" for case in cases] == [False, True]

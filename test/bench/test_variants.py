@@ -33,6 +33,7 @@ def organ_of(method, made):
     return replace(FILLED[method], **{name: values for name, values in made.items() if name != "modes_off"})
 
 
+@pytest.mark.extended
 def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
     """Under a load that no fit has seen, small enough for linear elasticity."""
     nodes, forces = patch_load(ORGAN, 1e-3)
@@ -99,6 +100,7 @@ def test_an_organ_gets_the_interior_atoms_that_calibrate_would_give_it():
     assert FILLED["balanced"].n_interior == round(INTERIOR_SHARE["balanced"] * ORGAN.n_surface)
 
 
+@pytest.mark.extended
 def test_finer_organ_learns_from_the_references_body(monkeypatch, tmp_path, fits):
     """Fitted at twice the points it meets a load that no fit has seen better than the organ does at its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -27,6 +27,7 @@ def reference_of(organ, folder, cases):
     return Reference(organ, Checkpoint(folder, {}), cases, lambda _: (cases.force[0], 5), RATE)
 
 
+@pytest.mark.extended
 def test_answers_are_those_of_the_body_and_are_kept(tmp_path):
     organ = ball(1)
     cases = held_out_cases(organ, 2, 0).scaled(np.array([0.1, 0.2]))

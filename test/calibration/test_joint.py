@@ -44,6 +44,7 @@ def test_stiffness_and_masses_come_back():
     np.testing.assert_allclose(mass, AROUND)
 
 
+@pytest.mark.extended
 def test_a_longer_step_is_stable_and_the_lowest_modes_stay():
     before = fastest(TRUTH, AROUND)
     together = Together(ORGAN, MISFIT, START, LOWEST, 0.75 * before)

@@ -29,6 +29,7 @@ def test_it_is_the_organ_as_built_with_cells_and_says_how_good_they_are(organ):
     assert 0.0 < smooth["mean_percent"] < smooth["worst_percent"]
 
 
+@pytest.mark.extended
 def test_it_sags_under_gravity_as_finite_elements_do(organ):
     """A load that no case of the fit is like: it acts on every node, by its mass."""
     for module in ("skfem", "netgen"):

@@ -72,6 +72,7 @@ def test_info_tells_it(folder, capsys):
     assert f"{BREATHS:g} a minute, 0, 0, {1e3 * WAY[2]:g} mm" in told
 
 
+@pytest.mark.extended
 def test_masks_of_a_ct_make_the_same_scene(masks, folder, tmp_path):
     import SimpleITK as sitk
 

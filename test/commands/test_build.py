@@ -95,6 +95,7 @@ def test_a_ct_in_any_format_gives_the_same_organ(ct, tmp_path, capsys):
     assert np.linalg.norm(organ.surface_positions.mean(axis=0) - kidney) < 0.01
 
 
+@pytest.mark.extended
 def test_a_seed_may_be_voxel_indices_or_negative(ct, tmp_path, capsys):
     volume, seed = ct
     moved = Volume(volume.array, volume.spacing, volume.origin - 300.0, volume.direction, "moved")
@@ -150,6 +151,7 @@ def test_a_report_lies_where_it_is_wanted(tmp_path):
     assert report_path(argparse.Namespace(report=None), tmp_path / "o.npz") is None
 
 
+@pytest.mark.extended
 def test_a_mesh_has_a_report_too_beside_the_organ(tmp_path, capsys):
     egg = trimesh.creation.icosphere(subdivisions=2, radius=0.02)
     egg.apply_scale([1.0, 0.8, 1.6])
@@ -282,6 +284,7 @@ def test_every_parameter_of_the_segmentation_reaches_it(ct, tmp_path, capsys, mo
     assert seen == {**dataclasses.asdict(SegmentationParameters()), "organ": None, "accept": False}
 
 
+@pytest.mark.extended
 def test_what_cannot_be_the_organ_passes_only_with_accept(ct, tmp_path, capsys):
     volume, seed = ct
     here = [write(volume, tmp_path / "ct.nrrd"), "--seed", seed_text(seed), "--organ", "liver", *ONE_WINDOW]
@@ -331,6 +334,7 @@ def call(arguments, **streams):
     return subprocess.run([sys.executable, "-c", code, "build", *arguments], text=True, check=True, **streams)
 
 
+@pytest.mark.extended
 def test_a_bar_on_a_terminal(tmp_path):
     here = ["--surface", egg(tmp_path)[0], "--unit", "mm", *FEW, "--out", str(tmp_path / "o.npz")]
     ours, theirs = pty.openpty()

@@ -59,6 +59,7 @@ def test_more_items_than_jobs_are_taken_as_there_is_room(tmp_path):
     assert sorted(results) == [(1, 4), (2, 9), (3, 16)]
 
 
+@pytest.mark.extended
 def test_a_worker_that_is_killed_in_the_middle_costs_nothing_but_time(cluster, tmp_path):
     address, client = cluster
     pid_of = client.run(os.getpid)

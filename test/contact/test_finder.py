@@ -252,6 +252,7 @@ def test_lattice_divides_a_triangle_evenly_without_its_corners(divisions):
     assert len(np.unique(np.round(weights, 9), axis=0)) == len(weights)
 
 
+@pytest.mark.extended
 def test_searches_keep_no_memory():
     """Of a tool near the surface, whose narrow phase is FCL's: python-fcl keeps 32 bytes of every object that goes."""
     organ = ball(2)

@@ -173,6 +173,7 @@ def test_settled_shape_is_that_of_the_symplectic_integrator(organ):
     assert np.linalg.norm(shapes[1] - shapes[0]) <= 1e-4 * np.linalg.norm(shapes[0])
 
 
+@pytest.mark.extended
 def test_cells_stiffer_than_the_matrix_knows_take_short_steps():
     """A load that squeezes cells under a third: the tick is not one long step, and gains nothing when it is gone."""
     simulation = Simulation(ball_of_cells(), integrator="implicit")

@@ -188,6 +188,7 @@ def test_a_slow_organ_has_not_settled_while_it_creeps():
     assert np.linalg.norm(slow - quick) < 2e-3 * np.linalg.norm(quick)
 
 
+@pytest.mark.extended
 def test_an_organ_that_trembles_far_from_rest_for_good_is_led_back():
     """Neither still nor on its way: what is not back long after a sound one would be goes to sleep all the same."""
     simulation = awake(changed(SLACK, damping=0.0))
@@ -206,6 +207,7 @@ def test_an_organ_that_trembles_far_from_rest_for_good_is_led_back():
     settles(simulation)
 
 
+@pytest.mark.extended
 def test_an_undamped_organ_swings_on():
     simulation = awake(changed(SLACK, damping=0.0))
     state, model, settings = simulation.state, simulation.model, simulation.settings

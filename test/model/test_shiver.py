@@ -88,6 +88,7 @@ def test_nodes_that_turn_count_when_they_are_many_and_get_faster(turning, speeds
     assert simulation.state.count.shivers == (halved > 0)
 
 
+@pytest.mark.extended
 def test_what_is_found_again_soon_is_halved_longer_and_after_a_while_as_at_first():
     simulation = Simulation(ORGAN)
     state, found = simulation.state, []

@@ -19,6 +19,7 @@ CAUGHT = ((3, 1), (3, 2), (3, 7))
 HELD = ((2226, 2), (2226, 5), (2226, 47), (9001, 90), (9002, 199), (9003, 217))
 
 
+@pytest.mark.extended
 def test_files_are_used_or_refused(tmp_path, capsys):
     out = tmp_path / "found.json"
     assert main(["bench", "fuzz", "--files", "6", "--seed", "3", "--jobs", "1", "--check", "--json", str(out)]) == 0
@@ -29,6 +30,7 @@ def test_files_are_used_or_refused(tmp_path, capsys):
     assert all("\n" not in case["line"] for case in found["cases"])
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(FILES["bag"].missing, reason="no bag to mutate")
 def test_workers_that_are_ended_leave_nothing_behind():
     """Of a case that replays, with a bar that would share a lock between processes."""
@@ -39,6 +41,7 @@ def test_workers_that_are_ended_leave_nothing_behind():
     assert "Warning" not in done.stderr
 
 
+@pytest.mark.extended
 def test_a_worker_that_dies_between_two_cases_is_begun_anew(tmp_path):
     worker = pool._Worker(tmp_path)
     worker._process.kill()
@@ -71,6 +74,7 @@ def test_a_run_that_was_stopped_goes_on(monkeypatch, capsys):
     assert rest == whole[2:]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "cases",
     [
@@ -84,6 +88,7 @@ def test_organs_are_as_before_after_hostile_ticks(cases):
     assert any(not re.match(r"to 0 mm", one.line) for one in found)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", ["node", "scene_node"])
 def test_node_is_as_before_after_hostile_messages(kind):
     found = list(run_cases([Case(kind, 5, number) for number in range(6)], 1))

@@ -66,6 +66,7 @@ def test_another_table_is_refused_in_one_line(tmp_path, content, told):
         truth_cube.read(file)
 
 
+@pytest.mark.extended
 @needs_data
 def test_cells_that_nobody_fitted_predict_the_inner_beads_already():
     """Nearly incompressible tissue between a surface that is led leaves little to fit."""
@@ -136,6 +137,7 @@ def test_markers_on_sticks_move_with_the_end():
     np.testing.assert_allclose(moved, MARKERS[:3] @ turn.T + shift - MARKERS[:3], atol=1e-12)
 
 
+@pytest.mark.extended
 def test_a_weight_weighs_and_slows_the_model_down():
     made = beam.Beam(prepared(beam.plain(3e5), Settings(interior=100)))
     light, heavy = made.simulation(0.0), made.simulation(0.5, 1.1, 0.05)
@@ -146,6 +148,7 @@ def test_a_weight_weighs_and_slows_the_model_down():
     np.testing.assert_allclose(rate, 4.0 * np.pi * 0.05 * made.lowest(heavy.organ.mass, 1.1))
 
 
+@pytest.mark.extended
 def test_the_end_is_led_along_the_measured_path_and_then_let_go():
     made = beam.Beam(prepared(beam.plain(3e5), Settings(interior=100)))
     run = beam.run_of("gravity_a", swinging(0.005))

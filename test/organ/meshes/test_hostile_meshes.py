@@ -86,6 +86,7 @@ def test_the_same_files_whole_are_read(tmp_path):
         np.testing.assert_allclose(np.ptp(found.positions, axis=0), [0.04, 0.03, 0.02])
 
 
+@pytest.mark.extended
 def test_what_a_library_puts_up_with_is_not_printed(tmp_path):
     """A normal of an STL that is no number: its triangle tells it as well. In a process whose logging nobody took."""
     text = trimesh.Trimesh(POINTS, TRIANGLES, process=False).export(file_type="stl_ascii")

@@ -43,6 +43,7 @@ def page(record):
     return report_page(told, "kidney.npz")
 
 
+@pytest.mark.extended
 def test_the_page_is_complete_in_itself(page):
     parsed = Page(page)
     assert not {"script", "link", "iframe", "object"} & set(parsed.tags)

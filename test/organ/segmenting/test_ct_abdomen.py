@@ -40,6 +40,7 @@ def left_kidney(tmp_path_factory):
     return out, found[0]
 
 
+@pytest.mark.extended
 def test_the_left_kidney_becomes_an_organ(left_kidney):
     organ = Organ.load(left_kidney[0])
     assert (organ.n_surface, len(organ.surface_triangles), organ.n_atoms) == (994, 1984, 48)

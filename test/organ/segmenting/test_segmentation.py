@@ -44,6 +44,7 @@ def test_the_phantoms_kidney(phantom, segmented, capsys):
     assert -45.0 < segmented.wall < -25.0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("noise", [pytest.param(20.0, marks=pytest.mark.slow), 30.0])
 def test_more_noise_still_gives_the_kidney(around, noise, capsys):
     noisy = make_phantom(PhantomParameters(noise=noise))
@@ -53,6 +54,7 @@ def test_more_noise_still_gives_the_kidney(around, noise, capsys):
     assert overlap >= 0.97
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "offset",
     [

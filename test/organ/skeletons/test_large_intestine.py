@@ -44,6 +44,7 @@ def colon():
     return Wall(level.astype(np.float32), h, low, np.eye(3)), points, triangles, midline
 
 
+@pytest.mark.extended
 def test_the_curated_midline_is_found(colon, capsys):
     wall, points, triangles, midline = colon
     skeleton = extract(wall, ATOMS, branches="none")

@@ -96,6 +96,7 @@ def test_twenty_thousand_points(kidney_wall):
     assert_near(balloon, kidney_wall)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("points", [pytest.param(200, marks=pytest.mark.slow), 994])
 def test_hollow_and_long_organs(shape_wall, points):
     """With 200 points the flat triangles alone keep a millimetre or two off the narrow places."""

@@ -45,6 +45,7 @@ def timed(wall, points):
     return balloon, time.process_time() - start
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "name",
     [
