@@ -83,9 +83,11 @@ def prints(path: Path) -> Iterator[int]:
             yield node.lineno
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
-def test_imports_run_one_way(path):
-    assert not violations(path)
+@pytest.mark.parametrize("layer", [*MAY_IMPORT, None], ids=str)
+def test_imports_run_one_way(layer):
+    own = [path for path in SOURCES if layer_of(".".join(path.relative_to(ROOT).with_suffix("").parts)) == layer]
+    assert own, "no such layer"
+    assert not [line for path in own for line in violations(path)]
 
 
 @pytest.mark.parametrize(
@@ -133,11 +135,11 @@ def crossings(path: Path) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", TESTS, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_tests_share_only_named_helpers(path):
-    assert not crossings(path)
-    is_test = path.name.startswith("test_") or path.name == "conftest.py"
-    assert is_test != ((ROOT / "test" / "helpers") in path.parents), "what tests share lies in test/helpers"
+def test_tests_share_only_named_helpers():
+    assert not [line for path in TESTS for line in crossings(path)]
+    are_tests = {path for path in TESTS if path.name.startswith("test_") or path.name == "conftest.py"}
+    in_helpers = {path for path in TESTS if (ROOT / "test" / "helpers") in path.parents}
+    assert are_tests == set(TESTS) - in_helpers, "what tests share lies in test/helpers"
 
 
 @pytest.mark.parametrize(

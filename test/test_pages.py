@@ -1,7 +1,9 @@
 """README and docs against the code: whatever they name is there, and what is there is named."""
 
 import ast
+import functools
 import importlib.util
+import inspect
 import re
 import runpy
 import sys
@@ -32,9 +34,27 @@ _spec = importlib.util.spec_from_file_location("pages_reference", DOCS / "refere
 reference = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(reference)
 
-by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+def by_page(check):
+    """Make one test of a check of a page: it looks at all pages, and names each that fails, with the reason."""
+    signature = inspect.signature(check)
+    fixtures = [parameter for parameter in signature.parameters.values() if parameter.name != "page"]
+
+    @functools.wraps(check)
+    def over_all_pages(**named):
+        wrong = []
+        for page in PAGES:
+            try:
+                check(page=page, **named)
+            except AssertionError as error:
+                wrong.append(f"{page.name}: {error}")
+        assert not wrong, "\n".join(wrong)
+
+    over_all_pages.__signature__ = signature.replace(parameters=fixtures)
+    return over_all_pages
 
 
+@functools.cache
 def snippets(page: Path) -> list[str]:
     """All code on a page: inline, and the lines of its blocks without their comments."""
     text = page.read_text()
@@ -209,14 +229,20 @@ def test_topics_exist(page, topics):
                 assert known & {own, name, name.removeprefix("/ward")} or name in bridges, snippet
 
 
-@by_page
-def test_names_are_those_of_the_code(page):
-    """A lone word in code font is a word of the sources, so that what is renamed is noticed."""
+@functools.cache
+def words_of_the_code() -> set[str]:
     folders = [ROOT / name for name in ("tissue_sim", "launch", "config")]
     files = [path for folder in folders for path in folder.rglob("*.*") if path.suffix in (".py", ".yaml", ".xml")]
     files += [ROOT / name for name in ("setup.py", "package.xml", "Makefile", "constraints.txt", "docs/conf.py")]
     known = set(re.findall(r"\w+", "\n".join(path.read_text() for path in files)))
-    known |= FOREIGN_WORDS | {part for path in files for part in path.relative_to(ROOT).parts}
+    known |= {part for path in files for part in path.relative_to(ROOT).parts}
+    return known
+
+
+@by_page
+def test_names_are_those_of_the_code(page):
+    """A lone word in code font is a word of the sources, so that what is renamed is noticed."""
+    known = words_of_the_code() | FOREIGN_WORDS
     for snippet in snippets(page):
         if re.fullmatch(r"[A-Za-z_]\w+", snippet) and not snippet.isupper():
             assert snippet in known, snippet
@@ -248,6 +274,18 @@ def test_examples_in_python_run(page):
     assert np.any(simulation.positions != organ.rest_positions)  # it was pushed
     if "scene" in names:
         assert names["scene"].wrenches.shape == (1, 6)
+
+
+def test_a_page_that_is_wrong_is_named_with_the_reason(monkeypatch, tmp_path):
+    page = tmp_path / "wrong.md"
+    page.write_text("See [it](nowhere.md) and `no_such_word`.\n")
+    monkeypatch.setattr(sys.modules[__name__], "PAGES", [ROOT / "README.md", page])
+    for check, reason in (
+        (test_links_lead_somewhere, "nowhere.md"),
+        (test_names_are_those_of_the_code, "no_such_word"),
+    ):
+        with pytest.raises(AssertionError, match=rf"(?s)wrong\.md: .*{reason}"):
+            check()
 
 
 # what is there is named on the pages
