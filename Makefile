@@ -12,6 +12,8 @@ AUDITED = $(if $(wildcard .venv/bin/pip-audit),,.venv/.installed)
 
 # .venv is complete in itself: a sourced ROS, another environment's libraries or middleware would only mix with it.
 unexport PYTHONPATH PYTHONHOME CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+# Without bytecode on disk each of the hundreds of processes that tests start would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 ifneq ($(AMENT_PREFIX_PATH)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
 unexport AMENT_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+import pytest
 
 from tissue_sim.handles import handle, row
 
@@ -22,14 +23,15 @@ class Outer(NamedTuple):
     inner: Any
 
 
-HANDLES = """
+START = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import numba
 import numpy as np
 from tuples import Inner, Outer
-from tissue_sim.handles import handle
-
+from tissue_sim.handles import handle, row
+"""
+HANDLES = """
 @numba.njit
 def add(outer):
     for k in range(len(outer.values)):
@@ -48,33 +50,7 @@ for _ in range(100):
 add(made)
 print(*values)
 """
-TUPLES = "\n".join(["from typing import Any, NamedTuple", inspect.getsource(Inner), inspect.getsource(Outer)])
-
-
-def shown(code, folder):
-    """Lines that code prints.
-
-    In a process and a cache of its own: what is compiled for these tuples would be looked for by all others.
-    """
-    (folder / "tuples.py").write_text(TUPLES)
-    environment = os.environ | {"XDG_CACHE_HOME": str(folder)}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    words = [sys.executable, "-c", code, str(folder)]
-    return subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
-
-
-def test_handle_shares_arrays_copies_numbers_and_keeps_both(tmp_path):
-    assert shown(HANDLES, tmp_path) == ["2.0 4.0 6.0", "22.0 24.0 26.0", "23.0 25.0 27.0"]
-
-
 ROWS = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import numba
-import numpy as np
-from tuples import Inner, Outer
-from tissue_sim.handles import handle, row
-
 @numba.njit
 def add(rows):
     total = 0.0
@@ -98,11 +74,33 @@ try:
 except ValueError as error:
     print(error)
 """
+TUPLES = "\n".join(["from typing import Any, NamedTuple", inspect.getsource(Inner), inspect.getsource(Outer)])
 
 
-def test_a_row_is_one_type_however_many_handles_it_has(tmp_path):
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """Lines that HANDLES prints, and those that ROWS prints.
+
+    In a process and a cache of their own: what is compiled for these tuples would be looked for by all others.
+    """
+    folder = tmp_path_factory.mktemp("handles")
+    (folder / "tuples.py").write_text(TUPLES)
+    environment = os.environ | {"XDG_CACHE_HOME": str(folder)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    words = [sys.executable, "-c", f"{START}{HANDLES}print()\n{ROWS}", str(folder)]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    of_handles, _, of_rows = done.stdout.partition("\n\n")
+    return of_handles.splitlines(), of_rows.splitlines()
+
+
+def test_handle_shares_arrays_copies_numbers_and_keeps_both(shown):
+    assert shown[0] == ["2.0 4.0 6.0", "22.0 24.0 26.0", "23.0 25.0 27.0"]
+
+
+def test_a_row_is_one_type_however_many_handles_it_has(shown):
     """Factors 1, 2, ... of tables (1, factor)."""
-    assert shown(ROWS, tmp_path) == ["2.0", "8.0", "70.0", "1", "2 types of handles in a row; wanted: one"]
+    assert shown[1] == ["2.0", "8.0", "70.0", "1", "2 types of handles in a row; wanted: one"]
 
 
 def test_a_row_is_a_tuple_without_the_compiler(monkeypatch):

@@ -1,6 +1,7 @@
 """The package as users get it: metadata in step, executables that answer, pinned versions, licences."""
 
 import ast
+import functools
 import importlib.metadata
 import importlib.util
 import itertools
@@ -155,14 +156,20 @@ def is_ros(name: str) -> bool:
 
 def third_party_imports(*folders: str) -> set[str]:
     """Top-level names of all that the sources import from outside the standard library and the package."""
-    names = set()
-    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                names.update(alias.name.split(".")[0] for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                names.add(node.module.split(".")[0])
+    names = {name for folder in folders for path in (ROOT / folder).rglob("*.py") for name in imports_of(path)}
     return names - set(sys.stdlib_module_names) - {"tissue_sim"}
+
+
+@functools.cache
+def imports_of(path: Path) -> set[str]:
+    """Top-level names of all that a source file imports by their full names."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names
 
 
 # executables
@@ -257,6 +264,7 @@ def prefix(tmp_path_factory):
     return prefix
 
 
+@pytest.mark.extended
 def test_installation_is_an_ament_package(prefix):
     assert (prefix / "share/ament_index/resource_index/packages/tissue_sim").is_file()
     assert (prefix / "share/tissue_sim/package.xml").is_file()
@@ -264,6 +272,7 @@ def test_installation_is_an_ament_package(prefix):
         assert os.access(prefix / "lib/tissue_sim" / executable, os.X_OK)
 
 
+@pytest.mark.extended
 def test_installation_has_configuration_and_launch_files(prefix):
     for folder in ("config", "launch"):
         wanted = {path.relative_to(ROOT) for path in (ROOT / folder).rglob("*.*") if path.suffix != ".pyc"}
@@ -273,6 +282,7 @@ def test_installation_has_configuration_and_launch_files(prefix):
     assert list((prefix / "share/tissue_sim/config/organs").glob("*.npz"))
 
 
+@pytest.mark.extended
 def test_installation_has_every_module(prefix):
     (site,) = prefix.glob("lib/python3*/site-packages")
     wanted = {path.relative_to(ROOT) for path in (ROOT / "tissue_sim").rglob("*.py")}
@@ -293,6 +303,11 @@ def test_launch_file(path):
 
 # dependencies
 
+# All that is installed with an extra; what is always installed is looked at first, the rest where setup.py changed.
+by_extra = pytest.mark.parametrize(
+    "extra", [None, *(pytest.param(extra, marks=pytest.mark.extended) for extra in EXTRAS)], ids=str
+)
+
 
 def requirements(extra: str | None) -> list[Requirement]:
     """What setup.py asks for: always (None) or with an extra."""
@@ -308,13 +323,26 @@ def with_dependencies(wanted: list[Requirement]) -> Iterator[importlib.metadata.
         if (canonicalize_name(name), extra) in seen:
             continue
         seen.add((canonicalize_name(name), extra))
-        distribution = importlib.metadata.distribution(name)
+        distribution = distribution_of(name)
         yield distribution
-        for need in map(Requirement, distribution.requires or []):
+        for need in requirements_of(name):
             if need.marker is None or need.marker.evaluate({**default_environment(), "extra": extra}):
                 queue += [(need.name, inner) for inner in ("", *need.extras)]
 
 
+@functools.cache
+def distribution_of(name: str) -> importlib.metadata.Distribution:
+    """The installed distribution of a name: one for all extras that bring it."""
+    return importlib.metadata.distribution(name)
+
+
+@functools.cache
+def requirements_of(name: str) -> list[Requirement]:
+    """What a distribution requires, with all of its extras."""
+    return [Requirement(line) for line in distribution_of(name).requires or []]
+
+
+@functools.cache
 def installed(extra: str | None) -> list[importlib.metadata.Distribution]:
     """The distributions behind an extra; skips the test where it is not installed from the package index."""
     try:
@@ -323,6 +351,7 @@ def installed(extra: str | None) -> list[importlib.metadata.Distribution]:
         pytest.skip(f"{error.name} is not installed")
 
 
+@functools.cache
 def licence_of(distribution: importlib.metadata.Distribution) -> str:
     """Licence as a distribution states it: expression, classifiers, a short field, package.xml, or a file's heading."""
     metadata = distribution.metadata
@@ -349,7 +378,7 @@ def test_direct_dependencies_are_pinned(extra):
     assert {canonicalize_name(need.name) for need in requirements(extra)} <= set(PINS)
 
 
-@pytest.mark.parametrize("extra", [None, *EXTRAS], ids=str)
+@by_extra
 def test_all_dependencies_are_pinned(extra):
     assert {canonicalize_name(distribution.name) for distribution in installed(extra)} <= set(PINS)
 
@@ -358,7 +387,7 @@ def test_build_tools_are_pinned():
     assert {"pip", "setuptools"} <= set(PINS)
 
 
-@pytest.mark.parametrize("extra", [None, *EXTRAS], ids=str)
+@by_extra
 def test_no_dependency_is_gpl(extra):
     licences = {canonicalize_name(distribution.name): licence_of(distribution) for distribution in installed(extra)}
     # A collection of other packages (a name and dependencies, no files of its own) has nothing to license.

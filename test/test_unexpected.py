@@ -12,13 +12,30 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.unexpected import TRACEBACK, place_of, told
 
 ORGAN = "tissue_sim.organ.organ"
-# A program whose reading of an organ, or whatever is asked for, fails as nobody thinks.
-PROGRAM = """
+# A program whose reading of an organ fails as nobody thinks: at first as a user sees it, then as a developer asks.
+FAILING = """
+import os
 import sys
-from tissue_sim import cli, unexpected
+from tissue_sim import cli
 from tissue_sim.organ.organ import Organ
+from tissue_sim.unexpected import TRACEBACK
 
-Organ.digest = {failing}
+Organ.digest = None
+first = cli.main()
+print("first", first, file=sys.stderr)
+os.environ[TRACEBACK] = "1"
+second = cli.main()
+print("second", second, file=sys.stderr)
+sys.exit(first)
+"""
+# A command that prints a line and loads nothing.
+PRINTING = """
+import sys
+import types
+from tissue_sim import cli
+
+sys.modules["printing"] = types.SimpleNamespace(add_arguments=lambda _: None, run=lambda _: print("an organ") or 0)
+cli.COMMANDS["info"] = ("printing", "print a line")
 sys.exit(cli.main())
 """
 ONE_LINE = (
@@ -32,14 +49,13 @@ def run(code, *words, **environment):
 
 
 def test_command_that_fails_ends_with_one_line_and_1():
-    code = PROGRAM.format(failing="None")
-    done = run(code, "info", "config/organs/kidney.npz", "--json")
+    done = run(FAILING, "info", "config/organs/kidney.npz", "--json")
     assert done.returncode == 1
-    assert re.fullmatch(ONE_LINE, done.stderr)
-    shown = run(code, "info", "config/organs/kidney.npz", "--json", **{TRACEBACK: "1"})
-    assert shown.returncode == 1
-    assert "Traceback (most recent call last)" in shown.stderr
-    assert re.search(ONE_LINE, shown.stderr)
+    user, separator, developer = done.stderr.partition("first 1\n")
+    assert separator
+    assert re.fullmatch(ONE_LINE, user)
+    assert developer.startswith("Traceback (most recent call last)")
+    assert re.search(rf"^{ONE_LINE}second 1\n\Z", developer, re.MULTILINE)
 
 
 def test_thread_and_what_is_uncaught_are_told_in_one_line_each():
@@ -70,9 +86,17 @@ def test_place_is_the_innermost_inside_the_package():
     assert told(KeyboardInterrupt()) == "KeyboardInterrupt"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("-c", PRINTING, "info"),
+        pytest.param(("-m", "tissue_sim", "info", "config/organs/kidney.npz"), marks=pytest.mark.extended),
+    ],
+    ids=["a line", "info"],
+)
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
-def test_full_disk_or_closed_stream_takes_one_line(stream):
-    words = [sys.executable, "-m", "tissue_sim", "info", "config/organs/kidney.npz"]
+def test_full_disk_or_closed_stream_takes_one_line(stream, words):
+    words = [sys.executable, *words]
     number = {"stdout": 1, "stderr": 2}[stream]
     closed = subprocess.run(["sh", "-c", f'exec "$@" {number}>&-', "sh", *words], capture_output=True, text=True)
     assert (closed.returncode, closed.stderr) == (0, "")

@@ -34,6 +34,7 @@ def test_a_scene_that_a_core_cannot_keep_up_with_is_told(monkeypatch, capsys):
     assert lines["an organ that sleeps"].endswith("missed")
 
 
+@pytest.mark.extended
 def test_only_what_is_poked_is_advanced():
     joined = bench.apart(ball(), 2)
     bench.JoinedTicks(joined, poked=1)(50)
@@ -43,6 +44,7 @@ def test_only_what_is_poked_is_advanced():
     assert abs(poked.positions - poked.model.rest).max() > 1e-6
 
 
+@pytest.mark.extended
 def test_a_scene_is_timed_beside_copies_of_an_organ(monkeypatch, tmp_path):
     """Two organs, for which other tests have compiled the tick."""
     monkeypatch.setattr(bench, "ORGANS", 2)

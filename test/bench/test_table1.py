@@ -11,6 +11,8 @@ from tissue_sim.bench.figure6 import JAW, nip_and_release, write_figure
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 
+pytestmark = pytest.mark.extended
+
 # Table 1 of Zhang, Gu et al. 2006, ms an update.
 PAPER = {
     "Surface MS": [0.531, 0.547, 0.546, 0.563, 1.891],

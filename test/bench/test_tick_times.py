@@ -118,6 +118,7 @@ def test_every_row_is_measured_with_a_positive_time():
     assert "contact points touch" in remarks[rows.MODAL_TOOL]
 
 
+@pytest.mark.extended
 def test_pressed_tool_touches_about_as_many_points_as_the_patch():
     _, remark = rows._pressed_tool(kidney())
     assert 12 <= int(remark.split()[0]) <= 30

@@ -112,6 +112,7 @@ def test_mistakes_in_the_child_process_are_told_here():
         in_one_thread(Organ.load, "missing.npz")
 
 
+@pytest.mark.extended
 def test_process_that_measures_ends_with_the_one_that_asked():
     """A benchmark that is killed leaves nothing behind that keeps a core busy."""
     program = "import time; from tissue_sim.bench.timing import in_one_thread; in_one_thread(time.sleep, 300)"

@@ -50,6 +50,7 @@ def test_cells_fit_better_than_groups_and_groups_better_than_none(fits):
     assert error["groups"] < 0.8 * error["none"]
 
 
+@pytest.mark.extended
 def test_fit_keeps_the_mass_and_the_step(fits):
     for method, made in fits.items():
         assert made["modes_off"].max() < 0.5

@@ -103,6 +103,7 @@ def test_same_body_gives_same_answer():
     np.testing.assert_array_equal(first.displacement, second.displacement)
 
 
+@pytest.mark.extended
 def test_mirrored_load_gives_mirrored_answer(body):
     """On the mirrored organ, whose mesh is another: what differs is the error of the meshes."""
     organ = body.organ
@@ -139,6 +140,7 @@ def test_weight_is_carried_by_the_clamp(body):
     assert off < 0.01
 
 
+@pytest.mark.extended
 def test_quarter_points_do_the_work_of_halvings(monkeypatch):
     """Against a mesh much finer at the clamp."""
     organ = ball(1)

@@ -11,6 +11,7 @@ from tissue_sim.calibration.judge import errors
 from tissue_sim.calibration.reference import FINER, LEFT, Refined, finer_body, made_good, refined, samples_of
 
 
+@pytest.mark.extended
 def test_what_is_left_is_a_share_of_the_difference_to_a_finer_mesh():
     organ = ball(1)
     loads = np.zeros((2, organ.n_surface, 3))
@@ -52,6 +53,7 @@ def test_what_few_shapes_differ_by_is_made_good():
     np.testing.assert_allclose(made_good(coarse, coarse[:10], fine[:10]), fine, atol=1e-9)
 
 
+@pytest.mark.extended
 def test_other_loads_of_a_ball_are_made_good_by_samples():
     organ = ball(2)
     pushes, others = fit_cases(organ, 90, 0), held_out_cases(organ, 6, 2).force

@@ -67,6 +67,7 @@ def refused(capsys, *arguments):
     return captured.err
 
 
+@pytest.mark.extended
 def test_a_ct_in_any_format_gives_the_same_organ(ct, tmp_path, capsys):
     volume, seed = ct
     write_dicom(tmp_path / "series", volume)

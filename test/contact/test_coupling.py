@@ -107,6 +107,7 @@ def bounce(stiffness, damping=0.2, seconds=1.5):
     return max(speeds[400:800]), max(speeds[-400:])
 
 
+@pytest.mark.extended
 def test_device_within_the_passive_stiffness_comes_to_rest_and_far_beyond_it_does_not():
     bound = passive_stiffness(DEVICE_DAMPING, 1e-3, 2e-3)
     assert bound == pytest.approx(DEVICE_DAMPING / (0.5e-3 + 2e-3))

@@ -415,6 +415,7 @@ def test_stale_tool_lets_the_organ_go_and_a_new_pose_engages_at_once():
     np.testing.assert_array_equal(scene.simulation.state.body_pose[0, :3], pose)
 
 
+@pytest.mark.extended
 def test_tissue_that_closed_around_a_tool_comes_off_it_evenly():
     """As deep as a jaw that was let go and is taken in hand again, without the node's look whether it is outside."""
     organ = kidney()

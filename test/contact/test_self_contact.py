@@ -40,6 +40,7 @@ def test_a_fold_that_closes_does_not_pass_through_itself():
     assert scene.simulation.state.count.faults == 0
 
 
+@pytest.mark.extended
 def test_it_opens_again_and_stays_where_it_was_before():
     organ = fold()
     scene, _ = closed(organ, True)

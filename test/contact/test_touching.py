@@ -127,6 +127,7 @@ def test_friction_takes_along_what_it_presses_on():
     assert sideways[1] > 5.0 * sideways[0]
 
 
+@pytest.mark.extended
 def test_organs_that_part_sleep_again_and_those_far_away_are_never_looked_at():
     scene = pressed(ticks=600)
     upper = scene.simulations[1]

@@ -113,6 +113,7 @@ def test_cells_that_the_weight_squeezes_flat_bear_it_by_their_own_law():
     assert np.abs(model.borne[model.moving] - weight).max() < 1e-7 * np.abs(weight).max()
 
 
+@pytest.mark.extended
 def test_too_soft_a_tissue_is_named():
     organ = ball_of_cells()
     soft = replace(organ, cell_mu=1e-3 * organ.cell_mu, cell_lambda=1e-3 * organ.cell_lambda)

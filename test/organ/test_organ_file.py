@@ -223,12 +223,13 @@ def test_what_is_no_npz_is_refused(path, write):
     refused(path, "organ file")
 
 
-def test_no_single_damaged_byte_gives_a_traceback_or_another_organ(path, tmp_path):
+@pytest.mark.parametrize(("in_directory", "before"), [(80, 40), pytest.param(300, 200, marks=pytest.mark.extended)])
+def test_no_single_damaged_byte_gives_a_traceback_or_another_organ(path, tmp_path, in_directory, before):
     whole, digest = path.read_bytes(), ball().digest()
     random, damaged = np.random.default_rng(0), tmp_path / "damaged.npz"
     # Everywhere in the directory at the end, where lengths, flags and methods stand, and here and there before.
     directory = whole.index(b"PK\x01\x02")
-    places = [*random.integers(directory, len(whole), 300), *random.integers(0, directory, 200)]
+    places = [*random.integers(directory, len(whole), in_directory), *random.integers(0, directory, before)]
     surprises = set()
     for place in places:
         altered = bytearray(whole)

@@ -164,6 +164,7 @@ def test_a_viewer_does_what_the_policy_allows_and_nothing_else(node, graph, open
     page.tick(False)
 
 
+@pytest.mark.extended
 def test_the_command_prints_that_of_a_node_with_other_tools_and_names(tmp_path, graph):
     words = ["tools:=[arm]", "arm.shape:=gripper", "arm.length:=0.03", "arm.measured_cp:=~/pose", "rate:=100.0"]
     words += ["arm.servo_cf:=/MTML/servo_cf", "organ_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]", "base_frame:=table"]

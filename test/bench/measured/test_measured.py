@@ -128,6 +128,7 @@ def test_other_tables_are_refused_in_one_line(tmp_path):
         beam.read(tmp_path / "none.csv")
 
 
+@pytest.mark.extended
 def test_markers_on_sticks_move_with_the_end():
     organ = beam.plain(1e5)
     assert organ.n_surface == 994
@@ -187,6 +188,7 @@ def test_figures_are_what_they_say():
     assert run["motion_off_percent"] == pytest.approx({"elements": 10.0, "model": 20.0}), "from where it is let go"
 
 
+@pytest.mark.extended
 def test_text_and_pictures_show_all(tmp_path):
     cube, fit, bent = made_up()
     found = {"truth_cube": truth_cube.as_json(cube), "beam": beam.as_json(fit, bent)}

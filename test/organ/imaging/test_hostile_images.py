@@ -17,6 +17,7 @@ from tissue_sim.organ.imaging.image import AIR, read_image, read_mask
 from tissue_sim.organ.imaging.voxel_files import MOST_VOXELS, check_room
 
 ELSEWHERE = ["../outside.raw", "/etc/passwd", "a/../../outside.raw", "-", ""]
+EXTENDED = pytest.mark.extended
 SEVERAL = ["LIST", "LIST 2", "%03d.raw 1 5 1"]
 
 
@@ -37,17 +38,26 @@ def altered(path, pattern, line):
     return path
 
 
+FIELDS = [
+    ("ct.nhdr", "data file: "),
+    ("ct.nhdr", "Data  File:"),
+    ("ct.nhdr", "datafile: "),
+    ("ct.mhd", "ElementDataFile = "),
+    ("ct.mhd", "ElementDataFile : "),
+]
+
+
 @pytest.mark.parametrize(
-    ("name", "field"),
+    ("name", "field", "other"),
     [
-        ("ct.nhdr", "data file: "),
-        ("ct.nhdr", "Data  File:"),
-        ("ct.nhdr", "datafile: "),
-        ("ct.mhd", "ElementDataFile = "),
-        ("ct.mhd", "ElementDataFile : "),
+        # Every other file in the usual field of each format, and one in every way to write the field.
+        pytest.param(
+            *field, other, marks=[] if field in (FIELDS[0], FIELDS[3]) or other == "a/../../outside.raw" else EXTENDED
+        )
+        for other in ELSEWHERE + SEVERAL
+        for field in FIELDS
     ],
 )
-@pytest.mark.parametrize("other", ELSEWHERE + SEVERAL)
 def test_voxels_elsewhere_are_not_opened(tmp_path, name, field, other):
     path = written(tmp_path / "ct", name)
     path = altered(path, "(data file|ElementDataFile)", f"{field}{other}")

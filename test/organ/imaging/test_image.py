@@ -200,6 +200,7 @@ def test_voxels_without_a_value_are_read_as_air(tmp_path):
         read_image(path)
 
 
+@pytest.mark.extended
 def test_a_large_ct_takes_little_more_than_its_own_memory(tmp_path):
     size = (96, 320, 320)
     array = np.random.default_rng(2).integers(-1000, 1000, size).astype(np.float32)

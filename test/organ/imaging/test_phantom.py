@@ -32,12 +32,12 @@ def test_intensities_and_noise_are_as_asked(phantom):
 
 
 def test_neighbours_touch_and_a_gap_parts_them():
-    quiet = PhantomParameters(noise=0.0, blur=0.01)
-    phantom = make_phantom(quiet)
+    coarse = (2.0, 2.0, 2.5)
+    phantom = make_phantom(PhantomParameters(noise=0.0, blur=0.01, spacing=coarse))
     rim = binary_dilation(phantom.kidney.array, iterations=2) & ~binary_dilation(phantom.kidney.array)
     touching = np.mean(phantom.ct.array[rim] > 0.0)
     assert 0.05 < touching < 0.6
-    apart = make_phantom(PhantomParameters(noise=0.0, blur=0.01, gap=6.0))
+    apart = make_phantom(PhantomParameters(noise=0.0, blur=0.01, gap=6.0, spacing=coarse))
     assert np.mean(apart.ct.array[rim] > 0.0) < 0.01
     assert abs(np.median(apart.ct.array[rim]) - FAT) < 1.0
 

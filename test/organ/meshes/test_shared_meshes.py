@@ -13,7 +13,7 @@ from tissue_sim.organ.organ import check_surface, signed_volume
 from tissue_sim.organ.surfaces.surface import make_wall
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no shared/data beside the project")
+pytestmark = [pytest.mark.extended, pytest.mark.skipif(not DATA.is_dir(), reason="no shared/data beside the project")]
 
 COLON = "large_intestine/EdinGCA_3D_00090_Surfaces_large_intestine_20k.vtk"
 HEART = "hra_organs/v1.2_VH_F_Heart.glb"
@@ -94,11 +94,25 @@ REFUSED = [
 ]
 
 
+# The smallest of each kind; parts, holes, shells and handles are shown with meshes of our own in test_mesh_input.py.
+AT_ONCE = {
+    "hra_organs/VH_F_Spleen.glb",
+    "sofa_meshes/coeur1.trian",
+    "sofa_meshes/liver.msh",
+    "sofa_meshes/liver.obj",
+    "sofa_meshes/liver2.obj",
+}
+
+
 def name(case) -> str:
     return f"{Path(case[0]).name} {' '.join(str(value) for value in case[1].values())}".strip()
 
 
-@pytest.mark.parametrize("case", ACCEPTED, ids=name)
+def by_size(cases):
+    return [pytest.param(case, marks=[] if case[0] in AT_ONCE else pytest.mark.extended) for case in cases]
+
+
+@pytest.mark.parametrize("case", by_size(ACCEPTED), ids=name)
 def test_these_become_organs(case):
     file, options, expected = case
     surface = read_mesh(DATA / file, **options)
@@ -111,7 +125,7 @@ def test_these_become_organs(case):
     assert mask.array.sum() * mask.voxel_volume == pytest.approx(volume * 1e6, rel=0.01)
 
 
-@pytest.mark.parametrize("case", REFUSED, ids=name)
+@pytest.mark.parametrize("case", by_size(REFUSED), ids=name)
 def test_these_are_refused_with_the_reason(case):
     file, options, reason = case
     with pytest.raises(UserError, match=reason) as caught:
@@ -141,6 +155,7 @@ def test_every_mesh_is_tried():
     assert {Path(file).suffix for file in meshes} <= set(FORMATS)
 
 
+@pytest.mark.extended
 def test_a_heart_lies_above_the_spleen_and_further_front():
     """The glTF axes end up in the patient frame: x to the left, y to the back, z to the head."""
     spleen = read_mesh(DATA / "hra_organs/VH_F_Spleen.glb").positions

@@ -14,7 +14,10 @@ from tissue_sim.organ.segmenting.segmentation import dice, segment
 from tissue_sim.organ.surfaces.surface import measure
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data" / "ct_abdomen"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no {DATA.name} in ../shared/data beside the project")
+pytestmark = [
+    pytest.mark.extended,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"no {DATA.name} in ../shared/data beside the project"),
+]
 
 SEED = np.array([85.0, -110.3, 364.3])
 
@@ -68,6 +71,7 @@ def overlaps(name, found, capsys):
     return reached
 
 
+@pytest.mark.extended
 def test_dice_of_the_left_kidney_from_one_seed_in_the_middle(left_kidney, capsys):
     assert overlaps("kidney_left", [left_kidney[1]], capsys)[0] >= 0.85
     assert not left_kidney[1].at_edge
@@ -98,7 +102,10 @@ def test_the_spleen_is_no_kidney(ct):
     assert any("is no kidney" in line for line in as_kidney.warnings)
 
 
-@pytest.mark.parametrize("name", ORGANS)
+@pytest.mark.parametrize(
+    "name",
+    ["kidney_left", *(pytest.param(name, marks=pytest.mark.extended) for name in ORGANS if name != "kidney_left")],
+)
 def test_real_organs_keep_the_bounds(name, ct):
     """The masks themselves are within the anatomy and hang together, so what is refused is a fault."""
     mask = read_mask(DATA / f"{name}.nii.gz")

@@ -81,7 +81,9 @@ def test_the_progress_rises_to_one(kidney_wall):
     np.testing.assert_array_equal(again.positions, balloon.positions)
 
 
-@pytest.mark.parametrize("points", [200, 500, 1001, 4000])
+@pytest.mark.parametrize(
+    "points", [200, pytest.param(500, marks=pytest.mark.extended), 1001, pytest.param(4000, marks=pytest.mark.extended)]
+)
 def test_any_number_of_points(kidney_wall, points):
     balloon = inflate(kidney_wall, points)
     assert_regular(balloon.positions, balloon.triangles, points)

@@ -12,15 +12,15 @@ def test_a_segment_crosses_where_one_end_is_outside_or_it_leaves_on_the_way():
     surface, triangles = organ.surface_positions, organ.surface_triangles
     corners = surface[triangles]
     low, high = surface.min(axis=0), surface.max(axis=0)
-    ends = np.random.default_rng(2).uniform(low, high, (300, 2, 3))
+    ends = np.random.default_rng(2).uniform(low, high, (100, 2, 3))
     crossed = [is_crossed(start, end, corners) for start, end in ends]
-    way = ends[:, None, 0] + np.linspace(0.0, 1.0, 400)[None, :, None] * (ends[:, None, 1] - ends[:, None, 0])
+    way = ends[:, None, 0] + np.linspace(0.0, 1.0, 200)[None, :, None] * (ends[:, None, 1] - ends[:, None, 0])
     within = inside(way.reshape(-1, 3), surface, triangles).reshape(len(ends), -1)
     changes = np.any(within != within[:, :1], axis=1)
-    assert 30 < np.count_nonzero(changes) < 270
+    assert 10 < np.count_nonzero(changes) < 90
     # Between two of the places looked at a segment may leave and come back; never the other way about.
     assert np.all(np.array(crossed)[changes])
-    assert np.count_nonzero(np.array(crossed) & ~changes) <= 3
+    assert np.count_nonzero(np.array(crossed) & ~changes) <= 1
 
 
 def test_a_segment_through_an_edge_or_a_corner_crosses():

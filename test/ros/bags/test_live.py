@@ -29,6 +29,7 @@ def node(tmp_path_factory):
         yield process
 
 
+@pytest.mark.extended
 def test_a_node_with_the_same_organ_shows_the_same(node):
     command = [sys.executable, "-m", "tissue_sim", *WORDS, *LOOSE]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT)

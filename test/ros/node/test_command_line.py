@@ -32,6 +32,7 @@ def client(node):
     client.close()
 
 
+@pytest.mark.extended
 def test_off_is_a_word_and_not_yaml_s_false(node, client):
     found = client.call(GetParameters, "/tissue_sim/get_parameters", GetParameters.Request(names=["local_region"]))
     assert found.values[0].string_value == "off"

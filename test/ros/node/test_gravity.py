@@ -54,6 +54,7 @@ def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, 
         assert client.spin_until(lambda: client.moved() < 1e-6)
 
 
+@pytest.mark.extended
 def test_it_sags_without_gravity_and_a_bag_that_begins_with_a_reset_replays(client, repeats):
     assert client.moved() < 1e-6, "it hangs in its own shape"
     assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful

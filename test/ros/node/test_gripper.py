@@ -79,6 +79,7 @@ def gripper(client):
     return made
 
 
+@pytest.mark.extended
 def test_angle_that_is_none_is_refused_and_counted(client, node, gripper):
     for message, counter in ((JointState(position=[float("nan")]), "nan_angle"), (JointState(), "no_angle")):
 

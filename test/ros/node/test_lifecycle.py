@@ -136,6 +136,7 @@ def test_time_that_was_lost_is_told(client, node):
 
 
 # changes while it runs -------------------------------------------------------------------------
+@pytest.mark.extended
 def test_rate_changes_live_and_the_bag_repeats(client, capsys):
     change_rate_and_replay(client, capsys)
     for wrong in (10.0, 1e5):

@@ -200,6 +200,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     started = client.record(True)
     assert started.success, started.message
     assert not client.record(True).success, "one bag at a time"
+    before = int(client.report()["left.poses"])
     client.set_parameter("stiffness_scale", 2.0)
     position = press_until_felt(client, client.ask, deepest=0.004)
     for _ in range(300):
@@ -207,13 +208,14 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     assert client.spin_until(lambda: client.ask(position) or client.hand_force() > 0.05)
     client.reset()
     assert client.spin_until(lambda: client.moved() < 1e-6)
+    arrived = int(client.report()["left.poses"]) - before
     client.set_parameter("stiffness_scale", 1.0)
     stopped = client.record(False)
     assert stopped.success
     assert stopped.message == started.message
     with Reader(stopped.message) as reader:
         topics = {connection.topic: connection.msgcount for connection in reader.connections}
-    assert topics["/left/measured_cp"] > 300
+    assert topics["/left/measured_cp"] == arrived > 100, "all that reached the node: DDS loses some on a busy machine"
     assert topics["/left/servo_cf"] >= topics["/left/measured_cp"] - 1, "a wrench for each pose that arrives"
     assert topics["/tissue_sim/surface"] > 1, "how many depends on how fast the machine is"
     code = main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"])

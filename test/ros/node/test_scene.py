@@ -142,6 +142,7 @@ def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
     assert not compare(replayed.wanted, replayed.shown, 1e-6, 1e-6).passes
 
 
+@pytest.mark.extended
 def test_the_bridge_plays_with_an_organ_that_is_named(node, tmp_path, capfd):
     words = ["bridge", "--seconds", "0.5", "--script", "poke", "--organ"]
     bridge = Process(["-m", "tissue_sim", *words, "kidney"], tmp_path / "bridge.log")
@@ -151,6 +152,7 @@ def test_the_bridge_plays_with_an_organ_that_is_named(node, tmp_path, capfd):
     assert "organ of 162 nodes: poke" in bridge.text()
 
 
+@pytest.mark.extended
 def test_a_breath_that_is_told_is_followed_and_refused_where_it_is_none(scene_file, tmp_path):
     told = tmp_path / "told.yaml"
     told.write_text(SCENE.replace("rate: 60, ", "").replace("ball.npz", str(scene_file.parent / "ball.npz")))

@@ -89,6 +89,7 @@ def test_ticks_follow_the_clock_not_the_wall(client, simulator, node):
     assert simulator.ticks(before + 700)
 
 
+@pytest.mark.extended
 def test_ticks_are_as_long_as_the_rate_says(client, simulator):
     """Changed while it runs."""
     for rate in (500.0, 1000.0):

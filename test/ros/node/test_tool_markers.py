@@ -53,6 +53,7 @@ def surface_of(marker):
     return Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply(points) + (at.x, at.y, at.z)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("tool", range(5))
 def test_what_is_shown_is_the_surface_that_touches(tools, tool):
     poses = [tools.poses(index, POSE, 0.6) for index in range(5)]

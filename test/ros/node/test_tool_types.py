@@ -153,6 +153,7 @@ def tools(node):
     tools.close()
 
 
+@pytest.mark.extended
 def test_frame_that_tf_does_not_know_is_refused_by_name(node, tools):
     def refused():
         tools.send("led", np.ones(3), HELD, frame="moon")

@@ -68,6 +68,7 @@ def websocket(port, path="/", origin=None, **headers):
         return refused.response.status_code
 
 
+@pytest.mark.extended
 def test_beyond_this_machine_page_and_websocket_need_the_token(serve):
     process, port = serve("--host", "0.0.0.0")
     token = re.fullmatch(rf"open http://127\.0\.0\.1:{port}/\?token=([\w-]{{43}})\n", process.text())[1]
@@ -92,6 +93,7 @@ def test_beyond_this_machine_page_and_websocket_need_the_token(serve):
     assert websocket(port, origin="http://elsewhere.example", Cookie=cookie) == 403
 
 
+@pytest.mark.extended
 def test_a_token_of_the_users_own_holds_on_loopback_too(serve):
     for words, environment in ((["--token", TOKEN], {}), ([], {"TISSUE_SIM_TOKEN": TOKEN})):
         process, port = serve(*words, **environment)
@@ -102,6 +104,7 @@ def test_a_token_of_the_users_own_holds_on_loopback_too(serve):
         assert get(port, f"/?token={TOKEN}", host="theatre.example")[0] == 200
 
 
+@pytest.mark.extended
 def test_on_loopback_no_other_web_page_drives_the_tools(serve):
     _, port = serve()
     own = f"127.0.0.1:{port}"

@@ -49,6 +49,7 @@ def test_jaws_turn_without_a_blow_and_then_are_silent(graph):
         listener.close()
 
 
+@pytest.mark.extended
 def test_jaws_open_from_the_page_and_only_when_somebody_asks(tmp_path, open_page):
     node = start_node(tmp_path, UNHURRIED, profile=CONFIG / "gripper.yaml")
     page = open_page("left")

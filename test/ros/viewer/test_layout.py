@@ -85,6 +85,7 @@ def test_without_an_answer_it_says_what_it_takes_for_granted(monkeypatch, printe
     assert "/ward/nobody/surface" in topics_in("foxglove", said.out)
 
 
+@pytest.mark.extended
 def test_programs_beside_the_node_are_in_its_namespace_under_names_of_their_own(ward, tmp_path):
     client = Client("/ward", markers=False)
     bridge = Process(["-m", "tissue_sim", "bridge", "--node", "ward/tissue_sim"], tmp_path / "bridge.log")

@@ -197,6 +197,7 @@ def start(tmp_path):
         process.child.wait()
 
 
+@pytest.mark.extended
 def test_the_page_is_there_before_the_node_and_after_it(start):
     port = free_port()
     viewer = start("-m", "tissue_sim", "view", "--port", str(port))
