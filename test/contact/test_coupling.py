@@ -34,6 +34,24 @@ def test_hand_at_rest_feels_the_coupling_spring():
     assert is_sound(scene)
 
 
+def test_pressing_with_one_tool_moves_no_other():
+    """Where all give way: one in the air stays where its hand is, and others give way to their own forces alone."""
+    scene = Scene(kidney(), [PROBE, Tool("right", radius=0.005), Tool("third", radius=0.005)])
+    scene.simulation.settings.coupling_stiffness, scene.simulation.settings.coupling_damping = STIFFNESS, DAMPING
+    surface = kidney().surface_positions
+    places = top_of(kidney()), surface[np.argmax(surface[:, 0])], np.array([0.0, 0.0, 0.3])
+    ways = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    for height in [*np.linspace(0.006, 0.0, 200), *[0.0] * 600]:
+        for tool, (place, way) in enumerate(zip(places, ways, strict=True)):
+            scene.move(tool, place + height * way)
+        scene.step()
+    state = scene.simulation.state
+    moved = state.body_pose[:, :3] - state.held_pose[:, :3]
+    np.testing.assert_array_equal(moved[2], 0.0)
+    assert np.linalg.norm(scene.wrenches[:2, :3], axis=1).min() > 0.02, "N: both press"
+    np.testing.assert_allclose(STIFFNESS * moved[:2], scene.wrenches[:2, :3], rtol=1e-3, atol=1e-4)
+
+
 def test_tool_that_nothing_holds_is_where_its_hand_is():
     scene = coupled(kidney())
     lead(scene, 0, line([0.2, 0.0, 0.0], [0.2, 0.01, 0.0], 20))

@@ -369,8 +369,8 @@ def count_impulse(state: Any, scratch: Any, near: int) -> None:
 def push_bodies(tools: Any, body: int, scratch: Any, px: float, py: float, pz: float) -> None:
     """Let every body of a body's tool give way to an impulse on the tissue, N s."""
     give = scratch.give[body]
-    for body in range(len(tools)):
-        if tools[body] == tools[body]:
-            scratch.origin[body, 0] -= give * px
-            scratch.origin[body, 1] -= give * py
-            scratch.origin[body, 2] -= give * pz
+    for other in range(len(tools)):
+        if tools[other] == tools[body]:
+            scratch.origin[other, 0] -= give * px
+            scratch.origin[other, 1] -= give * py
+            scratch.origin[other, 2] -= give * pz
