@@ -297,7 +297,11 @@ def test_check_fails_where_a_default_cell_diverged(capsys):
     [
         (["--axes", "colour"], "--axes: no axis 'colour'"),
         (["--jobs", "0"], "--jobs 0"),
-        (["--axes", "rate", "--scheduler", "abacus"], "no Dask scheduler answers at abacus"),
+        pytest.param(
+            ["--axes", "rate", "--scheduler", "abacus"],
+            "no Dask scheduler answers at abacus",
+            marks=pytest.mark.extended,
+        ),
         (["no_such_organ.npz"], "no_such_organ.npz does not exist"),
     ],
 )

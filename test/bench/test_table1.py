@@ -11,8 +11,6 @@ from tissue_sim.bench.figure6 import JAW, nip_and_release, write_figure
 from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 
-pytestmark = pytest.mark.extended
-
 # Table 1 of Zhang, Gu et al. 2006, ms an update.
 PAPER = {
     "Surface MS": [0.531, 0.547, 0.546, 0.563, 1.891],
@@ -72,6 +70,7 @@ def test_every_cell_is_measured(found):
             assert cell.largest > 0.0
 
 
+@pytest.mark.extended
 def test_deviation_is_against_the_whole_hybrid_model(found):
     for row in found.values():
         assert row[table1.WHOLE].deviation == 0.0

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from helpers.kernels import by_reference
 from helpers.pressing import PROBE, deepest, is_sound, lead, line, press, top_of
 from helpers.scenes import RADIUS, ball, free_ball, kidney
 from helpers.states import is_finite
@@ -117,7 +118,7 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
     scene.move(1, [RADIUS + 0.005, 0.0, 0.025])
     scene.step()
     simulation = scene.simulation
-    state, scratch = simulation.state, simulation.scratch
+    state, scratch, world = simulation.state, simulation.scratch, by_reference(simulation)
     own = np.flatnonzero(state.contacts.body[: state.contacts.header.points] == tool)
     assert len(own) > 5
     random = np.random.default_rng(tool)
@@ -129,10 +130,10 @@ def test_every_push_on_the_tissue_is_counted_with_its_moment_about_the_bodys_ori
         arm = state.contacts.weight[entry] @ state.position[state.contacts.node[entry]] - scratch.origin[tool]
         expected += np.concatenate([impulse, np.cross(arm, impulse)])
         scratch.near_entry[0], scratch.near_normal[0], scratch.near_tangent[0] = entry, 0.0, impulse
-        set_plane(state, scene.tools.shapes, scratch, 0)
-        set_nodes(state, mobility, scratch, 0)
-        count_impulse(state, scratch, 0)
-        give_impulse(state, scene.tools.shapes, scratch, 0, *impulse, 1e-3)
+        set_plane(world.state, world.shapes, world.scratch, 0)
+        set_nodes(world.state, mobility, world.scratch, 0)
+        count_impulse(world.state, world.scratch, 0)
+        give_impulse(world.state, world.shapes, world.scratch, 0, *impulse, 1e-3)
     np.testing.assert_allclose(scratch.impulse[tool], expected, atol=1e-9 * len(own))
     np.testing.assert_allclose(organ.mass @ simulation.velocities - before, expected[:3], atol=1e-9 * len(own))
     np.testing.assert_array_equal(scratch.origin[tool], state.body_pose[tool, :3])

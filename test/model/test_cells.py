@@ -219,6 +219,7 @@ def test_the_tick_that_finds_squeezed_cells_takes_more_substeps(share, factor):
     assert (MODEL.tissue.stiff[0] > 0) == (factor > 1)
 
 
+@pytest.mark.extended
 def test_cells_can_be_stepped_implicitly():
     force = np.zeros((ORGAN.n_surface, 3))
     force[np.argsort(-ORGAN.surface_positions[:, 2])[:7], 2] = -0.02

@@ -102,7 +102,7 @@ def kept_energy(simulation):
     return simulation.energy.total + 0.5 * step * np.vdot(simulation.velocities[nodes], force[nodes])
 
 
-@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+@pytest.mark.parametrize("organ", [ball(2), pytest.param(kidney(), marks=pytest.mark.extended)], ids=["ball", "kidney"])
 @pytest.mark.parametrize("force", [0.02, 0.3])
 def test_energy_never_grows_after_a_poke(organ, force):
     simulation = Simulation(organ)
@@ -117,7 +117,7 @@ def test_energy_never_grows_after_a_poke(organ, force):
     assert energies[-1] < 1e-3 * energies[0]
 
 
-@pytest.mark.parametrize("organ", [ball(2), kidney()], ids=["ball", "kidney"])
+@pytest.mark.parametrize("organ", [ball(2), pytest.param(kidney(), marks=pytest.mark.extended)], ids=["ball", "kidney"])
 def test_node_pulled_through_the_organ_gives_back_no_more_than_was_put_in(organ):
     """So crumpled, the energy that a step keeps is known to some percent only; on the way back no springs act."""
     simulation = Simulation(organ)

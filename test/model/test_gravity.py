@@ -43,7 +43,9 @@ def test_free_body_falls_as_a_whole():
     np.testing.assert_allclose(fallen, np.tile(0.5 * 0.05 * (0.05 + step) * DOWN, (organ.n_nodes, 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize("organ", [changed(ball(2), return_stiffness=0.0), ball_of_cells()], ids=["springs", "cells"])
+@pytest.mark.parametrize(
+    "organ", [changed(ball(2), return_stiffness=0.0), ball_of_cells(2, 120)], ids=["springs", "cells"]
+)
 def test_what_holds_the_organ_bears_its_weight(organ):
     simulation = Simulation(organ, gravity=DOWN, shape_gravity=NONE)
     settled(simulation)
@@ -54,9 +56,9 @@ def test_what_holds_the_organ_bears_its_weight(organ):
     np.testing.assert_allclose(held, -weight, atol=1e-4 * np.linalg.norm(weight))
 
 
-@pytest.mark.parametrize("integrator", ["symplectic", "implicit"])
+@pytest.mark.parametrize("integrator", ["symplectic", pytest.param("implicit", marks=pytest.mark.extended)])
 def test_shape_that_was_taken_under_gravity_rests_as_it_is(integrator):
-    organ = ball_of_cells()
+    organ = ball_of_cells(2, 120)
     simulation = Simulation(organ, gravity=DOWN, integrator=integrator)
     simulation.state.status.asleep = False
     for _ in range(10):
@@ -77,7 +79,7 @@ def test_shape_that_was_taken_under_gravity_rests_as_it_is(integrator):
 
 
 def test_unloaded_shape_sags_into_the_one_that_was_known():
-    organ = ball_of_cells()
+    organ = ball_of_cells(2, 120)
     unloaded = assemble(organ, shape_gravity=DOWN).unloaded
     fixed = organ.fixed
     np.testing.assert_array_equal(unloaded[fixed], organ.rest_positions[fixed])
@@ -87,7 +89,7 @@ def test_unloaded_shape_sags_into_the_one_that_was_known():
 
 
 def test_without_gravity_it_goes_to_its_unloaded_shape():
-    simulation = Simulation(ball_of_cells(), gravity=DOWN)
+    simulation = Simulation(ball_of_cells(2, 120), gravity=DOWN)
     simulation.set_gravity(NONE)
     unloaded = simulation.model.unloaded
     sag = np.abs(unloaded - simulation.model.rest).max()
@@ -96,7 +98,7 @@ def test_without_gravity_it_goes_to_its_unloaded_shape():
 
 
 def test_weight_of_an_organ_that_rests_is_never_worked_out():
-    simulation = Simulation(ball_of_cells(), gravity=DOWN)
+    simulation = Simulation(ball_of_cells(2, 120), gravity=DOWN)
     for _ in range(5):
         simulation.step()
     assert simulation.asleep
@@ -115,7 +117,7 @@ def test_cells_that_the_weight_squeezes_flat_bear_it_by_their_own_law():
 
 @pytest.mark.extended
 def test_too_soft_a_tissue_is_named():
-    organ = ball_of_cells()
+    organ = ball_of_cells(2, 120)
     soft = replace(organ, cell_mu=1e-3 * organ.cell_mu, cell_lambda=1e-3 * organ.cell_lambda)
     with pytest.raises(UserError, match="too soft"):
         Simulation(soft, gravity=DOWN)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.kernels import by_reference
 from helpers.scenes import ball, kidney
 from tissue_sim.model.guard import (
     CELLS_A_TICK,
@@ -36,6 +37,11 @@ def fault_of(simulation):
 
 
 # what is wrong with a state --------------------------------------------------------------------
+def checked(simulation, nodes):
+    world = by_reference(simulation)
+    return check(world.model, world.state, nodes, 0.1**2, 100.0**2, 10.0**2)
+
+
 def found(spoil):
     """What `check` says of a ball at 1 mm and 1 m/s that `spoil` has changed; the bounds are 0.1, 100 and 10."""
     simulation = Simulation(ball())
@@ -45,7 +51,7 @@ def found(spoil):
     away[nodes], speed[nodes] = [0.0, 0.001, 0.0], [1.0, 0.0, 0.0]
     spoil(away, speed, nodes[3])
     state.position[:], state.velocity[:] = model.rest + away, speed
-    return FAULT_NAMES[check(model, state, nodes, 0.1**2, 100.0**2, 10.0**2)]
+    return FAULT_NAMES[checked(simulation, nodes)]
 
 
 def put(which, value):
@@ -87,9 +93,9 @@ def test_nodes_that_are_held_or_not_asked_for_are_not_looked_at():
     simulation = Simulation(ball())
     simulation.state.position[ball().fixed] = np.nan
     model = simulation.model
-    assert check(model, simulation.state, model.moving, 0.1**2, 100.0**2, 10.0**2) == 0
+    assert checked(simulation, model.moving) == 0
     simulation.state.position[model.moving[5:]] = np.nan
-    assert check(model, simulation.state, model.moving[:5], 0.1**2, 100.0**2, 10.0**2) == 0
+    assert checked(simulation, model.moving[:5]) == 0
 
 
 @pytest.mark.parametrize("size", [1, 15, 16, 17, 126])
@@ -108,12 +114,12 @@ def test_coordinate_over_its_bound_is_seen_wherever_it_is(size):
 @pytest.mark.parametrize("integrator", ["symplectic", "explicit", "implicit"])
 @pytest.mark.parametrize("bad", ["nan velocity", "inf velocity", "nan position", "runaway force", "fast organ"])
 def test_fault_is_counted_and_named_and_the_last_good_state_is_back(bad, integrator):
-    simulation = Simulation(ball(2), integrator=integrator)
+    simulation = Simulation(ball(), integrator=integrator)
     poke(simulation, 20)
     good = simulation.positions.copy()
     assert np.abs(good - simulation.model.rest).max() > 1e-5
     assert fault_of(simulation) == "none"
-    node = top_of(ball(2))
+    node = top_of(ball())
     if bad == "nan velocity":
         simulation.velocities[node, 1] = np.nan
     elif bad == "inf velocity":
@@ -206,14 +212,15 @@ def test_turned_cells_are_counted_within_one_pass_and_forgotten_within_the_next(
     expected = volumes(model, state.position) < 0.0
     assert 1 <= expected.sum() < 0.2 * len(expected)
     state.status.next_cell = len(expected) // 2
+    world = by_reference(simulation)
     once_round = -(-len(expected) // CELLS_A_TICK)
     for _ in range(once_round):
-        check_cells(model, state, simulation.scratch)
+        check_cells(world.model, world.state, world.scratch)
     assert state.status.turned == expected.sum()
     np.testing.assert_array_equal(state.is_turned, expected)
     state.position[:] = model.rest
     for _ in range(once_round):
-        check_cells(model, state, simulation.scratch)
+        check_cells(world.model, world.state, world.scratch)
     assert state.status.turned == 0
     assert not state.is_turned.any()
 
@@ -272,7 +279,8 @@ def test_way_back_goes_by_the_same_share_each_tick_and_without_speed():
     away = np.zeros_like(model.rest)
     away[model.moving] = np.random.default_rng(0).uniform(-0.01, 0.01, (len(model.moving), 3))
     state.position[:], state.velocity[:] = model.rest + away, 1.0
-    left = lead_back(model, state, simulation.settings)
+    world = by_reference(simulation)
+    left = lead_back(world.model, world.state, world.settings)
     np.testing.assert_allclose(state.position - model.rest, np.exp(-0.02) * away, atol=1e-16)
     assert left == pytest.approx(np.exp(-0.02) * np.abs(away).max())
     assert np.abs(state.velocity[model.moving]).max() == 0.0
@@ -281,10 +289,10 @@ def test_way_back_goes_by_the_same_share_each_tick_and_without_speed():
 def test_substeps_multiply_while_cells_are_turned():
     simulation = Simulation(ball())
     model, state = simulation.model, simulation.state
-    cells = len(model.cells)
+    cells, world = len(model.cells), by_reference(simulation)
     for turned, factor in ((0, 1), (1, 2), (cells, 4)):
         state.status.turned = turned
-        assert caution(model, state, False) == factor
+        assert caution(world.model, world.state, False) == factor
 
 
 def test_bodies_that_contact_pushed_out_of_all_bounds_are_put_back_where_they_are_held():

@@ -110,7 +110,11 @@ def test_other_slot_is_written_and_the_one_in_use_stays():
 
 each_organ = pytest.mark.parametrize(
     "organ",
-    [ball(2), ball_of_cells(), pytest.param(kidney(), marks=pytest.mark.slow)],
+    [
+        ball(2),
+        pytest.param(ball_of_cells(), marks=pytest.mark.extended),
+        pytest.param(kidney(), marks=pytest.mark.slow),
+    ],
     ids=["ball", "cells", "kidney"],
 )
 
@@ -259,7 +263,9 @@ def held_force(integrator, region="off", depth=0.003):
     return np.array(forces)[-1]
 
 
-@pytest.mark.parametrize("region", ["off", "modal", "frozen"])
+@pytest.mark.parametrize(
+    "region", ["off", *(pytest.param(one, marks=pytest.mark.extended) for one in ("modal", "frozen"))]
+)
 def test_held_poke_has_the_force_of_the_symplectic_integrator(region):
     expected, found = (held_force(integrator, region) for integrator in ("symplectic", "implicit"))
     assert expected[2] > 0.03

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from helpers.kernels import by_reference
 from helpers.scenes import ball, changed, free_ball
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
@@ -66,12 +67,12 @@ def test_modes_under_a_constant_load_follow_the_damped_oscillators():
     node = int(np.argmax(organ.surface_positions[:, 2]))
     simulation.apply_force(node, force)
     simulation.step()
-    state, scratch = simulation.state, simulation.scratch
+    state, world = simulation.state, by_reference(simulation)
     for moved in (state.static_load, state.mode_position, state.mode_velocity):
         moved[:] = 0.0
     state.static_load[node] = force
     for _ in range(40):
-        advance_modes(simulation.model, state, simulation.settings, scratch)
+        advance_modes(world.model, world.state, world.settings, world.scratch)
     model, time = simulation.model, 0.040
     pull = model.reduction.shape[node].T @ force
     half = 0.5 * model.damping_rate

@@ -37,7 +37,7 @@ def test_surface_led_by_one_matrix_strains_all_of_it_alike():
 @pytest.mark.parametrize("integrator", ["symplectic", "explicit", "implicit"])
 @pytest.mark.parametrize("held", [False, True])
 def test_nodes_are_led_evenly_and_held(integrator, held):
-    organ = ball(2)
+    organ = ball()
     simulation = Simulation(organ, integrator=integrator)
     node = int(organ.fixed[0]) if held else int(np.argmax(organ.surface_positions[:, 2]))
     start, goal = organ.rest_positions[node], organ.rest_positions[node] + [0.0, 0.001, 0.002]

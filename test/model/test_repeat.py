@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,14 @@ def contact_run(integrator, region, organ):
     return scene.simulation.state.words.copy(), np.array(felt)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("region", LOCAL_REGIONS)
+# Kernels for an implicit step beside a region are compiled for nothing else: implicit or in a region, either is shown.
+EVERY = [
+    pytest.param(*both, marks=[pytest.mark.extended] if both[0] == "implicit" and both[1] != "off" else [])
+    for both in product(INTEGRATORS, LOCAL_REGIONS)
+]
+
+
+@pytest.mark.parametrize(("integrator", "region"), EVERY)
 def test_two_runs_with_a_tool_are_bit_identical(integrator, region):
     one, other = (contact_run(integrator, region, ball(2)) for _ in range(2))
     assert np.abs(one[1]).max() > 0.01, "no touch"
@@ -67,6 +74,7 @@ np.save(sys.argv[3], found)
 """
 
 
+@pytest.mark.extended
 def test_implicit_steps_and_regions_without_the_compiler_agree(tmp_path):
     organ = ball()
     node = int(np.argmax(organ.surface_positions[:, 2]))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.kernels import by_reference
 from helpers.scenes import ball, ball_of_cells, changed, kidney
 from tissue_sim.model.regions import largest_motion
 from tissue_sim.model.rest import LONGEST_WAY, QUIET_TICKS, SNAPPED_DISPLACEMENT, TURNED_TIME, pace, rest_if_quiet
@@ -13,6 +14,11 @@ def awake(organ, **options):
     simulation = Simulation(organ, **options)
     simulation.state.status.asleep = False
     return simulation
+
+
+def pace_of(simulation):
+    world = by_reference(simulation)
+    return pace(world.model, world.settings)
 
 
 def settles(simulation, ticks=1500):
@@ -35,7 +41,8 @@ def test_largest_motion_is_that_of_a_naive_loop():
     state.position[:] = model.rest + random.standard_normal(model.rest.shape)
     state.velocity[:] = random.standard_normal(model.rest.shape)
     nodes = model.moving
-    speed, away = largest_motion(model, state, simulation.scratch)
+    world = by_reference(simulation)
+    speed, away = largest_motion(world.model, world.state, world.scratch)
     assert speed == np.abs(state.velocity[nodes]).max()
     assert away == np.abs(state.position - model.rest)[nodes].max()
 
@@ -50,7 +57,7 @@ def test_slack_organ_left_aside_is_led_back():
     state.position[nodes, 0] += 0.002
     state.good_position[:] = state.position
     still = state.position.copy()
-    for _ in range(max(QUIET_TICKS, int(1e3 / pace(simulation.model, simulation.settings)) + 1) - 1):
+    for _ in range(max(QUIET_TICKS, int(1e3 / pace_of(simulation)) + 1) - 1):
         simulation.step()
     np.testing.assert_array_equal(simulation.positions, still)
     assert state.count.snaps == 0
@@ -123,14 +130,15 @@ def test_an_organ_that_is_pulled_is_led_back_where_it_can_not_be_right_for_long(
     """Of cells: inside out or squeezed; it may move, or lie squeezed by its weight."""
     simulation = awake(ball_of_cells(), model="cells")
     state, model, settings, scratch = simulation.state, simulation.model, simulation.settings, simulation.scratch
+    world = by_reference(simulation)
     settings.gravity_z = -weight
-    longest = LONGEST_WAY / (pace(model, settings) * settings.tick_time)
+    longest = LONGEST_WAY / (pace_of(simulation) * settings.tick_time)
     state.position[model.moving, 2] += 1e-3
     state.velocity[model.moving, 2] = speed
     state.status.turned, model.tissue.stiff[0], scratch.plan.forced = turned, stiff, True
     for share, snapped in ((0.99, False), (1.01, led_back)):
         state.status.alone = round(share * longest)
-        rest_if_quiet(model, state, settings, scratch)
+        rest_if_quiet(world.model, world.state, world.settings, world.scratch)
         assert state.status.snapped == snapped
 
 
@@ -193,7 +201,7 @@ def test_an_organ_that_trembles_far_from_rest_for_good_is_led_back():
     """Neither still nor on its way: what is not back long after a sound one would be goes to sleep all the same."""
     simulation = awake(changed(SLACK, damping=0.0))
     state, model = simulation.state, simulation.model
-    longest = LONGEST_WAY / (pace(model, simulation.settings) * simulation.settings.tick_time)
+    longest = LONGEST_WAY / (pace_of(simulation) * simulation.settings.tick_time)
     for tick in range(round(longest) + 5):
         state.position[model.moving] = model.rest[model.moving]
         state.position[model.moving, 2] += 1e-3
@@ -212,7 +220,7 @@ def test_an_undamped_organ_swings_on():
     simulation = awake(changed(SLACK, damping=0.0))
     state, model, settings = simulation.state, simulation.model, simulation.settings
     settings.damping_scale = 0.0
-    for tick in range(round(1.2 * LONGEST_WAY / (pace(model, settings) * settings.tick_time))):
+    for tick in range(round(1.2 * LONGEST_WAY / (pace_of(simulation) * settings.tick_time))):
         state.position[model.moving] = model.rest[model.moving]
         state.position[model.moving, 2] += 1e-3
         state.velocity[model.moving] = [0.0, 0.0, 0.1 * (-1.0) ** tick]

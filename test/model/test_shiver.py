@@ -76,7 +76,7 @@ def turn(simulation, turning, speed):
     state, scratch = simulation.state, simulation.scratch
     scratch.velocity_before.ravel()[:turning] = speed
     state.velocity.ravel()[:turning] = -speed
-    end_look(state, scratch)
+    end_look(handle(state), handle(scratch))
 
 
 @pytest.mark.parametrize(("turning", "speeds", "halved"), [(MANY - 1, 2.0, 0), (MANY, 2.0, HALVED), (MANY, 1.1, 0)])

@@ -29,8 +29,8 @@ def top_of(organ):
 
 
 def organ_for(region):
-    """The kidney; a ball where finding the modes of the kidney would take most of the time."""
-    return ball() if region in ("modal", "auto") else kidney()
+    """A ball; a coarser one where finding its modes would take most of the time."""
+    return ball() if region in ("modal", "auto") else ball(2)
 
 
 def woken(organ, speed=0.0, **options):
@@ -159,7 +159,7 @@ def energy_of(simulation):
     )
 
 
-@pytest.mark.parametrize("organ", [ball(), kidney()], ids=["ball", "kidney"])
+@pytest.mark.parametrize("organ", [ball(), pytest.param(kidney(), marks=pytest.mark.extended)], ids=["ball", "kidney"])
 @pytest.mark.parametrize("size", [0.5, 2.5, 5.0])
 def test_energy_never_grows_with_damping_and_no_input(organ, size):
     simulation = Simulation(organ)
@@ -178,10 +178,11 @@ def test_energy_of_an_undamped_organ_stays():
     simulation = Simulation(changed(ball(), damping=0.0))
     poke(simulation, 60, force=(0.0, 0.0, -0.05))
     energies = []
-    for _ in range(3000):
+    for tick in range(3000):
         simulation.step()
-        energies.append(energy_of(simulation))
-    assert np.mean(energies[-500:]) == pytest.approx(np.mean(energies[:500]), rel=1e-3)
+        if tick < 500 or tick >= 2500:
+            energies.append(energy_of(simulation))
+    assert np.mean(energies[500:]) == pytest.approx(np.mean(energies[:500]), rel=1e-3)
 
 
 # repeatability ---------------------------------------------------------------------------------
@@ -384,7 +385,11 @@ def test_force_that_runs_away_tick_after_tick_is_counted_each_time():
 
 
 # false rest shapes -----------------------------------------------------------------------------
-@pytest.mark.parametrize("organ", [ball(2), ball(3), kidney()], ids=["ball", "fine ball", "kidney"])
+@pytest.mark.parametrize(
+    "organ",
+    [ball(2), *(pytest.param(organ, marks=pytest.mark.extended) for organ in (ball(3), kidney()))],
+    ids=["ball", "fine ball", "kidney"],
+)
 @pytest.mark.parametrize("force", [1.0, 4.0, 16.0])
 def test_organ_is_back_at_rest_after_any_load(organ, force):
     """Nodes pulled through the organ can stay there, springs at peace, inside out: the model must not leave them."""

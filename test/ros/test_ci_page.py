@@ -42,10 +42,11 @@ def test_the_shell_blocks_run_as_printed(folder):
     recording, replaying = blocks("bash")
     recorded = run(recording, folder)
     assert recorded.returncode == 0, recorded.stdout + recorded.stderr
-    assert (folder / "scenes" / "poke" / "metadata.yaml").is_file()
     replayed = run(replaying, folder)
     assert replayed.returncode == 0, replayed.stdout + replayed.stderr
     assert "repeats" in replayed.stdout
+    # A disk too busy to close the bag when the node ended leaves that to the replay.
+    assert (folder / "scenes" / "poke" / "metadata.yaml").is_file()
     assert ElementTree.parse(folder / "replay.xml").getroot().get("failures") == "0"
     assert (folder / "pictures" / "poke.png").is_file()
 
