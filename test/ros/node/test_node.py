@@ -215,7 +215,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     assert stopped.message == started.message
     with Reader(stopped.message) as reader:
         topics = {connection.topic: connection.msgcount for connection in reader.connections}
-    assert topics["/left/measured_cp"] == arrived > 100, "all that reached the node: DDS loses some on a busy machine"
+    assert topics["/left/measured_cp"] >= arrived > 100, "all that reached the node: DDS loses some on a busy machine"
     assert topics["/left/servo_cf"] >= topics["/left/measured_cp"] - 1, "a wrench for each pose that arrives"
     assert topics["/tissue_sim/surface"] > 1, "how many depends on how fast the machine is"
     code = main(["replay", stopped.message, "--force-tolerance", "0", "--position-tolerance", "0"])
