@@ -1,6 +1,6 @@
 # `make help` lists the targets.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-slow test-least regress bags lint style format organ colcon pins audit clean FORCE
+.PHONY: help demo test test-all test-touched test-slow test-least regress bags lint style format organ colcon pins audit clean FORCE
 
 PY := .venv/bin/python
 COLCON := .venv/bin/colcon --log-base .colcon/log
@@ -41,6 +41,9 @@ test: style ## checks and tests in five minutes; PYTEST="-k node" for some of th
 test-all: lint ## the same and the extended tests: hostile input, clusters, other processors, packaging, the browser
 	@$(PY) .ci/compile
 	@$(PYTEST_ON) -m "not slow" $(PYTEST) || [ $$? = 5 ]
+
+test-touched: .venv/.installed ## the extended tests that the change since BASE touches, and why
+	@files=$$($(PY) .ci/touched $(BASE)) || exit; [ -z "$$files" ] || $(PYTEST_ON) -m extended $$files || [ $$? = 5 ]
 
 test-slow: .venv/.installed ## the tests that take longer
 	@$(PY) -m pytest -m slow $(PYTEST)

@@ -242,7 +242,9 @@ def test_make_says_in_one_line_that_python_is_missing(checkout, target):
 
 def test_continuous_integration_runs_make_test():
     assert os.access(ROOT / ".ci/run", os.X_OK)
-    assert re.search(r"^make test\b", (ROOT / ".ci/run").read_text(), re.MULTILINE)
+    text = (ROOT / ".ci/run").read_text()
+    assert re.search(r"^make test <", text, re.MULTILINE)
+    assert re.search(r"^exec make test-touched\b", text, re.MULTILINE)
 
 
 # what an installation holds

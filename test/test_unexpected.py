@@ -95,9 +95,11 @@ def test_place_is_the_innermost_inside_the_package():
     ids=["a line", "info"],
 )
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
-def test_full_disk_or_closed_stream_takes_one_line(stream, words):
+def test_full_disk_or_closed_stream_takes_one_line(stream, words, monkeypatch):
     words = [sys.executable, *words]
     number = {"stdout": 1, "stderr": 2}[stream]
+    # Unbuffered, a line fails where it is printed, and a program that forgets to flush would not be noticed.
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
     closed = subprocess.run(["sh", "-c", f'exec "$@" {number}>&-', "sh", *words], capture_output=True, text=True)
     assert (closed.returncode, closed.stderr) == (0, "")
     with open("/dev/full", "w") as full:

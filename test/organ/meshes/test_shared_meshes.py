@@ -13,7 +13,7 @@ from tissue_sim.organ.organ import check_surface, signed_volume
 from tissue_sim.organ.surfaces.surface import make_wall
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
-pytestmark = [pytest.mark.extended, pytest.mark.skipif(not DATA.is_dir(), reason="no shared/data beside the project")]
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no shared/data beside the project")
 
 COLON = "large_intestine/EdinGCA_3D_00090_Surfaces_large_intestine_20k.vtk"
 HEART = "hra_organs/v1.2_VH_F_Heart.glb"

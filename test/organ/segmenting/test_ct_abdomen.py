@@ -14,10 +14,7 @@ from tissue_sim.organ.segmenting.segmentation import dice, segment
 from tissue_sim.organ.surfaces.surface import measure
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data" / "ct_abdomen"
-pytestmark = [
-    pytest.mark.extended,
-    pytest.mark.skipif(not DATA.is_dir(), reason=f"no {DATA.name} in ../shared/data beside the project"),
-]
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no {DATA.name} in ../shared/data beside the project")
 
 SEED = np.array([85.0, -110.3, 364.3])
 
