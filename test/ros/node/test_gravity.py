@@ -8,6 +8,8 @@ from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, running_node
 from tissue_sim.cli import main
 
+# To find the kidney's shape without weight takes ten seconds; test/model shows that of a ball.
+pytestmark = pytest.mark.extended
 DOWN = [0.0, 0.0, -9.81]  # m/s^2
 
 
@@ -42,7 +44,6 @@ def repeats(client, capsys):
     return recorded
 
 
-@pytest.mark.extended
 @pytest.mark.parametrize("before", [0.0, 1.0])
 def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, repeats, before):
     """Whether the parameter changes before or after the state is taken that the bag begins with."""
@@ -54,7 +55,6 @@ def test_it_hangs_in_its_own_shape_and_a_bag_of_another_gravity_replays(client, 
         assert client.spin_until(lambda: client.moved() < 1e-6)
 
 
-@pytest.mark.extended
 def test_it_sags_without_gravity_and_a_bag_that_begins_with_a_reset_replays(client, repeats):
     assert client.moved() < 1e-6, "it hangs in its own shape"
     assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful
@@ -65,10 +65,3 @@ def test_it_sags_without_gravity_and_a_bag_that_begins_with_a_reset_replays(clie
         assert client.spin_until(lambda: client.moved() > 5e-3)
     assert client.set_parameter("gravity", DOWN).successful
     assert client.spin_until(lambda: client.moved() < 1e-6)
-
-
-@pytest.mark.parametrize("bad", [[0.0, 0.0], [0.0, float("nan"), 0.0], [0.0, 0.0, -1000.0]])
-def test_bad_gravity_is_refused(client, bad):
-    answer = client.set_parameter("gravity", bad)
-    assert not answer.successful
-    assert "gravity" in answer.reason

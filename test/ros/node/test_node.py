@@ -196,6 +196,13 @@ def test_parameters_change_live_or_say_why_not(client):
     assert client.set_parameter("marker_rate", 30.0).successful
 
 
+@pytest.mark.parametrize("bad", [[0.0, 0.0], [0.0, float("nan"), 0.0], [0.0, 0.0, -1000.0]])
+def test_bad_gravity_is_refused(client, bad):
+    answer = client.set_parameter("gravity", bad)
+    assert not answer.successful
+    assert "gravity" in answer.reason
+
+
 def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     started = client.record(True)
     assert started.success, started.message
