@@ -56,6 +56,29 @@ def test_second_process_finds_the_first_ones_kernels(tmp_path):
     assert kernels() == first
 
 
+def test_what_two_processes_need_at_once_is_compiled_by_one(tmp_path):
+    """The second waits for the first, and loads what that has compiled."""
+    code = (
+        "import numba.core.event as events, numpy as np;"
+        "seen = events.RecordingListener(); events.register('numba:compile', seen);"
+        "from tissue_sim.model.shapes import rotation_matrix as r;"
+        "input('ready'); r(np.ones(4), np.zeros(9));"
+        "print(sum(each.data['dispatcher'] is r for _, each in seen.buffer if each.is_start))"
+    )
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    both = [
+        subprocess.Popen([sys.executable, "-c", code], env=environment, text=True, stdin=-1, stdout=-1)
+        for _ in range(2)
+    ]
+    for child in both:
+        assert child.stdout.read(len("ready")) == "ready"
+    for child in both:
+        child.stdin.write("\n")
+        child.stdin.flush()
+    assert sorted(int(child.communicate()[0]) for child in both) == [0, 1]
+
+
 def test_versions_used_longest_ago_go_where_a_new_one_comes(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     kept = tmp_path / "tissue_sim"

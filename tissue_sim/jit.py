@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import functools
 import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import overload
 
 from tissue_sim.store import used_longest_ago, user_cache
@@ -99,7 +101,41 @@ def _compiled(function: Callable[..., Any], inline: str) -> Any:
     counts = not function.__module__.startswith("tissue_sim.model.")
     # Nobody calls a kernel from C: a wrapper for it would only take time to compile.
     options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts, "inline": inline}
-    return numba.njit(cache=True, **options)(function)
+    return _compiled_once(numba.njit(cache=True, **options)(function))
+
+
+def _compiled_once(dispatcher: Any) -> Any:
+    """Let one process compile what several need at once, as node, viewer and recorder do when they first start.
+
+    The others wait, and load it. Numba's index of a kernel's versions is written by one at a time, too: of two that
+    write it at once, one version would be lost, and compiled again by the next process.
+    """
+    compile_one, save = dispatcher.compile, dispatcher._cache.save_overload
+    name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
+    folder = Path(dispatcher._cache.cache_path)
+
+    def compile_once(signature: Any) -> Any:
+        version = hashlib.sha256(str(signature).encode()).hexdigest()[:16]
+        # Numba's own lock comes first, as in nested compilations: two threads would else wait for each other.
+        with global_compiler_lock, alone(folder / f"{name}-{version}.lock"):
+            return compile_one(signature)
+
+    def save_alone(signature: Any, compiled: Any) -> None:
+        with alone(folder / f"{name}.lock"):
+            save(signature, compiled)
+
+    dispatcher.compile, dispatcher._cache.save_overload = compile_once, save_alone
+    return dispatcher
+
+
+@contextlib.contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Hold a lock between processes; without one where the file system has none, as it only saves work."""
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(held.enter_context(path.open("a")), fcntl.LOCK_EX)
+        yield
 
 
 def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.gravity import add_weight, is_out_of_balance
-from tissue_sim.model.rest import pace
 from tissue_sim.model.squeezed import add_held
 from tissue_sim.model.state import Region
-from tissue_sim.model.world import load_world, prescribe_world
+from tissue_sim.model.world import (
+    is_world_out_of_balance,
+    load_world,
+    pace_of_world,
+    prescribe_world,
+    weigh_world,
+)
 
 if TYPE_CHECKING:
     from tissue_sim.model.simulation import Simulation
@@ -38,18 +42,18 @@ def settle(
     goal = state.prescribed_to[led]
     simulation.reset()
     loaded = np.flatnonzero(np.any(forces != 0.0, axis=1))
-    heavy = is_out_of_balance(simulation.model, simulation.settings)
+    heavy = is_world_out_of_balance(simulation.world)
     if not len(loaded) and not len(led) and not heavy:
         return np.zeros((n_surface, 3)), True
     load = forces.astype(np.float64)
     if heavy:
         pull = np.zeros_like(state.position)
-        add_weight(simulation.model, simulation.settings, pull)
+        weigh_world(simulation.world, pull)
         load = load + pull[:n_surface]
     size = float(np.linalg.norm(load))
     pushes = np.ascontiguousarray(forces[loaded], dtype=np.float64)
     settled = False
-    coming = max(LEAST_COMING, 2.0 / pace(simulation.model, simulation.settings))
+    coming = max(LEAST_COMING, 2.0 / pace_of_world(simulation.world))
     faults = state.count.faults
     raised = max(1, math.ceil(ramp * simulation.rate))
     prescribe_world(simulation.world, led, goal, raised)
@@ -78,7 +82,7 @@ def residuals(simulation: Simulation, forces: Floats | float = 0.0) -> Floats:
     force = np.zeros_like(simulation.model.rest)
     elastic_forces(simulation.model, simulation.state.position, force)
     force *= simulation.settings.stiffness_scale
-    add_weight(simulation.model, simulation.settings, force)
+    weigh_world(simulation.world, force)
     force[: simulation.model.n_surface] += forces
     add_held(simulation.scratch, float(simulation.settings.tick_time) / max(1, simulation.state.status.substeps), force)
     return force

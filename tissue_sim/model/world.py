@@ -6,11 +6,13 @@ from typing import Any, NamedTuple
 
 from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
+from tissue_sim.model.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.prescribed import free_nodes, prescribe_nodes
 from tissue_sim.model.records import words_of
 from tissue_sim.model.regions import leave_region, show_region
+from tissue_sim.model.rest import pace
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.tick import tick
 
@@ -55,6 +57,24 @@ def reset_world(world: Any) -> None:
 def show_world(world: Any) -> None:
     """Bring the nodes outside a modal region up to date."""
     show_region(world.model, world.state, world.settings, world.scratch)
+
+
+@kernel
+def is_world_out_of_balance(world: Any) -> bool:
+    """Return True when something other than what holds the rest shape pulls at the organ."""
+    return is_out_of_balance(world.model, world.settings)
+
+
+@kernel
+def weigh_world(world: Any, force: Any) -> None:
+    """Add the nodes' weight to force (n, 3) N."""
+    add_weight(world.model, world.settings, force)
+
+
+@kernel
+def pace_of_world(world: Any) -> float:
+    """Return how soon the organ is on its way after it was released, 1/s."""
+    return pace(world.model, world.settings)
 
 
 @kernel
