@@ -110,6 +110,8 @@ def _compiled_once(dispatcher: Any) -> Any:
     The others wait, and load it. Numba's index of a kernel's versions is written by one at a time, too: of two that
     write it at once, one version would be lost, and compiled again by the next process.
     """
+    if numba.config.DISABLE_JIT:
+        return dispatcher
     compile_one, save = dispatcher.compile, dispatcher._cache.save_overload
     name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
     folder = Path(dispatcher._cache.cache_path)

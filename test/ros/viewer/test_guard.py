@@ -125,6 +125,7 @@ def test_on_loopback_no_other_web_page_drives_the_tools(serve):
         assert get(port, host=host)[0] == 200, host
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(browsers.program() is None, reason="no Chromium here")
 def test_a_browser_with_the_token_gets_the_page_going(serve, tmp_path):
     process, port = serve("--host", "0.0.0.0")

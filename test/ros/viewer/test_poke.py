@@ -136,6 +136,7 @@ def page(tmp_path):
     assert "Traceback" not in viewer.text()
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(1200)
 def test_a_drag_in_the_browser_presses_the_organ(page, tmp_path):
     client = Client()
