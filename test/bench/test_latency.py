@@ -8,11 +8,11 @@ import pytest
 
 from tissue_sim.bench import arguments, latency_busy
 from tissue_sim.bench.bare_loop import bare
-from tissue_sim.bench.latency import TRIPS, as_json
+from tissue_sim.bench.latency import WOKEN, as_json, names
 from tissue_sim.bench.latency_busy import AFTER, BUSY, PHASES, QUIET
 from tissue_sim.cli import main
 from tissue_sim.ros.probes.pokes import DEPTH, Poked, Told, depth_after
-from tissue_sim.ros.probes.probe import Trip, together
+from tissue_sim.ros.probes.probe import Trip, first_change, together
 from tissue_sim.ros.shared.priority import is_allowed
 
 
@@ -34,30 +34,58 @@ def trip(seconds, lost=0):
     return Trip(np.full(500, seconds), lost)
 
 
-def test_bounds_follow_from_the_echo_and_the_bare_loop():
+def test_bounds_are_on_what_is_felt_and_on_the_bare_loop():
     both = together([trip(1e-3, 1), trip(1e-3, 2)])
     assert (len(both.seconds), both.lost) == (1000, 3)
 
     def bounds(node, napping, late):
-        trips = dict(zip(TRIPS, (node, trip(4e-4), napping, trip(2e-4)), strict=True))
+        trips = {name: node if name.startswith("felt") else trip(2e-4) for name in names()} | {WOKEN[0]: napping}
         told = {name: one.as_json() for name, one in trips.items()}
         return as_json(1.0, told, (1000.0, late), np.r_[np.zeros(990), np.full(10, 2e-3)], 100.0)["bounds"]
 
-    answered, woken, late = bounds(both, trip(1e-3), 10.0)
-    assert answered["limit"] == pytest.approx(1.5 * 400.0 + 1000.0)
+    *felt, woken, late = bounds(trip(4e-4), trip(1e-3), 10.0)
+    assert [bound["limit"] for bound in felt] == [450.0, 1000.0, 450.0, 1000.0, 600.0, 600.0]
     assert woken["limit"] == pytest.approx(1.5 * 200.0 + 1000.0)
-    assert answered["met"]
-    assert woken["met"]
+    assert all(bound["met"] for bound in (*felt, woken, late))
     assert late["value"] == pytest.approx(1.0)
     assert late["limit"] == pytest.approx(2.0 * 1.0 + 0.2)
     assert not any(bound["met"] for bound in bounds(trip(0.01), trip(0.01), 500.0))
+
+
+# what is felt of a pose ------------------------------------------------------------------------
+TICK, SENT = 1e-3, 0.1205  # s
+
+
+def wrenches(computed, delay=0, noise=1e-4):
+    """Wrenches every tick, s and N: 0.3 N, and from a tick on 0.03 N more, which comes in five of them."""
+    rng, felt = np.random.default_rng(3), []
+    for tick in range(220):
+        risen = np.clip((tick - computed - delay + 1) / 5.0, 0.0, 1.0)
+        felt.append((TICK * tick + 2e-4, np.array([0.3 + 0.03 * risen, 0.0, 0.0]) + noise * rng.standard_normal(3)))
+    return felt
+
+
+def test_what_is_timed_is_the_first_wrench_that_was_computed_with_the_pose():
+    assert first_change(SENT, wrenches(121)) == pytest.approx(0.0007)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 7])
+def test_a_delay_of_ticks_shows(ticks):
+    """Wrenches that come in between and say nothing of the pose do not count."""
+    assert first_change(SENT, wrenches(121, ticks)) == pytest.approx(0.0007 + ticks * TICK)
+
+
+def test_a_pose_that_is_not_felt_is_none():
+    assert first_change(SENT, wrenches(1000)) is None
+    assert first_change(SENT, []) is None
+    assert first_change(SENT, wrenches(121)[:50]) is None
 
 
 def test_short_run_with_real_processes(tmp_path):
     file = tmp_path / "latency.json"
     assert main(["bench", "latency", "--seconds", "2", "--json", str(file)]) == 0
     found = json.loads(file.read_text())
-    assert set(found["round_trips"]) == set(TRIPS)
+    assert set(found["round_trips"]) == set(names())
     assert all(one["trips"] > 0 for one in found["round_trips"].values())
     assert found["late"]["ticks"] > 0
 

@@ -1,9 +1,9 @@
-"""Sends poses to a node or an echo, and takes the time until each is answered."""
+"""Sends poses to a node or an echo, and takes the time until one is felt, or comes back."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +18,15 @@ from tissue_sim.ros.probes.echo import IN, OUT
 from tissue_sim.ros.probes.graph import first_within
 from tissue_sim.ros.probes.hand import DEPTH, FAR, SWING, Hand
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.cdr import parse_stamped
 from tissue_sim.ros.shared.executors import make_executor
+from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
 PATIENCE = 0.05  # s for an answer, after which it counts as lost
+STEP = 3e-4  # m that a pose goes deeper, or comes back
+AT_REST, AFTER = 0.12, 0.1  # s of poses at one place before it, and after it
+CHANGED = 0.02  # of the whole change of the force, and
+RESTLESS = 3.0  # times what it did at rest: what counts as its first change
 SETTLING, PAUSE = 2.0, 0.25  # s until the organ rests, and between poses that are to find the node napping
 
 
@@ -41,6 +47,23 @@ def together(trips: list[Trip]) -> Trip:
     return Trip(np.concatenate([trip.seconds for trip in trips]), sum(trip.lost for trip in trips))
 
 
+def first_change(sent: float, felt: Sequence[tuple[float, Floats]]) -> float | None:
+    """Return the s from a pose to the first wrench that was computed with it; None where there is none.
+
+    felt: when wrenches came, s, and their forces (3,) N, from a while at rest before the pose until the force has
+    changed because of it.
+    """
+    before = np.array([force for at, force in felt if at < sent])
+    after = [(at, force) for at, force in felt if at >= sent]
+    if len(before) < 2 or not after:
+        return None
+    rest = before[-min(len(before), 20) :]
+    middle = rest.mean(axis=0)
+    restless = float(np.linalg.norm(rest - middle, axis=1).max())
+    least = max(CHANGED * float(np.linalg.norm(after[-1][1] - middle)), RESTLESS * restless)
+    return next((at - sent for at, force in after if np.linalg.norm(force - middle) > least), None)
+
+
 def swinging(seconds: float) -> float:
     """How deep the tool is, m, after so many s."""
     return DEPTH + SWING * float(np.sin(2.0 * np.pi * 5.0 * seconds))
@@ -56,10 +79,12 @@ class Probe(Hand):
         super().__init__(node, organ, rate)
         self._target = target
         self._answered, self._answer_clock = 0, 0.0
+        self._felt: list[tuple[float, bytes]] = []  # since the last step
+        self._rng = np.random.default_rng(1)
         self._report: dict[str, str] = {}
         newest = client.stream_qos()
         self._to_echo = node.create_publisher(PoseStamped, IN, newest)
-        node.create_subscription(WrenchStamped, "left/servo_cf", self._on_answer, newest, raw=True)
+        node.create_subscription(WrenchStamped, "left/servo_cf", self._on_wrench, newest, raw=True)
         node.create_subscription(PoseStamped, OUT, self._on_answer, newest, raw=True)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 10)
         self._executor = make_executor()
@@ -70,13 +95,37 @@ class Probe(Hand):
         super().meet()
         first_within(self._to_echo.get_subscription_count, 20.0, "the echo was not found over DDS")
 
-    def trips(self, seconds: float) -> Trip:
-        """Pose to wrench, with the tool in contact."""
-        return self._exchange(self._to_node, seconds, self._period, swinging)
+    def changes(self, seconds: float, rate: float) -> Trip:
+        """Pose to the first wrench that was computed with it: steps in contact, in a stream of poses at a rate, Hz."""
+        took, lost, before, after = [], 0, DEPTH, DEPTH + STEP
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            change = self._step(before, after, 1.0 / rate)
+            took.append(PATIENCE if change is None else change)
+            lost += change is None
+            before, after = after, before
+        return Trip(np.array(took), lost)
 
-    def echoes(self, seconds: float) -> Trip:
+    def _step(self, before: float, after: float, period: float) -> float | None:
+        """Send poses at one depth and then at another; the s until that is felt."""
+        self._felt.clear()
+        # Where in a tick poses come must not be the same each time.
+        deadline, sent = time.monotonic() + period * self._rng.random(), 0.0
+        counts = max(3, round(AT_REST / period)), max(2, round(AFTER / period))
+        for depth, count in zip((before, after), counts, strict=True):
+            for index in range(count):
+                self._spin(deadline - time.monotonic())
+                if depth == after and index == 0:
+                    sent = time.monotonic()
+                self.send(depth)
+                deadline += period
+        self._spin(deadline - time.monotonic())
+        felt = [(at, np.array(parse_stamped(raw, N_WRENCH).values[:3])) for at, raw in self._felt]
+        return first_change(sent, felt)
+
+    def echoes(self, seconds: float, rate: float) -> Trip:
         """Pose to the same bytes from the echo; the node gets no poses, and lets its force fade."""
-        return self._exchange(self._to_echo, seconds, self._period, swinging)
+        return self._exchange(self._to_echo, seconds, 1.0 / rate, swinging)
 
     def wakes(self, seconds: float) -> tuple[Trip, Trip]:
         """Pose to wrench and pose to echo after a pause, in which the node, its organ at rest, has come to nap."""
@@ -121,6 +170,10 @@ class Probe(Hand):
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
+
+    def _on_wrench(self, raw: bytes) -> None:
+        self._on_answer(raw)
+        self._felt.append((self._answer_clock, raw))
 
     def _on_answer(self, _: bytes) -> None:
         self._answer_clock = time.monotonic()
