@@ -16,7 +16,7 @@ from tissue_sim.ros.bags.writer import BagWriter
 FLUSH_EVERY = 0.5  # s; with the journal's 0.25 s a bag that is broken off lacks less than the last second
 PAUSE = 0.05  # s between looks at what waits: a thread that wakes for each message takes turns from those that put them
 MOST_WAITING = 256e6  # bytes; a disk that is so far behind ends the bag
-CLOSING_TIME = 0.4  # s that a bag which is closed before all is written may take for that
+CLOSING_TIME = 2.0  # s that a bag which is closed before all is written may take for that on a busy machine
 BLOCK = 1 << 16  # bytes; a larger message has a block of its own
 _HEADER = struct.Struct("<qqq")  # stamp, topic, length
 
