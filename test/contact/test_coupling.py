@@ -34,6 +34,17 @@ def test_hand_at_rest_feels_the_coupling_spring():
     assert is_sound(scene)
 
 
+def test_a_spring_presses_with_all_its_force_however_far_the_hand_is():
+    """The bound on a tool's way in a step is none on the force of a spring that contact holds back."""
+    scene = coupled(ball(2), 200.0, 1.0, Tool("left", radius=0.01))
+    scene.simulation.settings.stiffness_scale = 100.0
+    scene.simulation.set_substeps()
+    forces = press(scene, 0.02, hold=300)
+    np.testing.assert_allclose(200.0 * apart(scene), forces[-1], rtol=1e-2, atol=1e-3)
+    assert forces[-1, 2] > 2.0, "N"
+    assert is_sound(scene)
+
+
 def test_pressing_with_one_tool_moves_no_other():
     """Where all give way: one in the air stays where its hand is, and others give way to their own forces alone."""
     scene = Scene(kidney(), [PROBE, Tool("right", radius=0.005), Tool("third", radius=0.005)])

@@ -8,9 +8,17 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from helpers.scenes import RADIUS, ball, kidney
-from tissue_sim.contact.finder import TIP_REACH, ContactFinder, divisions_of, edge_and_face_points
+from tissue_sim.contact.finder import (
+    TIP_REACH,
+    TISSUE_WAY,
+    ContactFinder,
+    Sought,
+    divisions_of,
+    edge_and_face_points,
+    reach_margins,
+)
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
-from tissue_sim.model.contact_set import MOST_POINTS
+from tissue_sim.model.contact_set import MOST_POINTS, Engaged
 from tissue_sim.ros.probes.soak_watch import resident
 
 STILL = (0.0, 0.0, 0.0, 1.0)
@@ -20,15 +28,16 @@ def make_finder(organ, *tools):
     return ContactFinder(organ, ToolSet(list(tools)))
 
 
-def find(finder, organ, *poses, engaged=None, pushing=None, margins=None):
+def find(finder, organ, *poses, engaged=None, pushing=None, margins=None, positions=None):
     n_bodies = len(poses)
-    return finder.find(
-        organ.rest_positions,
+    sought = Sought(
         np.array(poses),
         np.zeros(n_bodies) if margins is None else np.array(margins),
         np.ones(n_bodies, dtype=np.int64) if engaged is None else np.array(engaged),
         np.zeros(n_bodies, dtype=np.int64) if pushing is None else np.array(pushing),
+        np.zeros(n_bodies, dtype=np.int64),
     )
+    return finder.find(organ.rest_positions if positions is None else positions, sought)
 
 
 def over(organ, direction, gap, radius=0.0):
@@ -62,7 +71,7 @@ def test_far_tool_gives_an_empty_set_and_counts_the_skip():
 def test_tool_within_the_organs_box_but_far_from_its_triangles_is_skipped_too():
     organ = ball(2)
     finder = make_finder(organ, Tool("left", radius=0.002))
-    found = find(finder, organ, [0.0, 0.0, 0.0, *STILL])
+    found = find(finder, organ, [*[0.9 * RADIUS] * 3, *STILL])
     assert len(found.body) == 0
     assert (finder.counters.far_skips, finder.counters.narrow_phases) == (1, 0)
 
@@ -171,8 +180,8 @@ def test_same_poses_and_surface_give_the_same_set_whatever_was_found_before():
 
 def test_entries_beyond_the_capacity_are_dropped_farthest_first():
     organ = ball(4)  # 2562 nodes
-    finder = make_finder(organ, Tool("left", radius=0.05))
-    pose = np.array([0.0, 0.0, 0.01, *STILL])
+    finder = make_finder(organ, Tool("left", radius=3.0 * RADIUS))
+    pose = np.array([0.0, 0.0, 1.1 * RADIUS, *STILL])
     found = find(finder, organ, pose)
     assert len(found.body) == MOST_POINTS
     assert found.header.dropped >= organ.n_surface - MOST_POINTS
@@ -268,3 +277,49 @@ def test_searches_keep_no_memory():
     asked = finder.counters.narrow_phases
     assert search(30_000) - before < 0.4, "MB"
     assert finder.counters.narrow_phases == asked + 30_000
+
+
+# how far a set reaches -------------------------------------------------------------------------
+def test_a_set_has_every_point_that_a_tool_may_touch_within_its_reach():
+    organ = kidney()
+    finder = make_finder(organ, Tool("left", radius=0.005))
+    pose = over(organ, (1.0, 0.3, 0.2), 0.002, 0.005)
+    found = find(finder, organ, pose, margins=[0.004])
+    assert found.reach[0] == pytest.approx(MARGIN + 0.004 - TISSUE_WAY)
+    assert found.n_points[0] == len(found.body) > 0
+    np.testing.assert_array_equal(found.place[0], pose)
+    distance = np.linalg.norm(organ.surface_positions - pose[:3], axis=1) - 0.005
+    touched = set(np.flatnonzero(distance <= found.reach[0]).tolist())
+    assert touched <= set(found.node[found.weight == 1.0].tolist())
+
+
+def test_an_empty_set_reaches_as_far_as_the_boxes_are_apart():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left", radius=0.005))
+    found = find(finder, organ, [1.0, 0.0, 0.0, *STILL])
+    assert found.n_points[0] == 0
+    apart = 1.0 - 0.005 - organ.surface_positions[:, 0].max()
+    assert found.reach[0] == pytest.approx(apart - TISSUE_WAY, abs=1e-9)
+
+
+def test_what_has_slipped_inside_is_put_back_on_the_surface():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left", radius=0.005))
+    top = np.array([0.0, 0.0, organ.surface_positions[:, 2].max()])
+    inside = np.array([*(top - [0.0, 0.0, 0.008]), *STILL])
+    found = find(finder, organ, inside)
+    assert found.engaged[0] == Engaged.SLIPPED
+    assert np.linalg.norm(found.place[0, :3]) > RADIUS + 0.005
+    assert found.place[0, 2] > top[2]
+    assert find(finder, organ, [*(top + [0.0, 0.0, 0.004]), *STILL]).engaged[0] == Engaged.YES
+
+
+def test_margins_lead_to_where_tools_are_to_be_and_on():
+    places, goals = np.array([[0.0, 0.0, 0.0, *STILL]] * 2), np.array([[0.004, 0.0, 0.0, *STILL]] * 2)
+    last = goals - [0.001, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(reach_margins(places, goals, last, 2.0, np.array([0.0, 0.05])), 0.005)  # 4 + 2 - 1.5
+    turned = goals.copy()
+    turned[:, 3:] = 0.0, 0.0, np.sin(0.05), np.cos(0.05)
+    alone, with_arm = reach_margins(goals, turned, turned, 0.0, np.array([0.0, 0.05]))
+    assert alone == 0.0
+    assert with_arm >= 0.05 * 2.0 * np.sin(0.05) - 0.0015, "a point on an arm of 50 mm, turned by 0.1"

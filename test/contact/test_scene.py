@@ -402,7 +402,7 @@ def test_stale_pose_ramps_the_wrench_to_nothing_and_never_up():
     np.testing.assert_array_equal(scene.wrenches[0], 0.0)
 
 
-def test_stale_tool_lets_the_organ_go_and_a_new_pose_engages_at_once():
+def test_stale_tool_lets_the_organ_go_and_goes_on_from_where_a_new_pose_is():
     scene = Scene(ball(2), [PROBE])
     press(scene, 0.002, hold=20)
     for _ in range(1200):
@@ -412,8 +412,10 @@ def test_stale_tool_lets_the_organ_go_and_a_new_pose_engages_at_once():
     assert scene.simulation.asleep
     assert np.abs(scene.simulation.positions - scene.simulation.model.rest).max() < 1e-5
     pose = top_of(ball(2)) + [0.01, 0.0, 0.02]
-    scene.move(0, pose)
+    lead(scene, 0, pose, hold=30)
     np.testing.assert_array_equal(scene.simulation.state.body_pose[0, :3], pose)
+    assert scene.simulation.state.bodies[0].engaged
+    assert scene.simulation.state.count.faults == 0
 
 
 @pytest.mark.extended

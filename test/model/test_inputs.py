@@ -19,10 +19,12 @@ def engaged_at(pose):
     return simulation
 
 
-def take_set(simulation, sequence, tip_node=(-1, -1, -1), tip_weight=(0.0, 0.0, 0.0), engaged=1):
-    """A contact set without entries."""
+def take_set(simulation, sequence, tip_node=(-1, -1, -1), tip_weight=(0.0, 0.0, 0.0), engaged=1, releases=None):
+    """A contact set without entries, which reaches everywhere."""
     found = contact_set(1, 0)
     found.tip_node[0], found.tip_weight[0], found.engaged[0] = tip_node, tip_weight, engaged
+    found.reach[0] = 1e3
+    found.releases[0] = simulation.state.bodies[0].releases if releases is None else releases
     simulation.take_contacts(found, sequence)
 
 
@@ -139,20 +141,60 @@ def test_stale_tool_lets_go_and_does_not_engage_without_a_new_pose():
     assert not unknown.state.bodies[0].engaged
 
 
-def test_body_that_was_let_go_engages_once_a_set_has_let_go_of_it_too():
+def test_a_set_of_an_earlier_life_engages_nothing():
     simulation = engaged_at(FAR)
     for _ in range(71):
         simulation.step()
     body = simulation.state.bodies[0]
+    assert body.released
+    assert body.releases == 1
     simulation.take_pose(0, FAR, 2)
-    take_set(simulation, 2)  # by a thread that saw nothing of it
-    assert body.lapsed
+    take_set(simulation, 2, releases=0)  # by a thread that saw nothing of it
     assert not body.engaged
-    take_set(simulation, 3, engaged=0)
-    assert not body.lapsed
-    assert not body.engaged
-    take_set(simulation, 4)
+    take_set(simulation, 3)
     assert body.engaged
+
+
+def test_a_tool_goes_no_farther_than_its_contact_set_reaches():
+    """Nor when its poses jump; it gets there once a set has the surface around it. No set that lacks it is taken."""
+    simulation = engaged_at(FAR)
+    found = contact_set(1, 0)
+    found.engaged[0], found.place[0], found.reach[0] = 1, FAR, 0.01
+    found.tip_node[0] = -1
+    simulation.take_contacts(found, 3)
+    goal = FAR + [0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 0.0]
+    simulation.take_pose(0, goal, 4)
+    pose = simulation.state.body_pose[0]
+    for _ in range(20):
+        simulation.step()
+    np.testing.assert_allclose(pose[2], FAR[2] + 0.01, atol=1e-12)
+    found.place[0, 2] += 0.03  # 20 mm from the tool, that is
+    simulation.take_contacts(found, 5)
+    assert simulation.state.contacts.header.sequence == 3
+    found.place[0, 2] -= 0.015
+    simulation.take_contacts(found, 6)
+    for _ in range(20):
+        simulation.step()
+    np.testing.assert_allclose(pose[2], FAR[2] + 0.025, atol=1e-12)
+    take_set(simulation, 7)
+    simulation.step()
+    np.testing.assert_array_equal(pose, goal)
+
+
+@pytest.mark.parametrize(("pause", "goes_on"), [(0.1, True), (1.5, False)])
+def test_a_tool_whose_poses_go_on_soon_stays_where_it_was(pause, goes_on):
+    """A hand that pressed when its poses stopped is resisted from there; a new one is where it appears."""
+    simulation = engaged_at(FAR)
+    for _ in range(round(1e3 * pause)):
+        simulation.step()
+    there = FAR + [0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 0.0]
+    simulation.take_pose(0, there, 2)
+    simulation.step()
+    np.testing.assert_array_equal(simulation.state.body_pose[0], FAR if goes_on else there)
+    assert simulation.state.bodies[0].resisted == goes_on
+    take_set(simulation, 3)
+    simulation.step()
+    np.testing.assert_array_equal(simulation.state.body_pose[0], there)
 
 
 def test_force_at_a_tip_acts_on_its_triangle_until_it_is_stale():

@@ -112,7 +112,7 @@ def above(height, x=0.0):
     return np.array([x, 0.0, 0.03 + RADIUS + height, 0.0, 0.0, 0.0, 1.0])
 
 
-def all_nodes():
+def all_nodes(releases=0):
     """A contact set of every surface node, with the point under the tip in the topmost triangle."""
     organ = ball(2)
     nodes = np.repeat(np.arange(organ.n_surface)[:, None], 3, axis=1)
@@ -124,6 +124,7 @@ def all_nodes():
     found.header.points = len(nodes)
     found.node[:], found.weight[:], found.normal[:] = nodes, weights, normals
     found.tip_node[0], found.tip_weight[0], found.engaged[0] = top, 1.0 / 3.0, 1
+    found.reach[0], found.releases[0] = 1e3, releases  # everywhere
     return found
 
 
@@ -221,7 +222,7 @@ def test_same_inputs_fed_by_hand_give_the_same_state_bit_for_bit():
             if step == 60:
                 loop.control.resets += 1
             if step == 65:
-                loop.post_contacts(all_nodes())
+                loop.post_contacts(all_nodes(releases=1))
             loop.wait(1)
         words = loop.snapshot()
         wrench = loop.results().wrench

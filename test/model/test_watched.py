@@ -8,7 +8,7 @@ from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.handles import handle
-from tissue_sim.model.tool_motion import set_frame
+from tissue_sim.model.tool_motion import FASTEST, set_frame
 from tissue_sim.model.watched import FAST, watch_contacts
 
 RADIUS, HALF = 0.004, 0.01  # m, of a capsule
@@ -46,7 +46,8 @@ def naive_watch(state, goal, tick_time, coupling):
     local, gap = in_capsule(state, entries, pose), capsule_gap(state, entries, pose)
     moved = np.linalg.norm(goal[:3] - pose[:3]) * min(1.0, coupling)
     turned = np.linalg.norm(end.as_matrix() - turn.as_matrix())
-    reach = moved + turned * np.linalg.norm(local, axis=1) + FAST * tick_time
+    most = FASTEST * tick_time if coupling == 1.0 else np.inf
+    reach = np.minimum(most, moved + turned * np.linalg.norm(local, axis=1)) + FAST * tick_time
     return np.flatnonzero((state.contact_pressed[0, : header.points] > 0.0) | (gap < reach))
 
 

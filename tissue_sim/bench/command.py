@@ -26,13 +26,17 @@ BENCHMARKS = {
         "what markers cost, plain and coloured, beside a node that only sends them",
     ),
     "page": ("tissue_sim.bench.page", "pictures a second that the page sends of a scene whose organs all move"),
-    "latency": ("tissue_sim.bench.latency", "from a pose to its wrench, beside an echo, and how late ticks are"),
+    "latency": (
+        "tissue_sim.bench.latency",
+        "from a pose to the first wrench computed with it, beside an echo; late ticks",
+    ),
     "soak": (
         "tissue_sim.bench.soak",
         "half an hour of use: drift of the shape at rest, memory, lateness, an intact bag",
     ),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
+    "presses": ("tissue_sim.bench.presses", "tools enter fast, late or in jumps: is any lost, what does the hand feel"),
     "palpation": ("tissue_sim.bench.palpation", "a finger feels for a tumour, against nonlinear finite elements"),
     "breathing": ("tissue_sim.bench.breathing", "an organ whose clamp breathes, against implicit finite elements"),
     "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,15 @@ def boxes_meet(low: Any, high: Any, other_low: Any, other_high: Any) -> bool:
 
 
 @kernel
+def boxes_apart(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
+    """Return how far apart two boxes are along the axis where they are farthest, m; 0 where they meet."""
+    apart = 0.0
+    for c in range(3):
+        apart = max(apart, low[c] - other_high[c], other_low[c] - high[c])
+    return apart
+
+
+@kernel
 def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: Any, found: Any) -> tuple[int, float]:
     """Write the triangles (t, 3) whose box meets the box low, high (3,).
 
@@ -67,74 +76,59 @@ def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: A
     return count, moved
 
 
-@kernel
-def points_near(
-    position: Any,
-    near: Any,
-    lattice: Any,
-    edge: Any,
-    shapes: Any,
-    body: int,
-    origin: Any,
-    rotation: Any,
-    reach: float,
-    normal: Any,
-    seen: Any,
-    count: int,
-    found_body: Any,
-    found_node: Any,
-    found_weight: Any,
-    found_normal: Any,
-) -> int:
-    """Points of triangles near (t, 3) that lie within reach, m, of a body at origin (3,), rotation (9,).
+class Lattice(NamedTuple):
+    """Where contact points lie on a triangle, beside its corners."""
 
-    Corners, and the points of a lattice, weights (k, 3); edge (k,): which corner is opposite to the edge that a point
-    is on, -1 for none. After the first `count` of them writes the body (c,), nodes (c, 3), weights (c, 3) and unit
-    normals (c, 3) of the tissue as far as there is room; returns how many there are now. normal (n, 3) and seen (n,)
-    are room, zero outside this function.
+    weight: Any  # (k, 3) barycentric
+    edge: Any  # (k,) which corner is opposite to the edge that a point is on, -1 for none
+
+
+class Search(NamedTuple):
+    """What contact points are looked for: those of a body at origin (3,), rotation (9,), within reach, m."""
+
+    shapes: Any
+    body: int
+    lattice: Lattice
+    origin: Any
+    rotation: Any
+    reach: float
+    normal: Any  # (n, 3) room
+
+
+class Found(NamedTuple):
+    """Room for contact points."""
+
+    body: Any  # (c,)
+    node: Any  # (c, 3)
+    weight: Any  # (c, 3) barycentric
+    normal: Any  # (c, 3) outward unit normals of the tissue
+
+
+@kernel
+def points_near(position: Any, near: Any, search: Any, seen: Any, found: Any, count: int) -> int:
+    """Find the points of triangles near (t, 3) that lie within reach of a body: corners, and those of its lattice.
+
+    They are written after the first `count` as far as there is room; returns how many there are now. seen (n,): room,
+    zero outside this function.
     """
+    lattice = search.lattice
     for t in range(len(near)):
         for c in range(3):
             for axis in range(3):
-                normal[near[t, c], axis] = 0.0
-    add_normals(position, near, normal)
+                search.normal[near[t, c], axis] = 0.0
+    add_normals(position, near, search.normal)
     for t in range(len(near)):
+        nodes = near[t, 0], near[t, 1], near[t, 2]
         for c in range(3):
-            node = near[t, c]
+            node = nodes[c]
             if seen[node] == 0:
                 seen[node] = 1
-                at = position[node]
-                if _is_within(shapes, body, origin, rotation, reach, at[0], at[1], at[2]):
-                    if count < len(found_node):
-                        found_body[count] = body
-                        for k in range(3):
-                            found_node[count, k] = node
-                            found_weight[count, k] = 1.0 if k == 0 else 0.0
-                        _unit(normal[node, 0], normal[node, 1], normal[node, 2], found_normal[count])
-                    count += 1
-        i, j, k = near[t, 0], near[t, 1], near[t, 2]
-        for point in range(len(lattice)):
+                count = _add_point(position, (node, node, node), (1.0, 0.0, 0.0), search, found, count)
+        for point in range(len(lattice.weight)):
+            edge, weight = lattice.edge[point], lattice.weight[point]
             # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
-            if edge[point] >= 0 and near[t, (edge[point] + 1) % 3] > near[t, (edge[point] + 2) % 3]:
-                continue
-            u, v, w = lattice[point, 0], lattice[point, 1], lattice[point, 2]
-            x = u * position[i, 0] + v * position[j, 0] + w * position[k, 0]
-            y = u * position[i, 1] + v * position[j, 1] + w * position[k, 1]
-            z = u * position[i, 2] + v * position[j, 2] + w * position[k, 2]
-            if not _is_within(shapes, body, origin, rotation, reach, x, y, z):
-                continue
-            if count < len(found_node):
-                found_body[count] = body
-                for c in range(3):
-                    found_node[count, c] = near[t, c]
-                    found_weight[count, c] = lattice[point, c]
-                _unit(
-                    u * normal[i, 0] + v * normal[j, 0] + w * normal[k, 0],
-                    u * normal[i, 1] + v * normal[j, 1] + w * normal[k, 1],
-                    u * normal[i, 2] + v * normal[j, 2] + w * normal[k, 2],
-                    found_normal[count],
-                )
-            count += 1
+            if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
+                count = _add_point(position, nodes, (weight[0], weight[1], weight[2]), search, found, count)
     for t in range(len(near)):
         for c in range(3):
             seen[near[t, c]] = 0
@@ -142,11 +136,25 @@ def points_near(
 
 
 @kernel
-def _is_within(shapes: Any, body: int, origin: Any, rotation: Any, reach: float, x: float, y: float, z: float) -> bool:
-    r = rotation
-    x, y, z = x - origin[0], y - origin[1], z - origin[2]
+def _add_point(position: Any, nodes: Any, weight: Any, search: Any, found: Any, count: int) -> int:
+    """Add a point where it is near the body; returns how many there are then."""
+    x = y = z = nx = ny = nz = 0.0
+    for c in range(3):
+        at, normal = position[nodes[c]], search.normal[nodes[c]]
+        x, y, z = x + weight[c] * at[0], y + weight[c] * at[1], z + weight[c] * at[2]
+        nx, ny, nz = nx + weight[c] * normal[0], ny + weight[c] * normal[1], nz + weight[c] * normal[2]
+    r = search.rotation
+    x, y, z = x - search.origin[0], y - search.origin[1], z - search.origin[2]
     lx, ly, lz = r[0] * x + r[3] * y + r[6] * z, r[1] * x + r[4] * y + r[7] * z, r[2] * x + r[5] * y + r[8] * z
-    return signed_distance(shapes, body, lx, ly, lz)[0] <= reach
+    if signed_distance(search.shapes, search.body, lx, ly, lz)[0] > search.reach:
+        return count
+    if count < len(found.node):
+        found.body[count] = search.body
+        for c in range(3):
+            found.node[count, c] = nodes[c]
+            found.weight[count, c] = weight[c]
+        _unit(nx, ny, nz, found.normal[count])
+    return count + 1
 
 
 @kernel

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import fcl
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
+    Found,
+    Lattice,
+    Search,
     body_box,
+    boxes_apart,
     boxes_meet,
     holds_node,
     nearest_node,
@@ -22,12 +26,14 @@ from tissue_sim.contact.broad_phase import (
 from tissue_sim.contact.local_compliance import local_compliance, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
-from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, contact_set
+from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
 from tissue_sim.model.shapes import rotation_matrix
+from tissue_sim.model.tool_motion import way_between
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
 
-MOST_MARGIN = 0.02  # m: a tool that covers more between two contact sets is held by the next one
+MOST_MARGIN = 0.01  # m: a tool that is farther from where it is to be gets there in steps, a contact set each
+TISSUE_WAY = 0.001  # m that tissue may come nearer to a tool before the next set, which its reach leaves room for
 TIP_REACH = 0.02  # m from the tip within which an external force finds the tissue
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
@@ -35,6 +41,16 @@ _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
 SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
 LEAST_DIVISIONS = 2  # a big ball that is pressed in a little touches less than a node's area
 MOST_DIVISIONS = 8
+
+
+class Sought(NamedTuple):
+    """What a contact set is to be found for. T bodies."""
+
+    poses: Floats  # (T, 7) m and unit quaternions xyzw, where they are
+    margins: Floats  # (T,) m beyond MARGIN that those need which move
+    engaged: Longs  # (T,) Engaged: points are found for those that may touch
+    pushing: Longs  # (T,) 1 for those whose external force needs the surface point under the tip
+    releases: Longs  # (T,) how often they had been released
 
 
 @dataclass
@@ -73,8 +89,8 @@ class ContactFinder:
         self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
         self._normal, self._seen = np.zeros((self.n_surface, 3)), np.zeros(self.n_surface, dtype=np.int64)
         most = MOST_FOUND * len(tools.grown)
-        self._body, self._node = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
-        self._weight, self._outward = np.zeros((most, 3)), np.zeros((most, 3))
+        whole = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
+        self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)))
         self._rest = np.array(rest)
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         # Made once: python-fcl keeps 32 bytes of every one that goes.
@@ -83,10 +99,7 @@ class ContactFinder:
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
         divisions = [divisions_of(longest / (SPACING * size)) for size in tools.smallest]
-        self._lattices = [edge_and_face_points(count) for count in divisions]
-        self._edges = [
-            np.where(np.any(points == 0.0, axis=1), np.argmin(points, axis=1), -1) for points in self._lattices
-        ]
+        self._lattices = [lattice_of(count) for count in divisions]
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
@@ -98,40 +111,47 @@ class ContactFinder:
         room = [most_give(size, longest / count) for count, size in lattices]
         self._most_give = np.where(self._is_fine, 0.0, room)
 
-    def find(self, position: Floats, poses: Floats, margins: Floats, engaged: Longs, pushing: Longs) -> ContactSet:
-        """Contact set of the engaged bodies on a surface: its points within MARGIN of them.
-
-        position (n, 3) m, surface first; poses (T, 7) m and unit quaternions xyzw; margins (T,) m beyond
-        MARGIN that fast tools need; engaged (T,) 1 for bodies that may touch; pushing (T,) 1 for those
-        whose external force needs the surface point under the tip.
-        """
-        n_bodies = len(self.tools.grown)
+    def find(self, position: Floats, sought: Sought) -> ContactSet:
+        """Return the contact set of bodies on a surface, position (n, 3) m, surface first: its points near them."""
+        n_bodies, poses, engaged = len(self.tools.grown), sought.poses.copy(), sought.engaged.copy()
         self.counters.sets += 1
         surface_box(position, self.n_surface, self._low, self._high)
-        count = 0
-        for body in range(n_bodies):
-            if engaged[body]:
-                count = self._add(body, position, poses[body], margins[body], count)
-        kept = slice(0, min(count, len(self._body)))
+        count, counts = 0, np.zeros(n_bodies, dtype=np.int64)
+        reach = MARGIN + sought.margins - TISSUE_WAY
+        for body in np.flatnonzero(engaged == Engaged.YES).tolist():
+            way_out = self._way_out(body, position, poses[body])
+            if way_out is not None:
+                poses[body, :3] += way_out
+                engaged[body] = Engaged.SLIPPED
+            before = count
+            count, apart = self._add(body, position, poses[body], sought.margins[body], count)
+            counts[body], reach[body] = count - before, max(reach[body], apart)
+        points = self._points
+        kept = slice(0, min(count, len(points.body)))
         chosen: slice | Longs = kept
         if count > MOST_POINTS:
-            points = np.einsum("ij,ijk->ik", self._weight[kept], position[self._node[kept]])
-            distance = np.linalg.norm(points - poses[self._body[kept], :3], axis=1)
+            places = np.einsum("ij,ijk->ik", points.weight[kept], position[points.node[kept]])
+            distance = np.linalg.norm(places - poses[points.body[kept], :3], axis=1)
             chosen = np.sort(np.argsort(distance, kind="stable")[:MOST_POINTS])
+            reach = np.minimum(reach, MARGIN - TISSUE_WAY)  # the farthest are those that are dropped
         found = contact_set(n_bodies, min(count, MOST_POINTS))
         found.header.points, found.header.dropped = len(found.body), max(0, count - MOST_POINTS)
-        found.body[:], found.node[:] = self._body[chosen], self._node[chosen]
-        found.weight[:], found.normal[:] = self._weight[chosen], self._outward[chosen]
+        found.body[:], found.node[:] = points.body[chosen], points.node[chosen]
+        found.weight[:], found.normal[:] = points.weight[chosen], points.normal[chosen]
         found.compliance[:] = np.einsum("kc,kcx->kx", found.weight, self._compliance[found.body[:, None], found.node])
         found.most_give[:] = self._most_give[found.body]
-        found.engaged[:] = engaged
+        found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
+        found.n_points[:], found.releases[:] = counts, sought.releases
         found.tip_node[:] = -1
-        for pushed in np.flatnonzero(pushing):
+        for pushed in np.flatnonzero(sought.pushing):
             found.tip_node[pushed], found.tip_weight[pushed] = self._under_tip(position, poses[pushed, :3])
         return found
 
-    def _add(self, body: int, position: Floats, pose: Floats, margin: float, count: int) -> int:
-        """Points near a body, after the `count` that were found; returns how many there are now."""
+    def _add(self, body: int, position: Floats, pose: Floats, margin: float, count: int) -> tuple[int, float]:
+        """Add points near a body after the `count` that were found; returns how many there are now.
+
+        Beside that how far the body is from the organ at the least, m, where its boxes tell.
+        """
         origin, reach = pose[:3], MARGIN + margin
         self._place(body, pose, reach)
         low, high, some, moved = self._box_low, self._box_high, 0, 0.0
@@ -142,34 +162,18 @@ class ContactFinder:
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
         if some == 0 or (is_asked and not self._comes_near(body, origin)):
             self.counters.far_skips += 1
-            return count
+            return count, reach + boxes_apart(low, high, self._low, self._high) - TISSUE_WAY
         near = self._found[:some]
-        count = points_near(
-            position,
-            near,
-            self._lattices[body],
-            self._edges[body],
-            self.tools.shapes,
-            body,
-            origin,
-            self._matrix,
-            reach,
-            self._normal,
-            self._seen,
-            count,
-            self._body,
-            self._node,
-            self._weight,
-            self._outward,
-        )
-        return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count
+        search = Search(self.tools.shapes, body, self._lattices[body], origin, self._matrix, reach, self._normal)
+        count = points_near(position, near, search, self._seen, self._points, count)
+        return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
         """Compile what a contact needs, so that the first one doesn't wait for it."""
         n_bodies = len(self.tools.grown)
         poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_bodies, 1))
-        everything = np.ones(n_bodies, dtype=np.int64)
-        self.find(position, poses, np.zeros(n_bodies), everything, everything)
+        everything, none = np.ones(n_bodies, dtype=np.int64), np.zeros(n_bodies, dtype=np.int64)
+        self.find(position, Sought(poses, np.zeros(n_bodies), everything, everything, none))
         for body in range(n_bodies):
             self.is_inside(body, position, poses[body])
         self.counters = FinderCounters()
@@ -185,6 +189,30 @@ class ContactFinder:
         if np.any(centre < self._low) or np.any(centre > self._high):
             return False
         return bool(inside(centre[None], position, self.triangles)[0])
+
+    def _way_out(self, body: int, position: Floats, pose: Floats) -> Floats | None:
+        """Return how a body that has slipped through the surface gets out of the organ, (3,) m; None for others.
+
+        Tissue gives way to a tool by less than its radius, so that what lies in its middle, or in that of a capsule's
+        caps, is never inside while it is resisted. The way is that to the nearest point of the surface, and on until
+        the body is beside it.
+        """
+        self._place(body, pose, 0.0)
+        rotation, middle = self._matrix.reshape(3, 3), self.tools.middle[body]
+        points = middle @ rotation.T + pose[:3]
+        if np.all((points < self._low) | (points > self._high), axis=None):
+            return None
+        swallowed = inside(points, position, self.triangles)
+        if not swallowed.any():
+            return None
+        point = points[np.argmax(swallowed)]
+        node, _ = nearest_node(position, self.n_surface, *point)
+        around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
+        weight, distance = nearest_weights(position[around], np.repeat(point[None], len(around), axis=0))
+        nearest = int(np.argmin(distance))
+        way = weight[nearest] @ position[around[nearest]] - point
+        outward = way / max(float(np.linalg.norm(way)), 1e-9)
+        return way + outward * (self.tools.clearance[body] + TISSUE_WAY)
 
     def _place(self, body: int, pose: Floats, margin: float) -> None:
         """Write the rotation matrix of a body, and its box grown by a margin."""
@@ -217,10 +245,11 @@ class ContactFinder:
         weights = nearest_weights(position[corners], points)[0]
         normal = np.einsum("kc,kcx->kx", weights, self._normal[corners])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-        room = slice(min(count, len(self._body)), min(count + len(touched), len(self._body)))
+        most = len(self._points.body)
+        room = slice(min(count, most), min(count + len(touched), most))
         taken = room.stop - room.start
-        self._body[room], self._node[room] = body, corners[:taken]
-        self._weight[room], self._outward[room] = weights[:taken], normal[:taken]
+        self._points.body[room], self._points.node[room] = body, corners[:taken]
+        self._points.weight[room], self._points.normal[room] = weights[:taken], normal[:taken]
         return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
@@ -233,19 +262,30 @@ class ContactFinder:
         return around[chosen].astype(np.int64), weight[chosen]
 
 
-def reach_margins(position: Floats, last: Floats, share: float, behind: Floats) -> Floats:
-    """Margins (T,) m beyond MARGIN for bodies that went from last (T, 3) to position (T, 3) m since the last set.
+def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, extents: Floats) -> Floats:
+    """Return margins (T,) m beyond MARGIN for bodies at places (T, 7) that are to go to goals (T, 7), before: `last`.
 
-    What they may cover until the next one, `share` times as much, and how far behind their newest pose they are, (T,)
-    m, beyond half of MARGIN; in whole mm, so that a journal can hold them.
+    How far they are from there, and what they may go on until the next set, `share` times what they went since the
+    last one, beyond half of MARGIN; in whole mm, so that a journal can hold them. extents (T,) m: `Shapes.extent`.
     """
-    covered = share * np.linalg.norm(position - last, axis=1) + behind
+    covered = ways(places, goals, extents) + share * ways(last, goals, extents)
     return 1e-3 * np.ceil(1e3 * np.clip(covered - 0.5 * MARGIN, 0.0, MOST_MARGIN))
+
+
+def ways(poses: Floats, others: Floats, extents: Floats) -> Floats:
+    """Return bounds (T,) m on how far points of bodies lie apart in two poses each, (T, 7)."""
+    return np.array([way_between(*one) for one in zip(poses, others, extents, strict=True)])
 
 
 def divisions_of(wanted: float) -> int:
     """In how many parts contact points divide an edge: rounded up, 2 to 8."""
     return min(max(LEAST_DIVISIONS, math.ceil(wanted)), MOST_DIVISIONS)
+
+
+def lattice_of(parts: int) -> Lattice:
+    """Return the lattice of a body for which edges are divided in so many parts."""
+    weight = edge_and_face_points(parts)
+    return Lattice(weight, np.where(np.any(weight == 0.0, axis=1), np.argmin(weight, axis=1), -1))
 
 
 def edge_and_face_points(m: int) -> Floats:

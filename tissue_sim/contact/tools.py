@@ -73,6 +73,15 @@ class ToolSet:
         self.corners = [body.corners for body in bodies]  # points whose hull, grown by `padding`, holds the body
         self.padding = [body.size[0] for body in bodies]
         self.centre = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
+        # Points that lie inside no tissue that resists: the middles of a capsule's caps and length, or what is deepest.
+        self.middle = [
+            np.vstack([body.corners, centre]) if body.kind in (SPHERE, CAPSULE) else _deepest(body)[None]
+            for body, centre in zip(bodies, self.centre, strict=True)
+        ]
+        self.clearance = [  # m, from there to the body's surface at the most
+            body.size[0] or float(np.linalg.norm(body.corners - middle[0], axis=1).max())
+            for body, middle in zip(bodies, self.middle, strict=True)
+        ]
         self.smallest = [body.smallest for body in bodies]  # m, radius of the finest thing about the body
         self.meshes = [body.mesh for body in bodies]  # None for spheres and capsules
         self.shapes = make_shapes(
@@ -81,6 +90,7 @@ class ToolSet:
             [body.planes for body in bodies],
             [body.grid for body in bodies],
             [tool for tool, members in enumerate(self.bodies) for _ in members],
+            [(body.smallest, float(np.linalg.norm(body.corners, axis=1).max())) for body in bodies],
         )
 
     def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
@@ -160,6 +170,14 @@ def _mesh_body(tool: Tool) -> _Body:
     mesh.fix_normals()
     thin = min(smallest, float(mesh.volume / mesh.area) * 2.0)  # half the thickness of a plate
     return _Body(GRID, (0.0, 0.0), corners, thin, grid=distance_grid(mesh, MARGIN), mesh=mesh)
+
+
+def _deepest(body: _Body) -> Floats:
+    """Return a point (3,) m of a mesh far from its surface: that of a ring lies in the ring, not in its hole."""
+    if body.grid is None:
+        return np.asarray(0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)))
+    at = np.unravel_index(np.argmin(body.grid.distance), body.grid.distance.shape)
+    return np.asarray(body.grid.origin + body.grid.spacing * np.array(at))
 
 
 def _planes(tool: Tool, hull: trimesh.Trimesh) -> Floats:

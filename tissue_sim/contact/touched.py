@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.contact.finder import ContactFinder, reach_margins
+from tissue_sim.contact.finder import ContactFinder, Sought, reach_margins
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.simulation import Simulation
@@ -30,14 +30,14 @@ class TouchedOrgan:
     def find(self, sequence: int) -> None:
         """Find what the bodies may touch where they are now, and take it up; sequence: its number."""
         state = self.simulation.state
-        fresh = ((state.bodies.age >= 0) & ~state.bodies.lapsed.astype(bool)).astype(np.int64)
+        fresh = ((state.bodies.age >= 0) & (state.bodies.released == 0)).astype(np.int64)
         pushing = (state.bodies.force_age >= 0).astype(np.int64)
-        goal = state.body_goal.copy()
-        margins = np.zeros(len(fresh))
-        if self._ticks_a_set > 1 and self._set_goal is not None:
-            behind = state.bodies.speed * state.bodies.remaining
-            margins = reach_margins(goal[:, :3], self._set_goal[:, :3], 2.0, behind)
+        goal, places = state.body_goal.copy(), state.body_pose.copy()
+        # Before every tick a set has all that lies on a tool's way; else also what it may go on until the next one.
+        share, last = (0.0, goal) if self._ticks_a_set == 1 or self._set_goal is None else (2.0, self._set_goal)
+        margins = reach_margins(places, goal, last, share, self.finder.tools.shapes.extent)
         self._set_goal = goal
-        found = self.finder.find(self.simulation.positions, goal, margins, fresh, pushing)
+        releases = state.bodies.releases.copy()
+        found = self.finder.find(self.simulation.positions, Sought(places, margins, fresh, pushing, releases))
         self.simulation.take_contacts(found, sequence)
         self.contacts = found

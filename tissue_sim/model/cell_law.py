@@ -13,7 +13,7 @@ from tissue_sim.model.vectors import fused
 
 STEEPEST = 0.4  # of the volume at rest; the pressure's slope grows as 1 / J^2
 SQUEEZED = 0.5  # of the volume at rest, from which on the penalty pushes
-STIFF = 0.35  # of the volume at rest, from which on a cell asks for shorter substeps than at rest
+STIFF = 0.6  # of the volume at rest, from which on a cell asks for shorter substeps than at rest
 
 
 @kernel

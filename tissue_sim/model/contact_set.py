@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,12 @@ from tissue_sim.model.layout import carve, size_of
 from tissue_sim.model.records import Record
 
 MOST_POINTS = 2048
+
+
+class Engaged(IntEnum):
+    """What a contact set says of a body."""
+
+    NO, YES, HELD_OFF, SLIPPED = range(4)  # not looked at; it may touch; it appeared inside; it has slipped inside
 
 
 class ContactSetHeader(Record):
@@ -30,7 +37,11 @@ class ContactSet(NamedTuple):
 
     words: Longs
     header: ContactSetHeader
-    engaged: Longs  # (B,) 1 for bodies that may touch
+    engaged: Longs  # (B,) Engaged
+    place: Floats  # (B, 7) where each body was when its points were found; for one that has slipped, where it goes
+    reach: Floats  # (B,) m that any of its points may move by from there, and touches none but points of the set
+    n_points: Longs  # (B,) how many points are for it
+    releases: Longs  # (B,) how often it had been released by then
     tip_node: Longs  # (B, 3) nodes of the triangle under the tip, -1 where none is near
     tip_weight: Floats  # (B, 3) barycentric weights there
     body: Longs  # (C,)
@@ -59,6 +70,10 @@ def _fields(n_bodies: int) -> dict[str, Any]:
     return {
         "header": ContactSetHeader,
         "engaged": (np.int64, (n_bodies,)),
+        "place": (np.float64, (n_bodies, 7)),
+        "reach": (np.float64, (n_bodies,)),
+        "n_points": (np.int64, (n_bodies,)),
+        "releases": (np.int64, (n_bodies,)),
         "tip_node": (np.int64, (n_bodies, 3)),
         "tip_weight": (np.float64, (n_bodies, 3)),
     }

@@ -7,11 +7,11 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy, copy_nodes
+from tissue_sim.model.inputs import MAX_BACKOFF
 from tissue_sim.model.regions import are_placed, modes_are_finite, restore_shape, watched_nodes
 from tissue_sim.model.state import Fault, Region
 from tissue_sim.model.tool_motion import restore_bodies
 
-MAX_BACKOFF = 8
 RUNAWAY_RATE = 100.0  # 1/s, speed over the organ's size that the nodes together never have
 WAY_BACK = 20.0  # 1/s on the way to rest
 CELLS_A_TICK = 32  # a rolling check: all 1984 of the kidney's every 62 ticks

@@ -7,22 +7,34 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
-from tissue_sim.model.contact_set import used_words
+from tissue_sim.model.contact_set import Engaged, used_words
 from tissue_sim.model.prescribed import forget_prescribed
 from tissue_sim.model.regions import drop_region
+from tissue_sim.model.tool_motion import way_between
 
 CATCH_UP = 0.03  # s in which a tool makes good most of what it is behind its poses, where they told such a speed
+RESUMED = 1.0  # s without poses after which a hand that comes back is a new one
+MAX_BACKOFF = 8  # highest factor on the substeps
 CREEP = 1e-3, 1e-2  # m/s and 1/s at the least, so that it gets there
 
 
 @kernel
 def take_pose(state: Any, settings: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
-    """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw; stamp in ns, 0 where it has none."""
+    """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw; stamp in ns, 0 where it has none.
+
+    The first one puts the tool there, and so does any while nothing resists it; it is led to others. Where poses go on
+    that had stopped while the tool was resisted, no longer than RESUMED ago, it is resisted from where it was.
+    """
     status = state.bodies[body]
-    if not status.engaged:
-        copy(pose, state.body_pose[body])
+    if status.age < 0 or status.released or status.held_off:
+        goes_on = status.released and status.placed and status.age * settings.tick_time < RESUMED
+        if not goes_on:
+            copy(pose, state.body_pose[body])
         copy(pose, state.held_pose[body])
         status.remaining = status.speed = status.turning = 0.0
+        status.resisted = status.resisted and goes_on
+        status.placed = not status.held_off
+        status.released = False
     else:
         lead_to(state, settings, body, pose, stamp)
     copy(pose, state.body_goal[body])
@@ -85,19 +97,50 @@ def take_force(state: Any, body: int, force: Any, sequence: int) -> None:
 
 
 @kernel
-def take_contacts(state: Any, found: Any, sequence: int) -> None:
-    """Take up a ContactSet; sequence: its number."""
+def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
+    """Take up a ContactSet, unless it lacks the surface around a tool that is resisted; sequence: its number.
+
+    A tool may have gone on since the set was found. Then it goes by the set that it has, no farther than that reaches,
+    and the next one has it.
+    """
     contacts = state.contacts
+    for body in range(len(state.bodies)):
+        if state.bodies[body].engaged and not covers(state, shapes, found, body):
+            return
     carry_impulses(state, found)
     for index in range(used_words(found)):
         contacts.words[index] = found.words[index]
     contacts.header.sequence = sequence
     for body in range(len(state.bodies)):
         status = state.bodies[body]
-        # The organ has closed around a body that was let go: whoever finds contacts has to look at it anew.
-        wanted = contacts.engaged[body] == 1
-        status.lapsed = status.lapsed and wanted
-        status.engaged = wanted and status.age >= 0 and not status.lapsed
+        # What was found of an earlier life of a body says nothing of where it is now.
+        if status.age >= 0 and not status.released and found.releases[body] == status.releases:
+            if found.engaged[body] == Engaged.SLIPPED and covers(state, shapes, found, body):
+                put_back(state, body)
+            status.engaged = status.engaged or covers(state, shapes, found, body)
+            status.resisted = status.resisted and not status.engaged
+            status.held_off = not status.engaged and (status.held_off or found.engaged[body] == Engaged.HELD_OFF)
+            status.placed = not status.held_off
+
+
+@kernel
+def covers(state: Any, shapes: Any, found: Any, body: int) -> bool:
+    """Return whether a contact set has all points of the surface that a body may touch where it is, or is put."""
+    status = state.bodies[body]
+    if found.releases[body] != status.releases:
+        return False
+    way = way_between(state.body_pose[body], found.place[body], shapes.extent[body])
+    is_reached = found.engaged[body] == Engaged.YES and way <= found.reach[body]
+    return is_reached or (found.engaged[body] == Engaged.SLIPPED and (status.engaged or status.resisted))
+
+
+@kernel
+def put_back(state: Any, body: int) -> None:
+    """Put a body that is inside on the surface, from where it presses anew: in shorter substeps, if it had slipped."""
+    copy(state.contacts.place[body], state.body_pose[body])
+    if state.bodies[body].engaged:
+        state.status.backoff = min(MAX_BACKOFF, 2 * state.status.backoff)
+        state.count.slips += 1
 
 
 @kernel
@@ -185,9 +228,12 @@ def reset_state(model: Any, state: Any) -> None:
     state.felt[:] = 0.0
     for body in range(len(state.bodies)):
         status = state.bodies[body]
+        if status.pose_sequence > 0:
+            status.releases += 1
         status.age = status.force_age = -1
         status.stamp = status.pose_sequence = status.force_sequence = 0
         status.remaining = status.speed = status.turning = 0.0
-        status.engaged = status.lapsed = False
+        status.engaged = status.held_off = status.released = status.resisted = status.placed = False
+        state.contacts.engaged[body] = Engaged.NO.value
         for c in range(3):
             state.contacts.tip_node[body, c] = -1

@@ -251,7 +251,7 @@ def take_inputs(world: Any, box: Any, resets: int) -> None:
     sequence = take(box.contacts, 0, row.contact_set, box.taken_contacts.words)
     if sequence != row.contact_set:
         row.contact_set, changed = sequence, True
-        take_contacts(state, box.taken_contacts, sequence)
+        take_contacts(state, world.shapes, box.taken_contacts, sequence)
     if changed:
         write_journal(box, state.status.tick + 1)
 

@@ -47,6 +47,9 @@ class Scratch(NamedTuple):
     last_origin: Any  # (T, 3) at its beginning
     last_rotation: Any  # (T, 9)
     held: Any  # (T, 7) where it is held at the substep's end
+    goal: Any  # (T, 7) where it would be then, if it may go there, and
+    before: Any  # (T, 7) where it was
+    fraction: Any  # (T,) of that way which it may go
     give: Any  # (T,) m, by how much a tool gives way to an impulse of 1 N s
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
@@ -141,6 +144,9 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         last_origin=empty(n_bodies, 3),
         last_rotation=empty(n_bodies, 9),
         held=empty(n_bodies, 7),
+        goal=empty(n_bodies, 7),
+        before=empty(n_bodies, 7),
+        fraction=empty(n_bodies),
         give=empty(n_bodies),
         near_entry=longs(MOST_NEAR),
         near_normal=empty(MOST_NEAR),

@@ -31,6 +31,8 @@ class Shapes(NamedTuple):
     grid_points: Any  # (T, 3) points along each axis
     grid_frame: Any  # (T, 4) m: where the first point is, and the spacing
     tool: Any  # (T,) which tool each body belongs to
+    finest: Any  # (T,) m, radius of the finest thing about each body
+    extent: Any  # (T,) m, from the origin to the farthest point that a turn moves
 
 
 def make_shapes(
@@ -39,17 +41,23 @@ def make_shapes(
     planes: Sequence[Floats] | None = None,
     grids: Sequence[Grid | None] | None = None,
     tool: ArrayLike | None = None,
+    measures: Sequence[tuple[float, float]] | None = None,
 ) -> Shapes:
-    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,), its own unless given."""
+    """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,), its own unless given.
+
+    measures (T, 2) m: `Shapes.finest` and `Shapes.extent` of each; those of spheres and capsules unless given.
+    """
     kinds = np.asarray(kind, dtype=np.int64).reshape(-1)
     n = len(kinds)
     planes = [np.zeros((0, 4))] * n if planes is None else planes
     grids = [None] * n if grids is None else grids
     counts = [len(one) for one in planes]
     sizes = [0 if grid is None else grid.distance.size for grid in grids]
+    size = np.asarray(size, dtype=np.float64).reshape(n, 2)
+    measured = np.asarray(size if measures is None else measures, dtype=np.float64).reshape(n, 2)
     return Shapes(
         kind=kinds,
-        size=np.asarray(size, dtype=np.float64).reshape(n, 2),
+        size=size,
         plane=np.concatenate([*planes, np.zeros((0, 4))]),
         plane_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         distance=np.concatenate([*(grid.distance.ravel() for grid in grids if grid is not None), np.zeros(0)]),
@@ -61,6 +69,8 @@ def make_shapes(
             [(0.0, 0.0, 0.0, 1.0) if grid is None else (*grid.origin, grid.spacing) for grid in grids], dtype=np.float64
         ).reshape(n, 4),
         tool=np.arange(n, dtype=np.int64) if tool is None else np.asarray(tool, dtype=np.int64),
+        finest=measured[:, 0].copy(),
+        extent=measured[:, 1].copy(),
     )
 
 

@@ -74,6 +74,7 @@ class Counts(Record):
     frozen_ticks: int  # ticks that moved a frozen region alone
     modal_ticks: int  # ticks that moved a modal region
     clamped_ticks: int  # ticks in which a wrench was cut to the clamp
+    slips: int  # times that a tool had slipped into the organ, and was put back on its surface
     slewed_ticks: int  # ticks in which a wrench changed no faster than it may
 
 
@@ -87,7 +88,11 @@ class BodyStatus(Record):
     turning: float  # 1/s, likewise of its quaternion
     force_age: int  # ticks since the newest external force; -1 before the first one
     engaged: bool  # it may touch: fresh, and outside the organ when it appeared
-    lapsed: bool  # let go since poses stopped; a contact set has to let go of it, too, before one engages it again
+    held_off: bool  # it appeared inside the organ, and nothing resists it until it has been outside
+    released: bool  # poses stopped: the next one is the first of a new life, wherever it is
+    placed: bool  # a hand began where it is, or is resisted there: it stays there while poses stop for a moment
+    resisted: bool  # it was when poses stopped: if they go on soon, it is put back on the surface, and not held off
+    releases: int  # how often that was so, or the organ was reset; a contact set counts for the life it was found in
     pose_sequence: int  # which pose is in use
     force_sequence: int  # which external force is in use
 
@@ -99,6 +104,7 @@ class Results(NamedTuple):
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
     bodies: Any  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
+    body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
 
 
 class State(NamedTuple):
@@ -111,6 +117,7 @@ class State(NamedTuple):
     count: Counts  # type: ignore[assignment]  # hides the tuple's method, which nobody needs
     bodies: Any  # (T,) of ToolStatus
     wrench: Floats  # (T, 6) N and N m about the tool's origin: what the hand should feel
+    body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
     shape_tick: Longs  # (1,) tick of the positions that were handed out last
     carried: Floats  # (3,) m by which the breath has moved its clamp, in whose frame the positions are
     position: Floats  # (n, 3) m
@@ -123,7 +130,6 @@ class State(NamedTuple):
     blend: Floats  # (1,) share of the offset that is left
     mode_position: Floats  # (m,) sqrt(kg) m
     mode_velocity: Floats  # (m,) sqrt(kg) m/s
-    body_pose: Floats  # (T, 7) m and quaternion xyzw: where the tool is
     held_pose: Floats  # (T, 7) where it is held, on its way to the newest pose
     body_goal: Floats  # (T, 7) the newest pose
     body_force: Floats  # (T, 3) N, external force on the tissue at the tool's tip
@@ -143,7 +149,13 @@ class State(NamedTuple):
 
 
 def _result_fields(n_bodies: int) -> dict[str, Field]:
-    return {"status": Status, "count": Counts, "bodies": (BodyStatus, n_bodies), "wrench": (np.float64, (n_bodies, 6))}
+    return {
+        "status": Status,
+        "count": Counts,
+        "bodies": (BodyStatus, n_bodies),
+        "wrench": (np.float64, (n_bodies, 6)),
+        "body_pose": (np.float64, (n_bodies, 7)),
+    }
 
 
 def result_words(n_bodies: int) -> int:
@@ -172,7 +184,6 @@ def make_state(n: int, n_bodies: int, n_modes: int = 0, n_cells: int = 0) -> Sta
         "blend": (real, (1,)),
         "mode_position": (real, (n_modes,)),
         "mode_velocity": (real, (n_modes,)),
-        "body_pose": (real, (n_bodies, 7)),
         "held_pose": (real, (n_bodies, 7)),
         "body_goal": (real, (n_bodies, 7)),
         "body_force": (real, (n_bodies, 3)),

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, contact_set
+from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
 from tissue_sim.model.critical_step import MOST_SUBSTEPS
-from tissue_sim.model.guard import MAX_BACKOFF
+from tissue_sim.model.inputs import MAX_BACKOFF
 from tissue_sim.model.records import array_of
 from tissue_sim.model.settings import Integrator, LocalRegion, Settings
 from tissue_sim.model.state import Fault, Region, State, fields_of
@@ -99,6 +99,8 @@ def _check_contacts(found: ContactSet, n_nodes: int) -> None:
         raise ValueError(f"a contact set counts {points} points of {len(found.body)}")
     _check_index("body of a contact point", found.body[:points], len(found.engaged))
     _check_index("node of a contact point", found.node[:points], n_nodes)
+    if not np.isin(found.engaged, list(Engaged)).all() or found.reach.min(initial=0.0) < 0.0:
+        raise ValueError("a contact set says of a body what can't be, or has a reach below 0")
     if min(found.compliance[:points].min(initial=0.0), found.most_give[:points].min(initial=0.0)) < 0.0:
         raise ValueError("a contact point gives way by less than nothing")
     tips = found.tip_node

@@ -12,7 +12,6 @@ from typing import Any
 from tissue_sim.handles import has
 from tissue_sim.jit import chosen, kernel, part
 from tissue_sim.model.contact_constraint import add_contact_impulses, carry_force, resolve_contacts
-from tissue_sim.model.contact_gap import is_touched
 from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.gravity import add_weight, is_out_of_balance
@@ -45,7 +44,7 @@ from tissue_sim.model.tool_motion import (
     add_tip_forces,
     advance_held,
     couple_bodies,
-    follow_held,
+    follow_untouched,
     has_tip_force,
     keep_bodies,
 )
@@ -79,8 +78,7 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
     plan.forced = plan.handled or status.loaded > 0 or is_out_of_balance(model, settings)
     status.touching = 0
     if status.asleep:
-        if not plan.forced and not is_touched(state, shapes, scratch.origin, scratch.rotation):
-            follow_held(state)
+        if not plan.forced and follow_untouched(state, shapes, settings, scratch):
             count.asleep_ticks += 1
             status.active = 0
             return False
@@ -88,10 +86,9 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
         status.quiet = status.alone = 0
         choose_region(model, state, settings, scratch)
     if status.snapped:
-        if not plan.handled and not is_touched(state, shapes, scratch.origin, scratch.rotation):
+        if not plan.handled and follow_untouched(state, shapes, settings, scratch):
             find_back(model, state, settings)
             check_cells(model, state, scratch)
-            follow_held(state)
             return False
         status.snapped = False
     prepare_region(model, state, settings, scratch)
@@ -229,7 +226,7 @@ def advance_substep(
     begun: its elastic forces are known; eased: it is the first of a longer step than the last.
     """
     step = settings.tick_time / substeps
-    couple_bodies(state, settings, scratch, step, 1.0 / (substeps - substep))
+    couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
     if not begun:
         if state.status.region != Region.WHOLE:
             region_forces(model, state, settings, scratch, substep == substeps - 1)

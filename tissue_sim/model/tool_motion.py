@@ -7,9 +7,14 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
+from tissue_sim.model.contact_gap import is_touched
 from tissue_sim.model.shapes import rotation_matrix
 
 ROUNDING = 1e-6  # share of a tick that is none
+# Where tissue is near, a body moves in a step by no more than this fraction of the finest thing about it: points that
+# lie before it end in its front half, and are pushed on, not past it.
+STEP = 0.25
+FASTEST = 1.0  # m/s, at which a body catches up there: well below the speed of sound in tissue
 
 
 @kernel
@@ -25,15 +30,15 @@ def freshness(age: int, settings: Any) -> float:
 
 @kernel
 def advance_held(state: Any, settings: Any, scratch: Any) -> None:
-    """Move where each body is held towards its newest pose, and let go of it when poses stop."""
+    """Move where each body is held towards its newest pose, and release it when poses stop."""
     for body in range(len(state.held_pose)):
         status = state.bodies[body]
         copy(state.held_pose[body], scratch.held[body])
         if status.age >= 0:
             status.age += 1
-            if status.age * settings.tick_time > settings.stale_time + settings.ramp_time:
-                status.lapsed = status.lapsed or status.engaged
-                status.engaged = False
+            is_late = status.age * settings.tick_time > settings.stale_time + settings.ramp_time
+            if is_late and not status.released:
+                release_body(status)
         if status.force_age >= 0:
             status.force_age += 1
         if status.remaining > 0.0:
@@ -45,35 +50,124 @@ def advance_held(state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
-def follow_held(state: Any) -> None:
-    """Put every body where it is held: nothing is touched, and nobody feels anything."""
-    copy(state.held_pose, state.body_pose)
-    state.wrench[:] = 0.0
-    state.felt[:] = 0.0
+def release_body(status: Any) -> None:
+    """End the life of a body whose poses stopped: its next pose may be anywhere."""
+    status.resisted, status.placed = status.engaged or status.resisted, not status.held_off
+    status.engaged = status.held_off = False
+    status.released = True
+    status.releases += 1
 
 
 @kernel
-def couple_bodies(state: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
+def follow_untouched(state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
+    """Move every body on while nothing is felt; False, and none is moved, where one would touch the tissue.
+
+    scratch.origin and scratch.rotation are those of where the bodies are held, and stay so.
+    """
+    copy(state.body_pose, scratch.before)
+    copy(state.held_pose, scratch.goal)
+    advance_bodies(state, shapes, scratch, settings.tick_time)
+    for body in range(len(state.body_pose)):
+        set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+    touched = is_touched(state, shapes, scratch.origin, scratch.rotation)
+    for body in range(len(state.body_pose)):
+        set_frame(state.held_pose[body], scratch.origin[body], scratch.rotation[body])
+    if touched:
+        copy(scratch.before, state.body_pose)
+        return False
+    state.wrench[:] = 0.0
+    state.felt[:] = 0.0
+    return True
+
+
+@kernel
+def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
+    """Move every body towards scratch.goal (T, 7) as far as it may go in a step, s; those of one tool as one."""
+    for body in range(len(state.body_pose)):
+        fraction = 1.0
+        for other in range(len(state.body_pose)):
+            if shapes.tool[other] == shapes.tool[body]:
+                # What a pressing spring adds to the way, contact takes back: a bound on speed would bound its force.
+                is_pressed = scratch.give[other] > 0.0 and has_contact(state, other)
+                most = math.inf if is_pressed else FASTEST * step
+                fraction = min(fraction, free_way(state, shapes, other, scratch.goal[other], most))
+        scratch.fraction[body] = fraction
+    for body in range(len(state.body_pose)):
+        if scratch.fraction[body] > 0.0:
+            step_pose(state.body_pose[body], scratch.goal[body], scratch.fraction[body])
+
+
+@kernel
+def has_contact(state: Any, body: int) -> bool:
+    """Return whether a body felt tissue in the last tick."""
+    felt = state.felt[body]
+    return felt[0] != 0.0 or felt[1] != 0.0 or felt[2] != 0.0
+
+
+@kernel
+def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> float:
+    """Return the fraction of its way to a goal (7,) that a body may go in a step, and meet all tissue on it.
+
+    most: m that it may go where tissue is near, at its speed.
+
+    It goes no farther than the contact set knows the surface around it, and waits for the next one; and where there is
+    tissue no faster than points before it can be pushed. A body that no set has looked at yet waits; one that nothing
+    resists goes freely.
+    """
+    status, contacts, extent = state.bodies[body], state.contacts, shapes.extent[body]
+    if not status.engaged:
+        return 0.0 if status.placed else 1.0
+    pose, place, fraction = state.body_pose[body], contacts.place[body], 1.0
+    way = way_between(pose, goal, extent)
+    if contacts.n_points[body] > 0 and shapes.finest[body] > 0.0:
+        most = min(STEP * shapes.finest[body], most)
+        if way > most:
+            fraction = most / way
+    # Distances are convex: a fraction of the way costs at most that fraction of what the whole way does.
+    now, then = way_between(pose, place, extent), way_between(goal, place, extent)
+    if then > contacts.reach[body] and then > now:
+        fraction = min(fraction, max(0.0, contacts.reach[body] - now) / (then - now))
+    return fraction
+
+
+@kernel
+def way_between(pose: Any, other: Any, extent: float) -> float:
+    """Return a bound, m, on how far the points of a body lie apart in two poses (7,); extent m, of its points."""
+    square = less = more = 0.0
+    for c in range(3):
+        square += (pose[c] - other[c]) ** 2
+    if extent == 0.0:
+        return math.sqrt(square)
+    for c in range(3, 7):
+        less += (pose[c] - other[c]) ** 2
+        more += (pose[c] + other[c]) ** 2
+    # A chord between unit quaternions is 2 sin(angle / 4), and a point moves by 2 sin(angle / 2) of its arm.
+    return math.sqrt(square) + 2.0 * extent * math.sqrt(min(less, more))
+
+
+@kernel
+def couple_bodies(state: Any, shapes: Any, settings: Any, scratch: Any, step: float, share: float) -> None:
     """Lead where the bodies are held a share of its way, and each body after it through the virtual coupling.
 
     A body has no mass: B p' = K (h - p) + F, of which a step without contact is done here; what an impulse of the
     contact adds to it is scratch.give, m / (N s). What holds it moves evenly through the tick, so that its speed has
-    no jumps.
+    no jumps. A body is behind where it may not go as far, see `free_way`.
     """
     stiffness, damping = settings.coupling_stiffness, settings.coupling_damping
     for body in range(len(state.body_pose)):
         held, pose = scratch.held[body], state.body_pose[body]
         set_frame(pose, scratch.last_origin[body], scratch.last_rotation[body])
         step_pose(held, state.held_pose[body], share)
+        goal = scratch.goal[body]
+        copy(held, goal)
+        scratch.give[body] = 0.0
         if stiffness > 0.0:
             scratch.give[body] = 1.0 / (damping + stiffness * step)
             for c in range(3):
-                pose[c] += scratch.give[body] * stiffness * step * (held[c] - pose[c])
-            copy(held[3:], pose[3:])
-        else:
-            scratch.give[body] = 0.0
-            copy(held, pose)
-        set_frame(pose, scratch.origin[body], scratch.rotation[body])
+                goal[c] = pose[c] + scratch.give[body] * stiffness * step * (held[c] - pose[c])
+    advance_bodies(state, shapes, scratch, step)
+    for body in range(len(state.body_pose)):
+        set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
 
 
 @kernel
@@ -86,13 +180,14 @@ def keep_bodies(state: Any, scratch: Any) -> None:
 
 @kernel
 def restore_bodies(state: Any, farthest: float) -> None:
-    """Put back where they are held those bodies that contact has pushed out of all bounds, m, or to nowhere."""
+    """Put bodies that contact has pushed out of all bounds, m, or to nowhere, where their contact points were found."""
     for body in range(len(state.body_pose)):
+        back = state.contacts.place[body] if state.bodies[body].engaged else state.held_pose[body]
         square = 0.0
         for c in range(3):
-            square += (state.body_pose[body, c] - state.held_pose[body, c]) ** 2
+            square += (state.body_pose[body, c] - back[c]) ** 2
         if not square < farthest * farthest:
-            copy(state.held_pose[body], state.body_pose[body])
+            copy(back, state.body_pose[body])
 
 
 @kernel

@@ -9,7 +9,7 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.contact_gap import point_in_body
 from tissue_sim.model.shapes import signed_distance
 from tissue_sim.model.state import Region
-from tissue_sim.model.tool_motion import set_frame
+from tissue_sim.model.tool_motion import FASTEST, set_frame
 
 FAST = 0.5  # m/s, that tissue comes near a tool at the most within a tick
 
@@ -22,6 +22,7 @@ def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None
     comes at FAST can bring together. For after advance_held; scratch.last_* become the tools now.
     """
     body, moved, turned, count = -1, 0.0, 0.0, 0
+    most = FASTEST * settings.tick_time if settings.coupling_stiffness == 0.0 else math.inf
     for entry in range(state.contacts.header.points):
         if body != state.contacts.body[entry]:
             body = state.contacts.body[entry]
@@ -31,7 +32,7 @@ def watch_contacts(state: Any, shapes: Any, settings: Any, scratch: Any) -> None
         watched = state.contact_pressed[0, entry] > 0.0
         if state.bodies[body].engaged:
             _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.last_origin, scratch.last_rotation)
-            reach = moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz) + FAST * settings.tick_time
+            reach = min(most, moved + turned * math.sqrt(lx * lx + ly * ly + lz * lz)) + FAST * settings.tick_time
             if not watched:
                 gap = signed_distance(shapes, body, lx, ly, lz)[0]
                 watched = gap < reach

@@ -115,4 +115,4 @@ def push_world(world: Any, body: int, force: Any, sequence: int) -> None:
 @kernel
 def touch_world(world: Any, found: Any, sequence: int) -> None:
     """Take up a contact set."""
-    take_contacts(world.state, found, sequence)
+    take_contacts(world.state, world.shapes, found, sequence)

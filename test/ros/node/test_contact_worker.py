@@ -1,5 +1,6 @@
 """The thread that finds contact sets, where the search itself fails."""
 
+import copy
 import threading
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
+from tissue_sim.model.contact_set import Engaged
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import BodyStatus
 from tissue_sim.ros.node.contact_search import ContactSearch
@@ -40,18 +42,22 @@ class Port:
 
 
 @pytest.fixture
-def scene():
-    """A worker that isn't started, its finder, and the lines that it warned with."""
+def scene(monkeypatch):
+    """A worker that isn't started, its finder, what the loop tells of the tool, and the lines that it warned with."""
     organ, tools = ball(1), ToolSet([Tool("left", "sphere", 0.005)])
     physics = Physics(Loop([Simulation(organ, shapes=tools.shapes)]))
     finder = ContactFinder(organ, tools)
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     warned, port = [], Port(top + (0.0, 0.0, 0.006))
+    places, bodies = port.newest.placed.copy(), BodyStatus.rows(np.zeros(BodyStatus.words(), dtype=np.int64))
+    told = SimpleNamespace(bodies=bodies, body_pose=places, status=SimpleNamespace(tick=1))
+    monkeypatch.setattr(physics, "results", lambda: copy.deepcopy(told))
+    monkeypatch.setattr(physics, "positions", lambda out: (np.copyto(out, organ.rest_positions) or 1, np.zeros(3)))
     recorder = SimpleNamespace(contacts=lambda *_: None, together=threading.RLock())
     search = ContactSearch(finder, ServedOrgan("", organ, physics), [port], recorder, warned.append)
     worker = ContactWorker([search], None, [port], threading.Event(), warned.append)
     middle = organ.surface_positions.mean(axis=0)
-    yield SimpleNamespace(worker=worker, finder=finder, physics=physics, port=port, middle=middle, warned=warned)
+    yield SimpleNamespace(worker=worker, finder=finder, physics=physics, told=told, middle=middle, warned=warned)
     worker.stop()
 
 
@@ -61,28 +67,21 @@ def report_of(worker):
     return report
 
 
-def test_a_tool_that_the_loop_let_go_is_looked_at_anew(scene, monkeypatch):
-    """The thread had no time while poses stopped; as they go on, it finds none of them old."""
-    lapsed, taken = [False], []
-
-    def results():
-        bodies = BodyStatus.rows(np.zeros(BodyStatus.words(), dtype=np.int64))
-        bodies[0].lapsed = lapsed[0]
-        return SimpleNamespace(bodies=bodies)
-
-    monkeypatch.setattr(scene.physics, "results", results)
+def test_a_tool_that_appears_inside_is_held_off_and_reported_once(scene, monkeypatch):
+    """So is one that was released, and appears there anew; but none that has pressed is taken for such a one."""
+    body, places, taken = scene.told.bodies[0], scene.told.body_pose, []
     monkeypatch.setattr(scene.physics, "post_contacts", lambda found: taken.append(int(found.engaged[0])) or len(taken))
     scene.worker.start()
-    wait_for(lambda: 1 in taken)
-    scene.port.move(scene.middle)
-    wait_for(lambda: len(taken) > 5)
-    assert taken[-1] == 1, "outside when it appeared"
-    lapsed[0] = True
-    wait_for(lambda: taken[-1] == 0)
-    lapsed[0] = False
-    wait_for(lambda: scene.warned)
-    assert "appeared inside the organ" in scene.warned[0]
-    assert taken[-1] == 0
+    wait_for(lambda: Engaged.YES in taken)
+    body.engaged, places[0, :3] = True, scene.middle
+    wait_for(lambda: taken[-1] == Engaged.SLIPPED)
+    assert not scene.warned
+    body.engaged = False
+    wait_for(lambda: taken[-1] == Engaged.HELD_OFF)
+    seen = len(taken)
+    wait_for(lambda: len(taken) > seen + 3)
+    (line,) = scene.warned
+    assert "tool 'left' appeared inside the organ" in line
 
 
 def test_a_search_that_fails_is_told_once_and_forgotten_when_one_succeeds(scene, monkeypatch):

@@ -5,7 +5,7 @@ import pytest
 
 from helpers.patience import wait_for
 from helpers.scenes import ball
-from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.joining import join
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.simulation import Simulation
@@ -43,7 +43,8 @@ def press(organs):
         wait_for(lambda taken=one: taken.results().bodies[0].pose_sequence == sequence)
         organ = one.simulation.organ
         finder = ContactFinder(organ, TOOLS)
-        one.post_contacts(finder.find(organ.rest_positions, pose, np.zeros(1), all_of_it, 0 * all_of_it))
+        sought = Sought(pose, np.zeros(1), all_of_it, 0 * all_of_it, 0 * all_of_it)
+        one.post_contacts(finder.find(organ.rest_positions, sought))
     wait_for(lambda: all(one.results().status.touching > 0 for one in organs.each))
 
 
@@ -62,7 +63,7 @@ def test_a_tool_feels_the_sum_of_all_organs(organs):
     total, parts = both_at_one_tick(organs)
     assert np.array_equal(total, parts[0] + parts[1])
     assert parts[0][0] > 0.0 > parts[1][0], "N: each pushes to its own side"
-    assert organs.engages(0)
+    assert not organs.hold_off([0])
 
 
 def test_the_sum_is_clamped(organs):

@@ -18,8 +18,9 @@ from tissue_sim.npz import read_npz
 
 # Raised when an older replay could not read a newer bag; 1 held settings and state by position, 2 led tools without
 # regard to stamps, 3 did not tell what a state had taken up, 4 not where the breath had carried the organ, 5 not what
-# links ask of the step, 6 not whether an organ has had a fault since it was last as it is built.
-FORMAT = 7
+# links ask of the step, 6 not whether an organ has had a fault since it was last as it is built, 7 not how far a tool
+# may go with a contact set.
+FORMAT = 8
 
 OCTETS = "std_msgs/msg/UInt8MultiArray"
 # Topics of an organ, with their types: under its name, or the node's where it is the only one.
@@ -48,14 +49,14 @@ class ContactRow(Record):
 
     contact_set: int  # its number
     surface_tick: int  # tick of the surface
+    tool_tick: int  # tick of the tools' places
 
 
 class BodyContactRow(Record):
     """The same for each of its bodies."""
 
-    pose: int  # its number
     margin: float  # m beyond MARGIN
-    engaged: bool
+    engaged: int  # Engaged
     pushing: bool
 
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
-from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.contact.finder import ContactFinder, Sought
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.model.contact_set import ContactSet
@@ -73,14 +73,14 @@ class OrganPlayer:
             for row, bodies in zip(journal["inputs"], journal["body_inputs"], strict=True)
         }
         self.found_from = {
-            int(row["contact_set"]): (int(row["surface_tick"]), bodies)
+            int(row["contact_set"]): (int(row["surface_tick"]), int(row["tool_tick"]), bodies)
             for row, bodies in zip(journal["contacts"], journal["body_contacts"], strict=True)
         }
-        self._needed = {
-            tick for tick, _ in self.found_from.values()
-        }  # ticks whose surface a contact set was found from
-        self._kept: dict[int, tuple[Floats, Floats]] = {}  # positions, and where the breath had carried them
-        self._nowhere = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(tool_inputs.poses), 1))
+        # Ticks whose surface, and whose tools, a contact set was found from; and these.
+        self._surface_ticks = {surface for surface, _, _ in self.found_from.values()}
+        self._tool_ticks = {tools for _, tools, _ in self.found_from.values()}
+        self._surfaces: dict[int, Floats] = {}
+        self._tools: dict[int, tuple[Floats, Longs]] = {}
         # Only what is new in a row is taken up again.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
         if before is None:
@@ -122,9 +122,12 @@ class OrganPlayer:
         return Taken(was_reset, is_new)
 
     def keep(self, tick: int) -> None:
-        """Keep the positions of a tick that a contact set was found from."""
-        if tick in self._needed:
-            self._kept[tick] = self.simulation.positions.copy(), self.simulation.state.carried.copy()
+        """Keep what a contact set was found from: the positions of a tick, and where the tools were."""
+        state = self.simulation.state
+        if tick in self._surface_ticks:
+            self._surfaces[tick] = self.simulation.positions.copy()
+        if tick in self._tool_ticks:
+            self._tools[tick] = state.body_pose.copy(), state.bodies.releases.copy()
 
     def surface(self) -> Floats:
         """The surface (n, 3) m where it is."""
@@ -139,19 +142,20 @@ class OrganPlayer:
         whole = self.recording.contact_sets.get(sequence)
         if whole is not None:
             return whole
-        tick, bodies = self.found_from.get(sequence, (-1, None))
-        if bodies is None or tick not in self._kept:
+        surface, tools, bodies = self.found_from.get(sequence, (-1, -1, None))
+        if bodies is None or surface not in self._surfaces or tools not in self._tools:
             raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
-        while next(iter(self._kept)) < tick:  # sets come in the order of their surfaces
-            del self._kept[next(iter(self._kept))]
-        positions, carried = self._kept[tick]
-        poses = self._nowhere.copy()
-        for body, number in enumerate(bodies["pose"].tolist()):
-            if number:
-                poses[body] = _input(self._tool_inputs.poses[body], number, "pose")
-        poses[:, :3] -= carried
+        _forget_before(self._surfaces, surface)  # sets come in the order of what they were found from
+        _forget_before(self._tools, tools)
         engaged, pushing = (bodies[name].astype(np.int64) for name in ("engaged", "pushing"))
-        return self.finder.find(positions, poses, np.ascontiguousarray(bodies["margin"]), engaged, pushing)
+        places, releases = self._tools[tools]
+        sought = Sought(places, np.ascontiguousarray(bodies["margin"]), engaged, pushing, releases)
+        return self.finder.find(self._surfaces[surface], sought)
+
+
+def _forget_before(kept: dict[int, Any], tick: int) -> None:
+    while next(iter(kept)) < tick:
+        del kept[next(iter(kept))]
 
 
 def _input(values: dict[int, Floats], sequence: int, what: str) -> Floats:

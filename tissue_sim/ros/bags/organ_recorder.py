@@ -19,14 +19,14 @@ from tissue_sim.ros.bags.bag_messages import BagMessages
 from tissue_sim.ros.shared.messages import rest_mesh
 from tissue_sim.ros.shared.physics import Physics
 
-BodyContact = tuple[int, float, bool, bool]  # the fields of bag.BodyContactRow
+BodyContact = tuple[float, int, bool]  # the fields of bag.BodyContactRow
 
 
 @dataclass
 class _Notes:
     """Rows that wait for the journal."""
 
-    contacts: list[tuple[int, int]] = field(default_factory=list)
+    contacts: list[tuple[int, int, int]] = field(default_factory=list)
     body_contacts: list[list[BodyContact]] = field(default_factory=list)
     surfaces: list[tuple[int]] = field(default_factory=list)
 
@@ -114,17 +114,17 @@ class OrganRecorder:
             fields = {"sequence": np.array(sequence), "settings": array_of(settings)}
             self._messages.packed(self.names["settings"], fields)
 
-    def contacts(self, sequence: int, surface_tick: int, found: ContactSet, bodies: Sequence[BodyContact]) -> None:
-        """A contact set: what it was found from, or all of it while its surface may not be in the bag.
+    def contacts(self, sequence: int, ticks: tuple[int, int], found: ContactSet, bodies: Sequence[BodyContact]) -> None:
+        """A contact set: what it was found from, or all of it while that may not be in the bag.
 
-        To be called with `together` held since it was posted.
+        ticks: of its surface, and of the tools' places. To be called with `together` held since it was posted.
         """
         self._newest_set = sequence, found
         if not self.active:
             return
-        self._notes.contacts.append((sequence, surface_tick))
+        self._notes.contacts.append((sequence, *ticks))
         self._notes.body_contacts.append(list(bodies))
-        if self._state_tick < 0 or surface_tick <= self._state_tick:
+        if self._state_tick < 0 or min(ticks) <= self._state_tick:
             self._whole_set(sequence, found)
 
     def _whole_set(self, sequence: int, found: ContactSet) -> None:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.finder import ContactFinder, reach_margins
+from tissue_sim.contact.finder import MARGIN, ContactFinder, Sought, reach_margins, ways
 from tissue_sim.contact.pair_finder import PairFinder
+from tissue_sim.model.contact_set import Engaged
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.node.served_organ import ServedOrgan
@@ -40,8 +41,9 @@ class ToolsNow(NamedTuple):
 class ContactSearch:
     """Contact sets of one organ.
 
-    Nothing is found when no pose and no position changed; a tool that appears inside the organ is held off until it has
-    been outside.
+    They are found around where the loop has its tools, and reach on towards their newest poses: the loop moves a tool
+    no farther than its set reaches. Nothing is found when no pose and no position changed; a tool that appears inside
+    the organ is held off until it has been outside.
     """
 
     def __init__(
@@ -58,70 +60,68 @@ class ContactSearch:
         self._port_of = [port for port in ports for _ in port.bodies]  # of each body
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
-        self._engaged = np.zeros(n_bodies, dtype=np.int64)
-        self._held_off = [False] * n_bodies
-        self._last_pose = np.zeros((n_bodies, 7))
+        self._extents = finder.tools.shapes.extent
+        self._told = [False] * n_bodies  # that it is held off
+        self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
-        self._last_key: tuple[int, ...] = ()
+        self._last_key: tuple[object, ...] = ()
         self._last_empty = False
-        self._last_resets = self._physics.loop.resets
+        self.is_behind = False  # a tool is still on its way to its newest pose, and needs further sets for that
 
     def is_idle(self, now: ToolsNow) -> bool:
         """Whether no tool comes, and none is left in touch."""
-        if self._physics.loop.resets != self._last_resets:  # the organ has jumped back under the tools
-            self._last_resets = self._physics.loop.resets
-            self._engaged[:] = 0
-        return not any(now.fresh) and not now.pushing.any() and self._last_empty and not self._engaged.any()
+        if any(now.fresh) or now.pushing.any() or not self._last_empty:
+            return False
+        self.is_behind = False
+        return not self._physics.results().bodies.engaged.any()
 
     def refresh(self, now: ToolsNow, begun: float, rate: float) -> bool:
         """Find a contact set, where anything has moved; returns whether it did.
 
         begun: monotonic s; rate: Hz, of contact sets.
         """
-        key = (*now.sequences, self._physics.surface_sequence, *map(int, now.fresh), *now.pushing.tolist())
+        results, surface = self._physics.results(), self._physics.surface_sequence
+        bodies, places = results.bodies, results.body_pose
+        looked = bodies.engaged.astype(bool) | (np.array(now.fresh) & (bodies.age >= 0) & (bodies.released == 0))
+        key = (*now.sequences, surface, places.tobytes(), bodies.releases.tobytes(), looked.tobytes())
+        key = (*key, bodies.engaged.tobytes(), now.pushing.tobytes())
         if key == self._last_key:
             self.unchanged_skips += 1
             return False
         self._last_key = key
         tick, carried = self._physics.positions(self._positions)
-        poses = now.poses.copy()
-        poses[:, :3] -= carried
-        elapsed = max(begun - self._last_time, 1e-4)
-        bodies = self._physics.results().bodies
-        behind = bodies.speed * bodies.remaining  # m that the loop has yet to lead them
-        reach = reach_margins(poses[:, :3], self._last_pose[:, :3], 2.0 / (rate * elapsed), behind)
-        margins = np.zeros(len(poses))
-        for body, is_fresh in enumerate(now.fresh):
-            # A thread that had no time may never see poses stop: the loop does.
-            if not is_fresh or bodies[body].lapsed:
-                self._engaged[body] = 0
-                continue
-            if self._engaged[body]:
-                margins[body] = reach[body]
-            elif self.finder.is_inside(body, self._positions, poses[body]):
-                self._hold_off(body)
-            else:
-                self._engaged[body] = 1
-                self._held_off[body] = False
-        self._last_pose, self._last_time = poses, begun
-        found = self.finder.find(self._positions, poses, margins, self._engaged, now.pushing)
+        goals = now.poses.copy()
+        goals[:, :3] -= carried
+        share = 2.0 / (rate * max(begun - self._last_time, 1e-4))
+        margins = np.where(looked, reach_margins(places, goals, self._last_goals, share, self._extents), 0.0)
+        self.is_behind = bool(np.any(ways(places, goals, self._extents)[looked] > 0.5 * MARGIN))
+        self._last_goals, self._last_time = goals, begun
+        engaged = np.where(looked, Engaged.YES.value, Engaged.NO.value)
+        for body in np.flatnonzero(looked & (bodies.engaged == 0) & (bodies.resisted == 0)).tolist():
+            if self.finder.is_inside(body, self._positions, places[body]):
+                engaged[body] = Engaged.HELD_OFF
+        self._tell_held_off(engaged)
+        releases = bodies.releases.copy()
+        found = self.finder.find(self._positions, Sought(places.copy(), margins, engaged, now.pushing, releases))
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
         self.dropped += int(found.header.dropped)
-        engaged, pushing = self._engaged.astype(bool).tolist(), now.pushing.astype(bool).tolist()
-        rows = list(zip(now.sequences, margins.tolist(), engaged, pushing, strict=True))
+        rows = list(zip(margins.tolist(), engaged.tolist(), now.pushing.astype(bool).tolist(), strict=True))
         with self._recorder.together:
             sequence = self._physics.post_contacts(found)
-            self._recorder.contacts(sequence, tick, found, rows)
+            self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
 
-    def _hold_off(self, body: int) -> None:
-        if not self._held_off[body]:
-            name, stale_time = self._port_of[body].name, self._physics.settings().stale_time
-            self._warn(
-                f"tool '{name}' appeared inside {self._organ} and feels nothing until it has been outside:"
-                f" send a pose outside first, and the next within stale_time ({stale_time:g} s)"
-            )
-        self._held_off[body] = True
+    def _tell_held_off(self, engaged: Longs) -> None:
+        """Warn of bodies that nothing resists, once each until they have been outside."""
+        for body, state in enumerate(engaged.tolist()):
+            if state == Engaged.HELD_OFF and not self._told[body]:
+                name, stale_time = self._port_of[body].name, self._physics.settings().stale_time
+                self._warn(
+                    f"tool '{name}' appeared inside {self._organ} and feels nothing until it has been outside:"
+                    f" send a pose outside first, and the next within stale_time ({stale_time:g} s)"
+                )
+            if state != Engaged.NO:
+                self._told[body] = state == Engaged.HELD_OFF
 
 
 class PairSearch:

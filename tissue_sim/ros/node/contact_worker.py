@@ -70,10 +70,9 @@ class ContactWorker:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            # Organs touch each other without a tool.
-            wait = (
-                1.0 / self.rate if self._organs_move else IDLE_WAIT if self._idle and self._pairs is None else BUSY_WAIT
-            )
+            # Organs touch each other without a tool, and tools go on to their newest poses without a new one.
+            moves = self._organs_move or any(one.is_behind for one in self._searches)
+            wait = 1.0 / self.rate if moves else IDLE_WAIT if self._idle and self._pairs is None else BUSY_WAIT
             self._woken.wait(timeout=wait)
             self._woken.clear()
             begun = time.monotonic()

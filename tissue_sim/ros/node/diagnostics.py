@@ -106,7 +106,12 @@ def _add_organ(report: Report, before: str, results: Results) -> None:
         "skipped.asleep": count.asleep_ticks,
         "skipped.small_load": count.frozen_ticks + count.modal_ticks,
     }
-    problems = {"faults": count.faults, "false_rest_shapes": count.snaps, "clamped_ticks": count.clamped_ticks}
+    problems = {
+        "faults": count.faults,
+        "slipped_tools": count.slips,
+        "false_rest_shapes": count.snaps,
+        "clamped_ticks": count.clamped_ticks,
+    }
     report.values |= {f"{before}{name}": value for name, value in values.items()}
     report.problems |= {f"{before}{name}": value for name, value in problems.items()}
 

@@ -65,7 +65,7 @@ class ToolPort:
             return "none"
         if not self.pose_freshness.is_fresh:
             return "stale"
-        return "fresh" if self._organs.engages(self.bodies[0]) else "refused"
+        return "refused" if self._organs.hold_off(self.bodies) else "fresh"
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""

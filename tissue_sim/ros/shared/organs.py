@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Sequence
+
 import numpy as np
 
 from tissue_sim.array_types import Floats
@@ -10,6 +14,8 @@ from tissue_sim.model import mailboxes as mb
 from tissue_sim.model.settings import Settings
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
+
+RETURN = 0.2  # s in which forces return after the clock or the loop stood
 
 
 class Organs:
@@ -23,6 +29,7 @@ class Organs:
         self.each = tuple(Physics(loop, organ) for organ in range(len(loop.simulations)))
         self.n_bodies = self.each[0].n_bodies
         self._felt = None if loop.joined_box is None else handle(loop.joined_box.felt)
+        self._went_on = -math.inf  # monotonic s, when ticks went on; infinite while they stand
 
     # in ----------------------------------------------------------------------------------------
     def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
@@ -49,18 +56,30 @@ class Organs:
         return self.each[0].answers
 
     def wrenches(self) -> tuple[int, Floats]:
-        """The newest tick and what tools feel of all organs, (T, 6) N, N m; as Physics.wrenches."""
+        """The newest tick and what tools feel of all organs, (T, 6) N, N m; as Physics.wrenches.
+
+        Where ticks go on after the clock or the loop stood, forces return within RETURN s, with tick -1 until then:
+        a tool may still be in touch, and a hand must not get a kick.
+        """
+        if self.loop.standing or not self.answers:
+            self._went_on = math.inf
+            return -1, np.zeros((self.n_bodies, 6))
+        now = time.monotonic()
+        self._went_on = min(self._went_on, now)
+        tick, felt = self._newest()
+        returned = min(1.0, (now - self._went_on) / RETURN)
+        return (tick, felt) if returned == 1.0 else (-1, returned * felt)
+
+    def _newest(self) -> tuple[int, Floats]:
         if self._felt is None:
             return self.each[0].wrenches()
-        if self.loop.standing or not self.answers:
-            return -1, np.zeros((self.n_bodies, 6))
         words = np.zeros(1 + 6 * self.n_bodies, dtype=np.int64)
         mb.take(self._felt, 0, 0, words)
         return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)
 
-    def engages(self, body: int) -> bool:
-        """Whether any organ may feel a body: it was outside when it appeared."""
-        return any(one.results().bodies[body].engaged for one in self.each)
+    def hold_off(self, bodies: Sequence[int]) -> bool:
+        """Return whether any organ doesn't resist one of the bodies, which appeared inside it."""
+        return any(one.results().bodies.held_off[list(bodies)].any() for one in self.each)
 
     @property
     def surface_sequences(self) -> tuple[int, ...]:

@@ -1,0 +1,141 @@
+"""Presses that are fast, late or in one jump: none is lost, by ticks; and the benchmark finds those that are."""
+
+import json
+
+import numpy as np
+import pytest
+
+from helpers.scenes import kidney
+from tissue_sim.bench.presses import (
+    Form,
+    Motion,
+    Pressed,
+    as_json,
+    at_place,
+    forms,
+    motions,
+    places_on,
+    text,
+)
+from tissue_sim.cli import main
+from tissue_sim.contact.finder import ContactFinder
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.winding import inside
+
+TOOLS = {
+    "sphere, 2 mm": Tool("left", radius=0.002),
+    "sphere, 5 mm": Tool("left", radius=0.005),
+    "capsule, 3 mm": Tool("left", "capsule", radius=0.003, length=0.05),
+    "gripper, 3 mm": Tool("left", "gripper", radius=0.003, length=0.02),
+}
+FAST = Motion(0.8, 500.0), Motion(5.0, 30.0), Motion(0.0, 500.0, 0.002), Motion(0.0, 500.0, 0.05)
+
+
+class Ticks:
+    """A hand that presses by ticks, as `presser.Presser` does by the clock; a contact set every 4 ms."""
+
+    gap = 0.0
+
+    def __init__(self, tool):
+        self.scene = Scene(kidney(), [tool], ticks_a_set=4)
+
+    def press(self, poses, rate):
+        self.scene.reset()
+        for pose in poses:
+            self.scene.move(0, pose[:3], pose[3:])
+            for _ in range(round(1e3 / rate)):
+                self.scene.step()
+        return self.scene.wrenches[0, :3].copy()
+
+
+class Bar:
+    """Shows nothing."""
+
+    def update(self, count=1):
+        pass
+
+
+def pressed(name, tried, count=2):
+    form = next(one for one in forms() if one.name == name)
+    presser = Ticks(TOOLS[name])
+    found = []
+    for place in places_on(kidney(), count):
+        found += at_place(presser, form, place, tried, Bar())
+    return found
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_no_press_is_lost(name):
+    found = pressed(name, FAST)
+    assert len(found) >= len(FAST)
+    figures = as_json(found)
+    assert figures["all"]["lost"] == 0
+    assert figures["all"]["median_off_percent"] < 10.0
+
+
+def test_a_hand_that_falls_through_is_found(monkeypatch):
+    """As without a proxy: sets that claim to reach everywhere, and nothing that puts a tool back."""
+    find = ContactFinder.find
+
+    def far_reaching(self, position, sought):
+        found = find(self, position, sought)
+        found.reach[:], found.n_points[:] = 1e3, 0
+        return found
+
+    monkeypatch.setattr(ContactFinder, "find", far_reaching)
+    monkeypatch.setattr(ContactFinder, "_way_out", lambda *_: None)
+    figures = as_json(pressed("sphere, 5 mm", FAST[-1:]))
+    assert figures["all"]["lost"] > 0
+    assert not figures["bounds"][0]["met"]
+
+
+def one(felt, slow=(1.0, 0.0, 0.0)):
+    return Pressed("kidney", "sphere, 5 mm", "0.8 m/s, 500 Hz", np.array(slow), np.array(felt))
+
+
+def test_a_wrong_force_moves_the_figure():
+    right = as_json([one((1.0, 0.02, 0.0))] * 3)
+    assert all(bound["met"] for bound in right["bounds"])
+    wrong = as_json([one((0.9, 0.0, 0.0))] * 3)
+    assert wrong["all"]["median_off_percent"] == pytest.approx(10.0)
+    assert [bound["met"] for bound in wrong["bounds"]] == [True, False]
+    lost = as_json([one((1.0, 0.0, 0.0)), one((0.1, 0.0, 0.0))])
+    assert lost["all"]["lost"] == 1
+    assert [bound["met"] for bound in lost["bounds"]] == [False, True]
+    assert "lost: kidney, sphere, 5 mm, 0.8 m/s, 500 Hz: 0.100 N instead of 1.000 N" in text(lost)
+
+
+@pytest.mark.parametrize("motion", motions(), ids=lambda motion: motion.name)
+def test_each_motion_ends_deep_and_stays_there(motion):
+    depths = np.array(list(motion.depths(0.012)))
+    assert np.all(depths[-round(0.3 * motion.rate) :] == 0.012)
+    steps = np.diff(depths)
+    most = motion.jump or motion.speed / motion.rate
+    assert steps.max() <= most * (1.0 + 1e-9)
+    if motion.jump:
+        assert steps.max() == pytest.approx(motion.jump)
+
+
+def test_places_are_anywhere_on_the_surface_and_ways_lead_in():
+    organ = kidney()
+    for place in places_on(organ, 20):
+        form = Form("", (), 0.005, 0.005)
+        np.testing.assert_allclose(place.pose(form, 0.0)[:3], place.point - 0.005 * place.way)
+        within = [place.point + depth * place.way for depth in (-1e-4, 1e-4)]
+        assert inside(np.array(within), organ.rest_positions, organ.surface_triangles).tolist() == [False, True]
+
+
+@pytest.mark.extended
+def test_short_run_with_a_real_node(tmp_path, monkeypatch):
+    monkeypatch.setattr("tissue_sim.bench.presses.forms", lambda: forms()[2:3])
+    file = tmp_path / "presses.json"
+    assert main(["bench", "presses", "--places", "1", "--json", str(file)]) == 0
+    found = json.loads(file.read_text())
+    assert found["all"]["presses"] >= len(motions())
+    assert found["all"]["lost"] <= 3, "a loop that gets no time leaves no force"
+
+
+def test_bad_use_is_refused(capsys):
+    assert main(["bench", "presses", "--places", "0"]) == 2
+    assert "--places 0 is outside 1..1000" in capsys.readouterr().err

@@ -1,0 +1,284 @@
+"""`tissue_sim bench presses`: tools enter an organ fast, late or in one jump; is every one of them resisted to the end?
+
+Each press ends at the place of one that was made slowly, and the force that the hand feels there is held against that
+one's. The node runs in real time, and poses come over DDS: beside a busy program the benchmark asks what a busy machine
+does to a hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from tqdm import tqdm
+
+from tissue_sim.array_types import Floats
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
+from tissue_sim.calibration.cases import surface_of
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_file, shipped_organ
+
+ORGANS = "kidney", "kidney_tumour", "scenes/abdomen/liver"
+OUT = 0.004  # m outside, from where presses begin
+DEEPEST, RADII = 0.012, 2.4  # m, and of a tool's radius: how deep it is pressed
+SLOW = 0.02  # m/s, of the press that others are held against
+MOTIONS = (  # m/s and Hz
+    *product((0.05, 0.2, 0.8), (100.0, 500.0)),
+    *product((2.0, 5.0), (30.0, 500.0, 1000.0)),
+)
+JUMPS = 0.001, 0.002, 0.005, 0.010, 0.020, 0.050  # m, in a single message
+JUMP_RATE = 500.0  # Hz
+BEFORE, HELD = 0.05, 0.3  # s at the start of a press, and at its end until the force is looked at
+CLEAR_OF_CLAMP = 0.01  # m
+LEAST_FORCE = 0.02  # N, of the slow press: a place that hardly resists tells nothing
+LOST = 0.3  # of the slow press's force, below which a hand is lost
+MOST_OFF = 5.0  # %
+
+
+class Form(NamedTuple):
+    """A tool: the node's parameters for it, its radius m, and how far its foremost point is before its origin, m."""
+
+    name: str
+    parameters: tuple[str, ...]
+    radius: float
+    ahead: float
+
+    @property
+    def depth(self) -> float:
+        """How deep it is pressed, m."""
+        return min(DEEPEST, RADII * self.radius)
+
+
+def forms() -> list[Form]:
+    """Spheres, a capsule, a gripper with closed jaws, and a mesh."""
+    spheres = [
+        Form(f"sphere, {1e3 * radius:g} mm", (f"left.radius:={radius}",), radius, radius)
+        for radius in (0.001, 0.002, 0.005, 0.010)
+    ]
+    mesh = f"left.mesh:={shipped_file('config/jaws/flat.obj')}"
+    return [
+        *spheres,
+        Form("capsule, 3 mm", ("left.shape:=capsule", "left.radius:=0.003", "left.length:=0.05"), 0.003, 0.003),
+        Form("gripper, 3 mm", ("left.shape:=gripper", "left.radius:=0.003", "left.length:=0.02"), 0.003, 0.003),
+        Form("mesh, 16 mm wide", ("left.shape:=mesh", mesh), 0.003, 0.0),
+    ]
+
+
+class Place(NamedTuple):
+    """Where an organ is pressed: a point (3,) m anywhere on its surface, and the way (3,) in."""
+
+    point: Floats
+    way: Floats
+
+    def pose(self, form: Form, depth: float) -> Floats:
+        """Pose (7,) of a tool whose foremost point is so deep, m; its shaft points out."""
+        turn, _ = Rotation.align_vectors([self.way], [[0.0, 0.0, 1.0]])
+        return np.concatenate([self.point + (depth - form.ahead) * self.way, turn.as_quat()])
+
+
+def places_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
+    """Draw places evenly from the area of a surface, clear of its clamp."""
+    corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(seed)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    held = surface_of(organ).positions[organ.fixed]
+    found: list[Place] = []
+    while len(found) < count:
+        triangle = int(rng.choice(len(size), p=size / size.sum()))
+        point = rng.dirichlet(np.ones(3)) @ corners[triangle]
+        if not len(held) or np.linalg.norm(held - point, axis=1).min() > CLEAR_OF_CLAMP:
+            found.append(Place(point, -cross[triangle] / size[triangle]))
+    return found
+
+
+class Motion(NamedTuple):
+    """How a tool goes in: at so many m/s, or in one message by so many m where `jump` isn't 0; poses at so many Hz."""
+
+    speed: float
+    rate: float
+    jump: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """What a table calls it."""
+        return f"jump of {1e3 * self.jump:g} mm" if self.jump else f"{self.speed:g} m/s, {self.rate:g} Hz"
+
+    def depths(self, depth: float) -> Iterator[float]:
+        """Depths of the poses, one each 1 / rate s: a moment before, the way to `depth`, and what it is held for."""
+        before, held = round(BEFORE * self.rate), round(HELD * self.rate)
+        if self.jump:
+            start = depth - self.jump
+            # Where the jump begins inside, the tool comes there slowly.
+            steps = max(0, round((start + OUT) / SLOW * self.rate))
+            yield from np.linspace(min(start, -OUT), start, steps + before)
+        else:
+            steps = int(np.ceil((depth + OUT) / self.speed * self.rate))
+            yield from [-OUT] * before
+            yield from np.linspace(-OUT, depth, steps + 1)[1:-1]
+        yield from [depth] * (held + 1)
+
+
+SLOWLY = Motion(SLOW, 500.0)
+
+
+def motions() -> list[Motion]:
+    """All that are tried."""
+    return [*(Motion(*one) for one in MOTIONS), *(Motion(0.0, JUMP_RATE, jump) for jump in JUMPS)]
+
+
+class Pressed(NamedTuple):
+    """One press: its motion, what the slow one and this one felt in the end, (3,) N; s that the hand had to wait."""
+
+    organ: str
+    form: str
+    motion: str
+    slow: Floats
+    felt: Floats
+    gap: float = 0.0
+
+    @property
+    def is_lost(self) -> bool:
+        """True when the hand feels next to nothing where it is to feel something."""
+        return bool(np.linalg.norm(self.felt) < LOST * np.linalg.norm(self.slow))
+
+    @property
+    def off(self) -> float:
+        """Difference from the slow press, % of that."""
+        return float(100.0 * np.linalg.norm(self.felt - self.slow) / np.linalg.norm(self.slow))
+
+
+# measuring -----------------------------------------------------------------------------------------
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, organ="three organs that ship", check=True)
+    parser.add_argument("--places", type=int, default=3, help="on each organ, for each tool (default: 3)")
+    parser.add_argument("--friction", type=float, metavar="MU", help="of the tools (default: the node's)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Press, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    if not 1 <= args.places <= 1000:
+        raise UserError(f"--places {args.places} is outside 1..1000")
+    files = [args.organ] if args.organ else [str(organ_file(name)) for name in ORGANS]
+    found = as_json(measure(files, args.places, args.friction))
+    emit(found, text(found), args.json)
+    return exit_code(found, check=args.check)
+
+
+def organ_file(name: str) -> Any:
+    """Path of one of ORGANS."""
+    return shipped_file(f"config/{name}.npz") if "/" in name else shipped_organ(name)
+
+
+def measure(files: Sequence[str], n_places: int, friction: float | None = None) -> list[Pressed]:
+    """Press with every tool at so many places of every organ. Raises UserError when rclpy or the node is missing."""
+    from tissue_sim.ros.probes.presser import pressing
+
+    found: list[Pressed] = []
+    each = list(product(files, forms()))
+    with tqdm(total=len(each) * n_places * (len(motions()) + 1), disable=None, unit="press") as bar:
+        for file, form in each:
+            organ = Organ.load(file)
+            settings = (*form.parameters, *([] if friction is None else [f"friction:={friction}"]))
+            with pressing(file, settings) as presser:
+                for place in places_on(organ, n_places):
+                    found += at_place(presser, form, place, motions(), bar, organ.name)
+    return found
+
+
+def at_place(
+    presser: Any, form: Form, place: Place, tried: Sequence[Motion], bar: Any, organ: str = ""
+) -> list[Pressed]:
+    """Press slowly, and by each motion; nothing where a slow press is hardly felt.
+
+    presser: has `press`, as `presser.Presser`; bar: counts presses.
+    """
+
+    def felt(motion: Motion) -> Floats:
+        bar.update()
+        poses = (place.pose(form, depth) for depth in motion.depths(form.depth))
+        return np.asarray(presser.press(poses, motion.rate))
+
+    slow = felt(SLOWLY)
+    if np.linalg.norm(slow) < LEAST_FORCE:
+        bar.update(len(tried))
+        return []
+    return [Pressed(organ, form.name, motion.name, slow, felt(motion), presser.gap) for motion in tried]
+
+
+# reporting -----------------------------------------------------------------------------------------
+
+
+def as_json(pressed: Sequence[Pressed]) -> dict[str, Any]:
+    """Figures of all presses, and by tool and by motion. Raises UserError when there are none."""
+    if not pressed:
+        raise UserError(f"no place of the organs resists a slow press with {LEAST_FORCE:g} N; try other ORGANs")
+    total = figures(pressed)
+    bounds = [
+        Bound("presses that are lost", float(total["lost"]), 0.0, ""),
+        Bound("force 0.3 s later, off the slow press's by, median", total["median_off_percent"], MOST_OFF, "%"),
+    ]
+    return {
+        "all": total,
+        "organs": _by(pressed, "organ"),
+        "tools": _by(pressed, "form"),
+        "motions": _by(pressed, "motion"),
+        "lost": [
+            one._asdict() | {"slow": one.slow.tolist(), "felt": one.felt.tolist()} for one in pressed if one.is_lost
+        ],
+        "bounds": [bound.as_json() for bound in bounds],
+    }
+
+
+def _by(pressed: Sequence[Pressed], field: str) -> dict[str, dict[str, float]]:
+    names = dict.fromkeys(getattr(one, field) for one in pressed)
+    return {name: figures([one for one in pressed if getattr(one, field) == name]) for name in names}
+
+
+def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
+    """How many presses there were and were lost, and how far the others are off, %."""
+    off = [one.off for one in pressed if not one.is_lost] or [float("nan")]
+    median, most, worst = np.percentile(off, [50.0, 95.0, 100.0])
+    return {
+        "presses": len(pressed),
+        "lost": sum(one.is_lost for one in pressed),
+        "within_percent": 100.0 * float(np.mean(np.array(off) <= MOST_OFF)),
+        "median_off_percent": float(median),
+        "p95_off_percent": float(most),
+        "worst_off_percent": float(worst),
+    }
+
+
+def text(found: dict[str, Any]) -> str:
+    """The figures as a table."""
+    rows = [["", "presses", "lost", f"within {MOST_OFF:g} %", "median off", "p95", "worst"]]
+    for name, one in (("all", found["all"]), *found["organs"].items(), *found["tools"].items()):
+        rows.append(_row(name, one))
+    rows += [_row(name, one) for name, one in found["motions"].items()]
+    lines = [
+        f"force {HELD:g} s after a press, beside a press at {SLOW:g} m/s to the same place",
+        "",
+        *aligned(rows),
+        "",
+        *(
+            f"lost: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['felt']):.3f} N instead of"
+            f" {np.linalg.norm(one['slow']):.3f} N; longest between two poses {1e3 * one['gap']:.0f} ms"
+            for one in found["lost"]
+        ),
+        *bound_lines(found["bounds"]),
+    ]
+    return "\n".join(lines)
+
+
+def _row(name: str, one: dict[str, float]) -> list[str]:
+    percents = [f"{one[key]:.1f} %" for key in ("median_off_percent", "p95_off_percent", "worst_off_percent")]
+    return [name, f"{one['presses']:.0f}", f"{one['lost']:.0f}", f"{one['within_percent']:.0f} %", *percents]

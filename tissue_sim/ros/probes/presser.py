@@ -1,0 +1,94 @@
+"""Presses the tool `left` of a running node into its organ, and feels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks
+from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.executors import make_executor
+
+LOOKED_AT = 0.05  # s at the end of a press, whose wrenches are averaged
+PATIENCE = 2.0  # s for a service to answer, until it is asked again
+
+
+class Presser:
+    """A hand that sends poses at a rate, like a haptic bridge: the one of the moment, and none for a moment missed."""
+
+    def __init__(self, node: Node, target: str) -> None:
+        self._node = node
+        self._poses = node.create_publisher(PoseStamped, "left/measured_cp", client.stream_qos())
+        self._angles = node.create_publisher(JointState, "left/gripper/measured_js", client.stream_qos())
+        self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
+        self._reset = node.create_client(Trigger, f"{target}/reset")
+        self._message = PoseStamped()
+        self._message.header.frame_id = "organ"
+        self.gap = 0.0  # s, longest between two poses of the last press: what the machine kept the hand waiting
+        self._executor = make_executor()
+        self._executor.add_node(node)
+
+    def meet(self) -> None:
+        """Wait until the node hears the hand. Raises UserError when it doesn't."""
+        first_within(self._poses.get_subscription_count, START_TIME, "the node was not found over DDS")
+        first_within(self._reset.service_is_ready, START_TIME, "the node's service was not found over DDS")
+
+    def press(self, poses: Iterable[Floats], rate: float) -> Floats:
+        """Reset the organ, send poses (7,) at a rate, Hz; returns the force (3,) N in the end."""
+        self.reset()
+        self._wrenches.take_all()
+        self._angles.publish(JointState(name=["jaw"], position=[0.0]))
+        each, felt = list(poses), [np.zeros(3)]
+        began, last, self.gap = time.monotonic(), -1, 0.0
+        sent = began
+        while (now := int((time.monotonic() - began) * rate)) < len(each):
+            if now > last:
+                self._send(each[now])
+                sent, before, last = time.monotonic(), sent, now
+                self.gap = max(self.gap, sent - before)
+            time.sleep(max(0.0, began + (last + 1) / rate - time.monotonic()))
+            message = self._wrenches.take()
+            if message is not None:
+                force = message.wrench.force
+                felt.append(np.array([force.x, force.y, force.z]))
+        return np.asarray(np.mean(felt[-max(1, round(LOOKED_AT * rate)) :], axis=0))
+
+    def reset(self) -> None:
+        """Bring the organ back to rest, without tools. Raises UserError when the node doesn't answer."""
+        end = time.monotonic() + START_TIME
+        while time.monotonic() < end:
+            pending = self._reset.call_async(Trigger.Request())
+            self._executor.spin_until_future_complete(pending, PATIENCE)
+            if pending.done():
+                return
+            self._reset.remove_pending_request(pending)
+        raise UserError("the node answers no request for a reset")
+
+    def _send(self, pose: Floats) -> None:
+        at = self._message.pose
+        at.position.x, at.position.y, at.position.z = pose[:3].tolist()
+        at.orientation.x, at.orientation.y, at.orientation.z, at.orientation.w = pose[3:].tolist()
+        self._message.header.stamp = self._node.get_clock().now().to_msg()
+        self._poses.publish(self._message)
+
+
+@contextmanager
+def pressing(organ_file: str, parameters: Sequence[str]) -> Iterator[Presser]:
+    """Start a node with an organ and parameters, and a hand at it. Raises UserError when the node doesn't start."""
+    with Graph() as graph:
+        served = graph.start_node(organ_file, *parameters)
+        ticks(served)
+        own: Any = graph.enter_context(client.client_node("presser", NODE))
+        presser = Presser(own, NODE)
+        presser.meet()
+        yield presser
