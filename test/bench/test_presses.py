@@ -22,6 +22,7 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.winding import inside
+from tissue_sim.ros.probes.presser import force_in_the_end
 
 TOOLS = {
     "sphere, 2 mm": Tool("left", radius=0.002),
@@ -104,6 +105,14 @@ def test_a_wrong_force_moves_the_figure():
     assert lost["all"]["lost"] == 1
     assert [bound["met"] for bound in lost["bounds"]] == [False, True]
     assert "lost: kidney, sphere, 5 mm, 0.8 m/s, 500 Hz: 0.100 N instead of 1.000 N" in text(lost)
+
+
+def test_the_force_is_that_of_the_end_however_few_wrenches_come():
+    """A busy machine lets most of them go by: those of the way in are none of the end's."""
+    way_in = [(0.01 * k, np.array([0.1, 0.0, 0.0])) for k in range(50)]
+    held = [(0.6, np.array([0.9, 0.0, 0.0])), (0.63, np.array([1.1, 0.0, 0.0]))]
+    np.testing.assert_allclose(force_in_the_end([*way_in, *held]), [1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(force_in_the_end([]), 0.0)
 
 
 @pytest.mark.parametrize("motion", motions(), ids=lambda motion: motion.name)

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from tissue_sim.ros.probes.probe import Trip
 
 TURN = 5.0  # s that each of them is measured for before the next one's turn
-RATES = 1000.0, 500.0, 100.0, 30.0  # Hz, of poses
-MOST = {1000.0: (450.0, 1000.0), 500.0: (450.0, 1000.0), 100.0: (600.0, None), 30.0: (600.0, None)}  # us: p50, p99
+# Of poses, Hz: limits of p50 and p99, us.
+MOST = {1000.0: (450.0, 1000.0), 500.0: (450.0, 1000.0), 100.0: (600.0, None), 30.0: (600.0, None)}
+RATES = tuple(MOST)
 WOKEN = "any wrench, node napping", "echo after as long a pause"
 MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the answer that ends a nap: so many times the echo's, and ticks
 
@@ -105,17 +106,17 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
 
 
 def felt_at(rate: float) -> str:
-    """What trips to the node at a rate, Hz, are called."""
+    """Return the name of trips to the node at a pose rate, Hz."""
     return f"felt, poses at {rate:g} Hz"
 
 
 def echo_at(rate: float) -> str:
-    """What trips to the echo at a rate, Hz, are called."""
+    """Return the name of trips to the echo at a pose rate, Hz."""
     return f"echo, {rate:g} Hz"
 
 
 def names() -> list[str]:
-    """What all trips are called."""
+    """Return the names of all trips."""
     return [name for rate in RATES for name in (felt_at(rate), echo_at(rate))] + [*WOKEN]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,6 @@ from tqdm import tqdm
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
-from tissue_sim.calibration.cases import surface_of
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_file, shipped_organ
@@ -51,12 +51,12 @@ class Form(NamedTuple):
 
     @property
     def depth(self) -> float:
-        """How deep it is pressed, m."""
+        """Return the depth of a press, m."""
         return min(DEEPEST, RADII * self.radius)
 
 
 def forms() -> list[Form]:
-    """Spheres, a capsule, a gripper with closed jaws, and a mesh."""
+    """Return the tools that press: spheres, a capsule, a gripper with closed jaws, and a mesh."""
     spheres = [
         Form(f"sphere, {1e3 * radius:g} mm", (f"left.radius:={radius}",), radius, radius)
         for radius in (0.001, 0.002, 0.005, 0.010)
@@ -71,13 +71,13 @@ def forms() -> list[Form]:
 
 
 class Place(NamedTuple):
-    """Where an organ is pressed: a point (3,) m anywhere on its surface, and the way (3,) in."""
+    """A contact point (3,) m anywhere on an organ's surface, and the inward unit normal (3,) there."""
 
     point: Floats
     way: Floats
 
     def pose(self, form: Form, depth: float) -> Floats:
-        """Pose (7,) of a tool whose foremost point is so deep, m; its shaft points out."""
+        """Return the pose (7,) of a tool whose foremost point is `depth` m deep; its shaft points outwards."""
         turn, _ = Rotation.align_vectors([self.way], [[0.0, 0.0, 1.0]])
         return np.concatenate([self.point + (depth - form.ahead) * self.way, turn.as_quat()])
 
@@ -87,7 +87,7 @@ def places_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
     corners, rng = organ.surface_positions[organ.surface_triangles], np.random.default_rng(seed)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)
-    held = surface_of(organ).positions[organ.fixed]
+    held = organ.surface_positions[organ.fixed]
     found: list[Place] = []
     while len(found) < count:
         triangle = int(rng.choice(len(size), p=size / size.sum()))
@@ -98,7 +98,10 @@ def places_on(organ: Organ, count: int, seed: int = 5) -> list[Place]:
 
 
 class Motion(NamedTuple):
-    """How a tool goes in: at so many m/s, or in one message by so many m where `jump` isn't 0; poses at so many Hz."""
+    """The motion of a press: speed in m/s, pose rate in Hz, and the jump in m of a single message, 0 for none.
+
+    Where there is a jump, the speed does not count.
+    """
 
     speed: float
     rate: float
@@ -106,11 +109,11 @@ class Motion(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What a table calls it."""
+        """Return the name in tables."""
         return f"jump of {1e3 * self.jump:g} mm" if self.jump else f"{self.speed:g} m/s, {self.rate:g} Hz"
 
     def depths(self, depth: float) -> Iterator[float]:
-        """Depths of the poses, one each 1 / rate s: a moment before, the way to `depth`, and what it is held for."""
+        """Return the depths, m, of poses 1 / rate s apart: a pause outside, the way to `depth`, and the hold there."""
         before, held = round(BEFORE * self.rate), round(HELD * self.rate)
         if self.jump:
             start = depth - self.jump
@@ -128,7 +131,7 @@ SLOWLY = Motion(SLOW, 500.0)
 
 
 def motions() -> list[Motion]:
-    """All that are tried."""
+    """Return all motions that are tried."""
     return [*(Motion(*one) for one in MOTIONS), *(Motion(0.0, JUMP_RATE, jump) for jump in JUMPS)]
 
 
@@ -174,8 +177,8 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def organ_file(name: str) -> Any:
-    """Path of one of ORGANS."""
+def organ_file(name: str) -> Path | None:
+    """Return the path of one of ORGANS."""
     return shipped_file(f"config/{name}.npz") if "/" in name else shipped_organ(name)
 
 
@@ -189,7 +192,7 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
         for file, form in each:
             organ = Organ.load(file)
             settings = (*form.parameters, *([] if friction is None else [f"friction:={friction}"]))
-            with pressing(file, settings) as presser:
+            with pressing(file, organ, settings) as presser:
                 for place in places_on(organ, n_places):
                     found += at_place(presser, form, place, motions(), bar, organ.name)
     return found
@@ -219,7 +222,7 @@ def at_place(
 
 
 def as_json(pressed: Sequence[Pressed]) -> dict[str, Any]:
-    """Figures of all presses, and by tool and by motion. Raises UserError when there are none."""
+    """Return the figures of all presses, and by organ, tool and motion. Raises UserError when there are none."""
     if not pressed:
         raise UserError(f"no place of the organs resists a slow press with {LEAST_FORCE:g} N; try other ORGANs")
     total = figures(pressed)
@@ -245,7 +248,7 @@ def _by(pressed: Sequence[Pressed], field: str) -> dict[str, dict[str, float]]:
 
 
 def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
-    """How many presses there were and were lost, and how far the others are off, %."""
+    """Return the number of presses, how many were lost, and the deviations of the others from slow presses, %."""
     off = [one.off for one in pressed if not one.is_lost] or [float("nan")]
     median, most, worst = np.percentile(off, [50.0, 95.0, 100.0])
     return {
@@ -259,7 +262,7 @@ def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
 
 
 def text(found: dict[str, Any]) -> str:
-    """The figures as a table."""
+    """Return the figures as tables."""
     rows = [["", "presses", "lost", f"within {MOST_OFF:g} %", "median off", "p95", "worst"]]
     for name, one in (("all", found["all"]), *found["organs"].items(), *found["tools"].items()):
         rows.append(_row(name, one))

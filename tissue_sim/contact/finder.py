@@ -206,11 +206,8 @@ class ContactFinder:
         if not swallowed.any():
             return None
         point = points[np.argmax(swallowed)]
-        node, _ = nearest_node(position, self.n_surface, *point)
-        around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
-        weight, distance = nearest_weights(position[around], np.repeat(point[None], len(around), axis=0))
-        nearest = int(np.argmin(distance))
-        way = weight[nearest] @ position[around[nearest]] - point
+        nodes, weight, _ = self._nearest(position, point)
+        way = weight @ position[nodes] - point
         outward = way / max(float(np.linalg.norm(way)), 1e-9)
         return way + outward * (self.tools.clearance[body] + TISSUE_WAY)
 
@@ -253,13 +250,21 @@ class ContactFinder:
         return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
-        node, _ = nearest_node(position, self.n_surface, tip[0], tip[1], tip[2])
-        around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
-        weight, distance = nearest_weights(position[around], np.repeat(tip[None], len(around), axis=0))
-        chosen = int(np.argmin(distance))
-        if distance[chosen] > TIP_REACH:
+        nodes, weight, distance = self._nearest(position, tip)
+        if distance > TIP_REACH:
             return np.full(3, -1, dtype=np.int64), np.zeros(3)
-        return around[chosen].astype(np.int64), weight[chosen]
+        return nodes, weight
+
+    def _nearest(self, position: Floats, point: Floats) -> tuple[Longs, Floats, float]:
+        """Return nodes (3,), weights (3,) and distance, m, of the surface's point nearest to a point (3,) m.
+
+        It is looked for in the triangles around the nearest node.
+        """
+        node, _ = nearest_node(position, self.n_surface, point[0], point[1], point[2])
+        around = self.triangles[self._node_triangle[self._node_start[node] : self._node_start[node + 1]]]
+        weight, distance = nearest_weights(position[around], np.repeat(point[None], len(around), axis=0))
+        chosen = int(np.argmin(distance))
+        return around[chosen].astype(np.int64), weight[chosen], float(distance[chosen])
 
 
 def reach_margins(places: Floats, goals: Floats, last: Floats, share: float, extents: Floats) -> Floats:

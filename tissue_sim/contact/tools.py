@@ -75,7 +75,9 @@ class ToolSet:
         self.centre = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
         # Points that lie inside no tissue that resists: the middles of a capsule's caps and length, or what is deepest.
         self.middle = [
-            np.vstack([body.corners, centre]) if body.kind in (SPHERE, CAPSULE) else _deepest(body)[None]
+            np.vstack([body.corners, centre])
+            if body.kind in (SPHERE, CAPSULE)
+            else (centre if body.grid is None else _deepest(body.grid))[None]
             for body, centre in zip(bodies, self.centre, strict=True)
         ]
         self.clearance = [  # m, from there to the body's surface at the most
@@ -172,12 +174,10 @@ def _mesh_body(tool: Tool) -> _Body:
     return _Body(GRID, (0.0, 0.0), corners, thin, grid=distance_grid(mesh, MARGIN), mesh=mesh)
 
 
-def _deepest(body: _Body) -> Floats:
-    """Return a point (3,) m of a mesh far from its surface: that of a ring lies in the ring, not in its hole."""
-    if body.grid is None:
-        return np.asarray(0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)))
-    at = np.unravel_index(np.argmin(body.grid.distance), body.grid.distance.shape)
-    return np.asarray(body.grid.origin + body.grid.spacing * np.array(at))
+def _deepest(grid: Grid) -> Floats:
+    """Return the point (3,) m farthest inside a mesh: that of a ring lies in the ring, not in its hole."""
+    at = np.unravel_index(np.argmin(grid.distance), grid.distance.shape)
+    return np.asarray(grid.origin + grid.spacing * np.array(at))
 
 
 def _planes(tool: Tool, hull: trimesh.Trimesh) -> Floats:

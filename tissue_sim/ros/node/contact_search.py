@@ -61,7 +61,7 @@ class ContactSearch:
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
-        self._told = [False] * n_bodies  # that it is held off
+        self._reported = [False] * n_bodies  # whether it was reported as held off
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()
@@ -100,7 +100,7 @@ class ContactSearch:
         for body in np.flatnonzero(looked & (bodies.engaged == 0) & (bodies.resisted == 0)).tolist():
             if self.finder.is_inside(body, self._positions, places[body]):
                 engaged[body] = Engaged.HELD_OFF
-        self._tell_held_off(engaged)
+        self._report_held_off(engaged)
         releases = bodies.releases.copy()
         found = self.finder.find(self._positions, Sought(places.copy(), margins, engaged, now.pushing, releases))
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
@@ -111,17 +111,17 @@ class ContactSearch:
             self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
 
-    def _tell_held_off(self, engaged: Longs) -> None:
+    def _report_held_off(self, engaged: Longs) -> None:
         """Warn of bodies that nothing resists, once each until they have been outside."""
         for body, state in enumerate(engaged.tolist()):
-            if state == Engaged.HELD_OFF and not self._told[body]:
+            if state == Engaged.HELD_OFF and not self._reported[body]:
                 name, stale_time = self._port_of[body].name, self._physics.settings().stale_time
                 self._warn(
                     f"tool '{name}' appeared inside {self._organ} and feels nothing until it has been outside:"
                     f" send a pose outside first, and the next within stale_time ({stale_time:g} s)"
                 )
             if state != Engaged.NO:
-                self._told[body] = state == Engaged.HELD_OFF
+                self._reported[body] = state == Engaged.HELD_OFF
 
 
 class PairSearch:

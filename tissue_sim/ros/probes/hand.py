@@ -21,6 +21,7 @@ from tissue_sim.unexpected import catch_all
 
 RADIUS, DEPTH, SWING = 0.005, 0.003, 2e-4  # m: the tool, how deep it is, by how much it moves
 FAR = -0.1  # m, a depth out of the organ's reach
+UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 class Hand:
@@ -58,9 +59,13 @@ class Hand:
 
     def send(self, depth: float, publisher: Any = None) -> None:
         """Send a pose so deep in the organ, m; to the node, or by another publisher."""
+        self.send_pose(np.concatenate([self._touch + depth * self._way, UNTURNED]), publisher)
+
+    def send_pose(self, pose: Floats, publisher: Any = None) -> None:
+        """Send a pose (7,), m and a unit quaternion xyzw; to the node, or by another publisher."""
         message = self._message
-        position = message.pose.position
-        position.x, position.y, position.z = map(float, self._touch + depth * self._way)
+        position, turn = message.pose.position, message.pose.orientation
+        position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w = pose.tolist()
         message.header.stamp = self._node.get_clock().now().to_msg()
         (publisher or self._to_node).publish(message)
 

@@ -8,14 +8,16 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.probes.graph import NODE, START_TIME, Graph, first_within, ticks
+from tissue_sim.ros.probes.hand import Hand
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.executors import make_executor
 
@@ -23,24 +25,24 @@ LOOKED_AT = 0.05  # s at the end of a press, whose wrenches are averaged
 PATIENCE = 2.0  # s for a service to answer, until it is asked again
 
 
-class Presser:
-    """A hand that sends poses at a rate, like a haptic bridge: the one of the moment, and none for a moment missed."""
+class Presser(Hand):
+    """A hand that sends poses at a rate, like a haptic bridge: the one of the moment, and none for a moment missed.
 
-    def __init__(self, node: Node, target: str) -> None:
-        self._node = node
-        self._poses = node.create_publisher(PoseStamped, "left/measured_cp", client.stream_qos())
+    target: the node.
+    """
+
+    def __init__(self, node: Node, target: str, organ: Organ) -> None:
+        super().__init__(node, organ)
         self._angles = node.create_publisher(JointState, "left/gripper/measured_js", client.stream_qos())
         self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
         self._reset = node.create_client(Trigger, f"{target}/reset")
-        self._message = PoseStamped()
-        self._message.header.frame_id = "organ"
         self.gap = 0.0  # s, longest between two poses of the last press: what the machine kept the hand waiting
         self._executor = make_executor()
         self._executor.add_node(node)
 
     def meet(self) -> None:
         """Wait until the node hears the hand. Raises UserError when it doesn't."""
-        first_within(self._poses.get_subscription_count, START_TIME, "the node was not found over DDS")
+        super().meet()
         first_within(self._reset.service_is_ready, START_TIME, "the node's service was not found over DDS")
 
     def press(self, poses: Iterable[Floats], rate: float) -> Floats:
@@ -48,20 +50,20 @@ class Presser:
         self.reset()
         self._wrenches.take_all()
         self._angles.publish(JointState(name=["jaw"], position=[0.0]))
-        each, felt = list(poses), [np.zeros(3)]
+        each, felt = list(poses), []
         began, last, self.gap = time.monotonic(), -1, 0.0
         sent = began
         while (now := int((time.monotonic() - began) * rate)) < len(each):
             if now > last:
-                self._send(each[now])
+                self.send_pose(each[now])
                 sent, before, last = time.monotonic(), sent, now
                 self.gap = max(self.gap, sent - before)
             time.sleep(max(0.0, began + (last + 1) / rate - time.monotonic()))
             message = self._wrenches.take()
             if message is not None:
                 force = message.wrench.force
-                felt.append(np.array([force.x, force.y, force.z]))
-        return np.asarray(np.mean(felt[-max(1, round(LOOKED_AT * rate)) :], axis=0))
+                felt.append((time.monotonic(), np.array([force.x, force.y, force.z])))
+        return force_in_the_end(felt)
 
     def reset(self) -> None:
         """Bring the organ back to rest, without tools. Raises UserError when the node doesn't answer."""
@@ -74,21 +76,27 @@ class Presser:
             self._reset.remove_pending_request(pending)
         raise UserError("the node answers no request for a reset")
 
-    def _send(self, pose: Floats) -> None:
-        at = self._message.pose
-        at.position.x, at.position.y, at.position.z = pose[:3].tolist()
-        at.orientation.x, at.orientation.y, at.orientation.z, at.orientation.w = pose[3:].tolist()
-        self._message.header.stamp = self._node.get_clock().now().to_msg()
-        self._poses.publish(self._message)
+
+def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
+    """Return the mean force (3,) N of the last LOOKED_AT s of wrenches that came, s and N; zero where none did.
+
+    By time, not by their number: on a busy machine few come, and those before would be of another depth.
+    """
+    if not felt:
+        return np.zeros(3)
+    return np.asarray(np.mean([force for at, force in felt if at >= felt[-1][0] - LOOKED_AT], axis=0))
 
 
 @contextmanager
-def pressing(organ_file: str, parameters: Sequence[str]) -> Iterator[Presser]:
-    """Start a node with an organ and parameters, and a hand at it. Raises UserError when the node doesn't start."""
+def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[Presser]:
+    """Start a node with an organ of a file and parameters, and a hand at it.
+
+    Raises UserError when the node doesn't start.
+    """
     with Graph() as graph:
         served = graph.start_node(organ_file, *parameters)
         ticks(served)
         own: Any = graph.enter_context(client.client_node("presser", NODE))
-        presser = Presser(own, NODE)
+        presser = Presser(own, NODE, organ)
         presser.meet()
         yield presser

@@ -57,7 +57,7 @@ def first_change(sent: float, felt: Sequence[tuple[float, Floats]]) -> float | N
     after = [(at, force) for at, force in felt if at >= sent]
     if len(before) < 2 or not after:
         return None
-    rest = before[-min(len(before), 20) :]
+    rest = before[-20:]
     middle = rest.mean(axis=0)
     restless = float(np.linalg.norm(rest - middle, axis=1).max())
     least = max(CHANGED * float(np.linalg.norm(after[-1][1] - middle)), RESTLESS * restless)
