@@ -36,6 +36,18 @@ def test_winding_number_is_one_inside_and_zero_outside():
     np.testing.assert_array_equal(within, crossings(points, mesh.triangles) % 2 == 1)
 
 
+def test_a_few_points_are_asked_of_every_triangle_and_far_ones_of_none(monkeypatch):
+    organ = kidney()
+    low, high = organ.surface_positions.min(axis=0), organ.surface_positions.max(axis=0)
+    points = np.random.default_rng(2).uniform(low - 0.01, high + 0.01, (200, 3))
+    together = inside(points, organ.surface_positions, organ.surface_triangles)
+    alone = [inside(one[None], organ.surface_positions, organ.surface_triangles)[0] for one in points]
+    np.testing.assert_array_equal(together, alone)
+    monkeypatch.setattr(winding, "winding_number", None)
+    far = np.array([high + 0.001, low - 0.001, [np.nan, 0.0, 0.0]])
+    assert not inside(far, organ.surface_positions, organ.surface_triangles).any()
+
+
 def test_winding_number_changes_sign_with_the_triangles():
     organ = ball()
     flipped = organ.surface_triangles[:, ::-1]

@@ -200,7 +200,7 @@ class ContactFinder:
         self._place(body, pose, 0.0)
         rotation, middle = self._matrix.reshape(3, 3), self.tools.middle[body]
         points = middle @ rotation.T + pose[:3]
-        if np.all((points < self._low) | (points > self._high), axis=None):
+        if np.all(np.any((points < self._low) | (points > self._high), axis=1)):
             return None
         swallowed = inside(points, position, self.triangles)
         if not swallowed.any():

@@ -13,6 +13,7 @@ from tissue_sim.jit import kernel
 
 _TOGETHER = 64  # triangles of a group at the most
 _AFAR = 3.0  # times as far as a group reaches: from there it counts as one
+_FEW = 16  # points that are asked of every triangle sooner than groups are made
 _DOUBT = 0.2  # off a whole number, from which a winding number is worked out in full
 
 
@@ -30,10 +31,19 @@ def winding_number(points: Floats, positions: Floats, triangles: Ints | Longs) -
 def inside(points: Floats, positions: Floats, triangles: Ints) -> NDArray[np.bool_]:
     """Whether each of points (p, 3) lies inside the closed outward surface.
 
-    Triangles that lie together count as one where a point is far from them (Barill et al. 2018); a point for which
-    that leaves a doubt is asked of every triangle.
+    Points beyond all positions lie outside. Triangles that lie together count as one where a point is far from them
+    (Barill et al. 2018); a point for which that leaves a doubt is asked of every triangle.
     """
     points = np.asarray(points, dtype=np.float64)
+    near = np.all((points >= positions.min(axis=0)) & (points <= positions.max(axis=0)), axis=1)
+    if near.any():
+        near[near] = _is_wound(points[near], positions, triangles)
+    return near
+
+
+def _is_wound(points: Floats, positions: Floats, triangles: Ints) -> NDArray[np.bool_]:
+    if len(points) <= _FEW:
+        return winding_number(points, positions, triangles) > 0.5
     corners, starts = _groups(np.asarray(positions[triangles], dtype=np.float64))
     found = np.empty(len(points))
     _add_groups(points, corners, starts, *_seen_from_afar(corners, starts), found)
