@@ -121,7 +121,9 @@ def test_witness_sees_what_is_turned_over():
 
 
 # trials ----------------------------------------------------------------------------------------
-@pytest.mark.parametrize("region", LOCAL_REGIONS)
+@pytest.mark.parametrize(
+    "region", [pytest.param(name, marks=[pytest.mark.extended] if name == "frozen" else []) for name in LOCAL_REGIONS]
+)
 def test_small_load_is_stable(region):
     record = run_cell(cell(region=region))
     assert (record.outcome, record.problems, record.faults, record.snaps) == ("stable", (), 0, 0)

@@ -100,6 +100,7 @@ def pinched():
     return nip_and_release(kidney())
 
 
+@pytest.mark.extended
 def test_nip_takes_the_top_and_nothing_else(pinched):
     nip, _ = pinched
     rest = kidney().surface_positions
@@ -112,6 +113,7 @@ def test_nip_takes_the_top_and_nothing_else(pinched):
         assert np.linalg.norm(nip.positions - jaw, axis=1).min() > 0.8 * JAW
 
 
+@pytest.mark.extended
 def test_released_organ_is_back_at_rest(pinched):
     _, release = pinched
     assert np.abs(release.positions - kidney().surface_positions).max() < 1e-5

@@ -266,7 +266,7 @@ def test_tool_at_one_metre_a_second_does_not_pass_through(tool, direction):
 
 
 # release ---------------------------------------------------------------------------------------
-@pytest.mark.parametrize("region", ["off", "frozen", "auto"])
+@pytest.mark.parametrize("region", ["off", pytest.param("frozen", marks=pytest.mark.extended), "auto"])
 def test_force_is_exactly_nothing_after_the_tool_has_left(region):
     organ = kidney()
     scene = Scene(organ, [PROBE], local_region=region)
@@ -489,7 +489,7 @@ def test_two_jaws_nip_lift_and_let_go():
     assert np.abs(scene.simulation.positions - organ.rest_positions).max() < 1e-5
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.extended)])
 def test_tool_that_jumps_about_inside_and_out_leaves_nothing_that_is_not_finite(seed):
     organ = ball(2)
     scene = Scene(organ, [Tool("left", radius=0.006), Tool("right", "capsule", radius=0.003, length=0.05)])

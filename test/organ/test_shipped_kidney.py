@@ -35,6 +35,7 @@ def rebuilt(phantom, tmp_path_factory):
     return SimpleNamespace(path=path, record=progress.record)
 
 
+@pytest.mark.extended
 def test_its_segmentation_is_the_phantoms_kidney(phantom, rebuilt, capsys):
     """One seed, at the noise and the fineness of a real CT."""
     segmented = rebuilt.record.segmentation
@@ -50,6 +51,7 @@ def test_its_segmentation_is_the_phantoms_kidney(phantom, rebuilt, capsys):
     assert -45.0 < segmented.wall < -25.0
 
 
+@pytest.mark.extended
 def test_the_shipped_kidney_is_rebuilt(rebuilt):
     shipped, rebuilt = Organ.load(ROOT / KIDNEY), Organ.load(rebuilt.path)
     assert (rebuilt.n_surface, len(rebuilt.surface_triangles), rebuilt.n_atoms) == (994, 1984, 48)
