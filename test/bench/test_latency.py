@@ -2,18 +2,23 @@
 
 import json
 import os
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tissue_sim.bench import arguments, latency_busy
 from tissue_sim.bench.bare_loop import bare
-from tissue_sim.bench.latency import WOKEN, as_json, names
+from tissue_sim.bench.latency import RATES, WOKEN, as_json, felt_at, measure, names
 from tissue_sim.bench.latency_busy import AFTER, BUSY, PHASES, QUIET
 from tissue_sim.cli import main
+from tissue_sim.ros.probes.graph import Graph
 from tissue_sim.ros.probes.pokes import DEPTH, Poked, Told, depth_after
 from tissue_sim.ros.probes.probe import Trip, first_change, together
 from tissue_sim.ros.shared.priority import is_allowed
+
+DELAYED_NODE = Path(__file__).parents[1] / "helpers" / "ros" / "delayed_node.py"
 
 
 def test_bare_loop_sleeps_to_its_deadlines_and_is_busy_in_between():
@@ -81,6 +86,7 @@ def test_a_pose_that_is_not_felt_is_none():
     assert first_change(SENT, wrenches(121)[:50]) is None
 
 
+@pytest.mark.extended
 def test_short_run_with_real_processes(tmp_path):
     file = tmp_path / "latency.json"
     assert main(["bench", "latency", "--seconds", "2", "--json", str(file)]) == 0
@@ -88,6 +94,21 @@ def test_short_run_with_real_processes(tmp_path):
     assert set(found["round_trips"]) == set(names())
     assert all(one["trips"] > 0 for one in found["round_trips"].values())
     assert found["late"]["ticks"] > 0
+
+
+@pytest.mark.extended
+def test_a_delay_that_is_planted_in_the_node_shows_at_every_rate(monkeypatch):
+    def serve(graph, *parameters, within=(), environment=None):
+        words = [word for parameter in parameters for word in ("-p", parameter)]
+        command = [sys.executable, str(DELAYED_NODE), "--ros-args", *words]
+        return graph._begin("program", [*within, *command], {**os.environ, "DELAYED_TICKS": "20"})
+
+    monkeypatch.setattr(Graph, "serve", serve)
+    trips = measure(None, 4.0)["round_trips"]
+    for rate in RATES:
+        felt = trips[felt_at(rate)]
+        assert felt["p50_us"] >= 19_000.0
+        assert felt["lost"] < 0.5 * felt["trips"], "those count as later still"
 
 
 def test_seconds_out_of_range_are_refused(capsys):

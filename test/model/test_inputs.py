@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.scenes import ball, free_ball
+from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.contact_set import contact_set
 from tissue_sim.model.simulation import Simulation, sphere_tools
 
@@ -35,6 +36,22 @@ def test_first_pose_is_taken_at_once():
     np.testing.assert_array_equal(simulation.state.body_pose[0], FAR)
     assert simulation.state.bodies[0].pose_sequence == 7
     assert simulation.state.bodies[0].age == 1
+
+
+@pytest.mark.parametrize(("smoothing", "ticks"), [(0.0, 1), (0.25, 4), (0.5, 8), (1.0, 16)])
+def test_a_tool_takes_its_smoothing_of_the_time_between_poses(smoothing, ticks):
+    tools = ToolSet([Tool("left", smoothing=smoothing)])
+    simulation = Simulation(ball(), shapes=tools.shapes)
+    simulation.take_pose(0, FAR, 1)
+    take_set(simulation, 2)
+    for _ in range(16):
+        simulation.step()
+    simulation.take_pose(0, FAR - np.array([0.0, 0.0, 0.016, 0.0, 0.0, 0.0, 0.0]), 2)
+    height = []
+    for _ in range(18):
+        simulation.step()
+        height.append(0.2 - simulation.state.body_pose[0, 2])
+    np.testing.assert_allclose(height, 0.016 * np.minimum(1.0, np.arange(1, 19) / ticks), atol=1e-15)
 
 
 @pytest.mark.parametrize("period", [1, 4, 16])

@@ -315,6 +315,32 @@ def test_pose_ends_a_nap():
     assert_same(simulation, loop.simulation)
 
 
+def test_a_pose_brings_the_next_tick_forward_by_a_period_at_most():
+    libc, ahead = ctypes.CDLL(None), []
+    slow = copy_of(make_simulation().settings)
+    slow.tick_time = 0.05
+    with Loop(stale_time=np.inf) as loop:
+        loop.post_settings(slow)
+        loop.wait(3)
+        bell = ctypes.c_void_p(loop.words.bell.ctypes.data)
+
+        def is_ahead():
+            loop.post_pose(above(0.05))
+            loop.control.asked += 1
+            libc.sem_post(bell)
+            time.sleep(0.005)
+            ahead.append(1e-9 * (int(loop.control.due) - time.monotonic_ns()))
+            return ahead[-1] > 0.0
+
+        wait_for(is_ahead, "a tick that a pose brought forward")
+        began, before = time.monotonic(), loop.ticks()
+        for _ in range(100):
+            is_ahead()
+        done, elapsed = loop.ticks() - before, time.monotonic() - began
+    assert max(ahead) <= 0.05
+    assert done <= elapsed / 0.05 + 2.0, "their number is that of the clock"
+
+
 class PostedLoop(Loop):
     """Whose ticks follow posted times."""
 

@@ -1,7 +1,8 @@
 """`tissue_sim bench latency`: from a pose to the first wrench that was computed with it, and how late ticks are.
 
 A tool in contact goes deeper by a fraction of a millimetre in a stream of poses, and the benchmark takes the time until
-the force has changed: a wrench that comes sooner says nothing of the pose. Beside that an echo node sends each pose
+the force has changed: a wrench that comes sooner says nothing of the pose. What smoothing between slow poses adds to
+that is counted in ticks (`smoothing`). Beside that an echo node sends each pose
 back, on the same kind of executor, and a bare loop sleeps and is busy for as long as a tick. They take turns of a few
 seconds, so that what else the machine does falls on all of them.
 """
@@ -16,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench import latency_busy
+from tissue_sim.bench import latency_busy, smoothing
 from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
@@ -102,7 +103,8 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
             bare_late.append(bare(seconds / turns, 1e-6 * busy, priority))
         told = {name: together(parts).as_json() for name, parts in trips.items()}
         found = as_json(seconds, told, (done, late), np.concatenate(bare_late), busy)
-        return {"realtime_priority": priority, **found}
+        smoothed = smoothing.as_json(smoothing.measure(organ))
+        return {"realtime_priority": priority, **found, "smoothing": smoothed}
 
 
 def felt_at(rate: float) -> str:
@@ -166,6 +168,9 @@ def text(found: dict[str, Any]) -> str:
         f"{found['seconds']:g} s each in turns; a tool in contact, ticks at {found['rate_hz']:g} Hz, one subscriber of"
         f" markers at 60 Hz{urgent}; felt: the first wrench that was computed with the pose",
         *aligned(rows),
+        "",
+        "by ticks, smoothing between poses:",
+        *aligned(smoothing.table(found["smoothing"])),
         "",
         f"ticks late by more than a period: node {late['node_percent']:.2f} %, a bare loop as busy"
         f" ({late['busy_us']:.0f} us) {late['bare_percent']:.2f} %",

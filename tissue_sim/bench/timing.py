@@ -164,7 +164,7 @@ def _time_ticks(
             load_nodes(state, nodes, (1.0 if steady else share) * forces)
         for tool in range(len(state.body_pose)):
             goal = state.body_goal[tool].copy()
-            take_pose(state, settings, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
+            take_pose(world, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
         start = now(clock)
         tick_world(world)
         if guarded:  # once more, after a tick as in it

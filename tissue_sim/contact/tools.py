@@ -32,7 +32,8 @@ class Tool:
     name; shape: sphere, capsule, gripper (two capsules, or two jaws of a mesh; see contact.gripper) or mesh; radius m
     (sphere, capsules); length m (of capsules, between the centres of their caps, from the origin along -z; from a
     gripper's tips to its hinge); mesh: file in m, a closed surface where it is not convex; config/jaws/flat.obj comes
-    with the package.
+    with the package. smoothing: fraction of the time between two poses in which the tool moves to the newer one; 1:
+    it moves evenly, and arrives as the next pose is due; 0: it is there in a tick.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Tool:
     radius: float = 0.005
     length: float = 0.05
     mesh: str = ""
+    smoothing: float = 1.0
 
     @property
     def n_bodies(self) -> int:
@@ -93,6 +95,7 @@ class ToolSet:
             [body.grid for body in bodies],
             [tool for tool, members in enumerate(self.bodies) for _ in members],
             [(body.smallest, float(np.linalg.norm(body.corners, axis=1).max())) for body in bodies],
+            [tool.smoothing for tool, members in zip(self.tools, self.bodies, strict=True) for _ in members],
         )
 
     def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
@@ -117,6 +120,8 @@ class _Body:
 
 
 def _bodies(tool: Tool) -> list[_Body]:
+    if not 0.0 <= tool.smoothing <= 1.0:
+        raise UserError(f"tool '{tool.name}': smoothing {tool.smoothing:g} is outside 0..1")
     if tool.shape not in SHAPE_NAMES:
         raise UserError(f"tool '{tool.name}': unknown shape '{tool.shape}'; choose one of {', '.join(SHAPE_NAMES)}")
     if tool.shape == "mesh":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from tissue_sim.jit import kernel
@@ -10,7 +9,7 @@ from tissue_sim.model.arrays import copy
 from tissue_sim.model.contact_set import Engaged, used_words
 from tissue_sim.model.prescribed import forget_prescribed
 from tissue_sim.model.regions import drop_region
-from tissue_sim.model.tool_motion import way_between
+from tissue_sim.model.tool_motion import distance, quaternion_distance, way_between
 
 CATCH_UP = 0.03  # s in which a tool makes good most of what it is behind its poses, where they told such a speed
 RESUMED = 1.0  # s without poses after which a hand that comes back is a new one
@@ -19,15 +18,16 @@ CREEP = 1e-3, 1e-2  # m/s and 1/s at the least, so that it gets there
 
 
 @kernel
-def take_pose(state: Any, settings: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
+def take_pose(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
     """Take up the newest pose (7,) of a tool: m and a unit quaternion xyzw; stamp in ns, 0 where it has none.
 
     The first one puts the tool there, and so does any while nothing resists it; it is led to others. Where poses go on
     that had stopped while the tool was resisted, no longer than RESUMED ago, it is resisted from where it was.
     """
+    state = world.state
     status = state.bodies[body]
     if status.age < 0 or status.released or status.held_off:
-        goes_on = status.released and status.placed and status.age * settings.tick_time < RESUMED
+        goes_on = status.released and status.placed and status.age * world.settings.tick_time < RESUMED
         if not goes_on:
             copy(pose, state.body_pose[body])
         copy(pose, state.held_pose[body])
@@ -36,7 +36,7 @@ def take_pose(state: Any, settings: Any, body: int, pose: Any, stamp: int, seque
         status.placed = not status.held_off
         status.released = False
     else:
-        lead_to(state, settings, body, pose, stamp)
+        lead_to(world, body, pose, stamp)
     copy(pose, state.body_goal[body])
     status.age = 0
     status.stamp = stamp
@@ -44,13 +44,14 @@ def take_pose(state: Any, settings: Any, body: int, pose: Any, stamp: int, seque
 
 
 @kernel
-def lead_to(state: Any, settings: Any, body: int, pose: Any, stamp: int) -> None:
+def lead_to(world: Any, body: int, pose: Any, stamp: int) -> None:
     """Set how long a tool is led to a pose (7,): no faster than its poses tell, by their stamps, or else as they came.
 
     Where poses were skipped or came late, the tool still has a part of their way before it. It makes that good softly,
     and no faster than they told: a hand must not feel that a machine is busy. It is never behind for longer than
-    stale_time.
+    stale_time. Of all that time a tool takes its `smoothing`, and a tick at least.
     """
+    state, settings = world.state, world.settings
     status, held, goal = state.bodies[body], state.held_pose[body], state.body_goal[body]
     told = 1e-9 * (stamp - status.stamp) if 0 < status.stamp < stamp else max(status.age, 1) * settings.tick_time
     before = status.remaining > 0.0
@@ -61,7 +62,9 @@ def lead_to(state: Any, settings: Any, body: int, pose: Any, stamp: int) -> None
         way_time(distance(held, pose), moved, told, status.speed, CREEP[0]),
         way_time(quaternion_distance(held, pose), turned, told, status.turning, CREEP[1]),
     )
-    status.remaining = min(seconds, settings.stale_time)
+    seconds = min(seconds, settings.stale_time)
+    smoothed = max(world.shapes.smoothing[body] * seconds, settings.tick_time)
+    status.remaining = min(seconds, smoothed)
 
 
 @kernel
@@ -70,22 +73,6 @@ def way_time(way: float, new: float, told: float, most: float, creep: float) -> 
     if way == 0.0:
         return 0.0
     return way / min(most, new / told + max(0.0, way - new) / CATCH_UP + creep) if most > 0.0 else told
-
-
-@kernel
-def distance(pose: Any, other: Any) -> float:
-    """Between the origins of two poses (7,), m."""
-    return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
-
-
-@kernel
-def quaternion_distance(pose: Any, other: Any) -> float:
-    """Between the quaternions of two poses (7,), of either sign: half the angle while that is small."""
-    less = more = 0.0
-    for c in range(3, 7):
-        less += (pose[c] - other[c]) ** 2
-        more += (pose[c] + other[c]) ** 2
-    return math.sqrt(min(less, more))
 
 
 @kernel

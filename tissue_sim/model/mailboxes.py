@@ -49,6 +49,8 @@ class Control(Record):
     stop: bool
     started: bool  # the loop runs and has handed out the rest shape
     napping: bool  # the loop sleeps over several ticks
+    waiting: bool  # the loop sleeps until its next tick, which a pose brings forward
+    asked: int  # raised by whoever has posted something that is not to wait: all of a tool's bodies, to all organs
     sim_time: bool  # ticks follow posted_time, not the monotonic clock
     standing: bool  # /clock gives no time, or has stood still for a while
     resets: int
@@ -115,6 +117,7 @@ class LoopWords(NamedTuple):
     now: Longs  # (2,) a timespec
     wake: Longs  # (2,) another
     bell: Longs  # (4,) a sem_t, posted to wake the loop
+    answered: Longs  # (4,) another, posted by the loop after a tick that was asked for
 
 
 class Mailboxes(NamedTuple):
@@ -152,6 +155,7 @@ def make_loop_words() -> LoopWords:
         now=_longs(2),
         wake=_longs(2),
         bell=_longs(4),
+        answered=_longs(4),
     )
 
 
@@ -243,7 +247,7 @@ def take_inputs(world: Any, box: Any, resets: int) -> None:
             pose, stamp = box.taken_pose[:7].view(np.float64), box.taken_pose[7]
             for axis in range(3):
                 pose[axis] -= state.carried[axis]
-            take_pose(state, world.settings, body, pose, stamp, sequence)
+            take_pose(world, body, pose, stamp, sequence)
         sequence = take(box.force, body, taken.force, box.taken_force.view(np.int64))
         if sequence != taken.force:
             taken.force, changed = sequence, True

@@ -1,7 +1,9 @@
 """The fixed-rate loop: one compiled function that never takes the GIL.
 
-Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). While organs sleep and no tool
-is near, the loop naps over several ticks and does them afterwards; a bell (a semaphore) wakes it for a pose or force.
+Ticks are due by the monotonic clock, or by times that are posted (ROS's /clock). By the monotonic clock a pose or force
+brings the next tick forward, by a period at most: no tick begins before the one before it was due, so that their number
+stays that of the clock. While organs sleep and no tool is near, the loop naps over several ticks and does them
+afterwards; a bell (a semaphore) wakes it for a pose or force.
 What goes in and out lies in mailboxes (tissue_sim.model.mailboxes).
 """
 
@@ -30,6 +32,7 @@ _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32
 _clock_nanosleep = types.ExternalFunction(
     "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
 )
+_sem_post = types.ExternalFunction("sem_post", types.int32(types.intp))
 _sem_clockwait = types.ExternalFunction("sem_clockwait", types.int32(types.intp, types.int32, types.intp))
 
 
@@ -63,14 +66,11 @@ def sleep_until_bell(deadline: int, loop: Any) -> None:
 
 @kernel
 def wait_until(deadline: int, loop: Any) -> int:
-    """Sleep until a tick is due by the clock in use, ns; returns that clock's time.
+    """Sleep until a tick is due by a posted time, ns; returns the time that was posted.
 
-    A posted time may not have come that far yet: then it is earlier, and the caller asks again.
+    It may not have come that far yet: then it is earlier, and the caller asks again.
     """
     control, pace = loop.control, loop.pace
-    if not control.sim_time:
-        sleep_until(deadline, loop.wake)
-        return now(loop.now)
     if control.posted_time < deadline:
         sleep_until_bell(now(loop.now) + LOOK_UP, loop)
     fence()
@@ -80,6 +80,25 @@ def wait_until(deadline: int, loop: Any) -> int:
         pace.seen, pace.seen_at = time, now(loop.now)
     elif time < deadline and now(loop.now) - pace.seen_at > STANDS_AFTER:
         control.standing = True
+    return time
+
+
+@kernel
+def wait_for_tick(due: int, period: int, answered: int, loop: Any) -> int:
+    """Sleep until a tick is due by the monotonic clock, a period after `due`, ns, or is asked for.
+
+    answered: control.asked when the last tick began. Returns the time, which is `due` or later.
+    """
+    control, time = loop.control, now(loop.now)
+    while time < due + period:
+        control.waiting = True
+        fence()  # from here on whoever posts rings
+        is_asked = control.asked != answered
+        if is_asked and time >= due:
+            break
+        sleep_until_bell(due if is_asked else due + period, loop)
+        time = now(loop.now)
+    control.waiting = False
     return time
 
 
@@ -187,6 +206,7 @@ def _loop(
     control.looked_up = now(loop.now)
     control.started = True
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
+    answered = 0  # control.asked when the last tick began
     posted = not control.sim_time
     while not control.stop:
         control.looked_up = now(loop.now)
@@ -207,13 +227,16 @@ def _loop(
                 begin = now(loop.now)
                 tick(worlds, joined)
                 note_tick(loop, due, period, 0, now(loop.now) - begin)
-        start = wait_until(due + period, loop)
-        if due == 0 or start < due:  # the first time that was posted, or it jumped back
-            due = start
-        if start < due + period:
-            continue
+        if posted:
+            start = wait_until(due + period, loop)
+            if due == 0 or start < due:  # the first time that was posted, or it jumped back
+                due = start
+            if start < due + period:
+                continue
+        else:
+            start = wait_for_tick(due, period, answered, loop)
         due += period
-        late = start - due
+        late = max(0, start - due)
         begin = start
         if late > (LATEST_CATCH_UP_POSTED if posted else LATEST_CATCH_UP):
             control.dropped += late // period
@@ -222,9 +245,13 @@ def _loop(
             begin, late, pace.behind = now(loop.now), pace.behind, 0
         if late > period:
             control.overruns += 1
+        before, answered = answered, control.asked
+        fence()  # what was posted before it was asked for is taken up
         take(worlds, boxes, control.resets, joined, joined_box)
         tick(worlds, joined)
         post(worlds, boxes, joined_box)
+        if answered != before:
+            _sem_post(loop.answered.ctypes.data)
         control.standing = False
         note_tick(loop, due, period, late, now(loop.now) - begin)
 

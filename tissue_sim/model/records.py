@@ -63,6 +63,14 @@ def words_of(record: Any) -> Longs:
     return array_of(record).reshape(1).view(np.int64)
 
 
+def field_of(record: Any, name: str) -> memoryview:
+    """Return a view (1,) of a record's field, for what is read or written all the time.
+
+    By attribute NumPy takes 50 times as long.
+    """
+    return memoryview(array_of(record)[name].reshape(1))
+
+
 def copy_of[R](record: R) -> R:
     """A record with the same fields on words of its own."""
     words = words_of(record).copy()

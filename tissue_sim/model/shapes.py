@@ -33,6 +33,7 @@ class Shapes(NamedTuple):
     tool: Any  # (T,) which tool each body belongs to
     finest: Any  # (T,) m, radius of the finest thing about each body
     extent: Any  # (T,) m, from the origin to the farthest point that a turn moves
+    smoothing: Any  # (T,) fraction of the time between two poses in which a body moves to the newer one
 
 
 def make_shapes(
@@ -42,6 +43,7 @@ def make_shapes(
     grids: Sequence[Grid | None] | None = None,
     tool: ArrayLike | None = None,
     measures: Sequence[tuple[float, float]] | None = None,
+    smoothing: ArrayLike = 1.0,
 ) -> Shapes:
     """Shapes of kinds (T,) and sizes (T, 2) m; planes (p, 4) of each, or a grid; tool (T,), its own unless given.
 
@@ -71,6 +73,7 @@ def make_shapes(
         tool=np.arange(n, dtype=np.int64) if tool is None else np.asarray(tool, dtype=np.int64),
         finest=measured[:, 0].copy(),
         extent=measured[:, 1].copy(),
+        smoothing=np.broadcast_to(np.asarray(smoothing, dtype=np.float64), n).copy(),
     )
 
 

@@ -133,16 +133,26 @@ def free_way(state: Any, shapes: Any, body: int, goal: Any, most: float) -> floa
 @kernel
 def way_between(pose: Any, other: Any, extent: float) -> float:
     """Return a bound, m, on how far the points of a body lie apart in two poses (7,); extent m, of its points."""
-    square = less = more = 0.0
-    for c in range(3):
-        square += (pose[c] - other[c]) ** 2
     if extent == 0.0:
-        return math.sqrt(square)
+        return distance(pose, other)
+    # A chord between unit quaternions is 2 sin(angle / 4), and a point moves by 2 sin(angle / 2) of its arm.
+    return distance(pose, other) + 2.0 * extent * quaternion_distance(pose, other)
+
+
+@kernel
+def distance(pose: Any, other: Any) -> float:
+    """Return the distance between the origins of two poses (7,), m."""
+    return math.sqrt((pose[0] - other[0]) ** 2 + (pose[1] - other[1]) ** 2 + (pose[2] - other[2]) ** 2)
+
+
+@kernel
+def quaternion_distance(pose: Any, other: Any) -> float:
+    """Return the chord between the quaternions of two poses (7,), of either sign: half the angle where it is small."""
+    less = more = 0.0
     for c in range(3, 7):
         less += (pose[c] - other[c]) ** 2
         more += (pose[c] + other[c]) ** 2
-    # A chord between unit quaternions is 2 sin(angle / 4), and a point moves by 2 sin(angle / 2) of its arm.
-    return math.sqrt(square) + 2.0 * extent * math.sqrt(min(less, more))
+    return math.sqrt(min(less, more))
 
 
 @kernel

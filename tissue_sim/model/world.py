@@ -103,7 +103,7 @@ def free_world(world: Any) -> None:
 @kernel
 def pose_world(world: Any, body: int, pose: Any, stamp: int, sequence: int) -> None:
     """Take up a body's newest pose (7,); stamp in ns, 0 where it has none."""
-    take_pose(world.state, world.settings, body, pose, stamp, sequence)
+    take_pose(world, body, pose, stamp, sequence)
 
 
 @kernel

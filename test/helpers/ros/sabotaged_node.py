@@ -1,8 +1,8 @@
 """A node that can be made to fail: it has services for that beside its own.
 
-fail: the service itself raises; break_poses, mend_poses, break_parameters: what answers poses, or takes parameters,
-does; fail_in_thread: a thread of its own does; hang, resume: the loop's thread stops where it is, and goes on;
-end_loop: the compiled loop returns, and its thread ends with an error.
+fail: the service itself raises; break_poses, break_answers, mend, break_parameters: what takes poses, answers them, or
+takes parameters, does; fail_in_thread: a thread of its own does; hang, resume: the loop's thread stops where it is, and
+goes on; end_loop: the compiled loop returns, and its thread ends with an error.
 """
 
 import ctypes
@@ -39,10 +39,12 @@ class Sabotaged(TissueNode):
         for number, handler in ((signal.SIGUSR1, libc.pause), (signal.SIGUSR2, libc.abs)):
             libc.signal(number, ctypes.cast(handler, ctypes.c_void_p))
         output, answer = self.ports[0].output, self.ports[0].output.answer
+        organs, post_poses = self.organs, self.organs.post_poses
         ways = {
             "fail": failing,
-            "break_poses": lambda: setattr(output, "answer", failing),
-            "mend_poses": lambda: setattr(output, "answer", answer),
+            "break_poses": lambda: setattr(organs, "post_poses", failing),
+            "break_answers": lambda: setattr(output, "answer", failing),
+            "mend": lambda: (setattr(organs, "post_poses", post_poses), setattr(output, "answer", answer)),
             "break_parameters": lambda: self.parameters.changed.append(failing),
             "fail_in_thread": lambda: threading.Thread(target=failing).start(),
             "hang": lambda: self.signal_loop(signal.SIGUSR1),

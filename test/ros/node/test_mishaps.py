@@ -37,16 +37,33 @@ def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node,
     assert client.spin_until(
         lambda: (int(client.diagnostics.get("callback_failures", 0)) > 10 and warned) or warned.append(client.message)
     )
-    (line,) = lines(node, "ros/node/tool_port.py")
+    (line,) = lines(node, "ros/node/tool_input.py")
     assert re.search(r"callback failed: ZeroDivisionError: sabotaged, in two lines \(tissue_sim/\S+:\d+\)$", line)
     (key,) = (
-        key for key in client.diagnostics if key.startswith("callback_failures.tissue_sim/ros/node/tool_port.py:")
+        key for key in client.diagnostics if key.startswith("callback_failures.tissue_sim/ros/node/tool_input.py:")
     )
     assert int(client.diagnostics[key]) > 10
     assert any("callback_failures" in told for told in client.told), "it is a warning"
-    assert sabotage(client, "mend_poses").success
+    assert sabotage(client, "mend").success
     client.ask(OUTSIDE)
     assert client.spin_until(lambda: bool(client.wrenches) or client.send_pose(OUTSIDE))
+
+
+def test_a_hand_goes_on_feeling_tissue_where_answers_fail(node, client):
+    """The outlet goes on publishing what nobody has published for a while."""
+
+    def move(position):
+        client.send_pose(position)
+        client.spin(0.005)
+
+    where = press_until_felt(client, move)
+    assert sabotage(client, "break_answers").success
+    assert client.spin_until(lambda: int(client.diagnostics.get("answers_failures", 0)) > 10 or client.send_pose(where))
+    client.wrenches.clear()
+    assert client.spin_until(lambda: len(client.wrenches) > 20 or client.send_pose(where))
+    assert client.hand_force() > 0.01, "N"
+    assert sabotage(client, "mend").success
+    client.ask(OUTSIDE)
 
 
 def test_who_calls_a_service_that_fails_is_told(node, client):

@@ -38,7 +38,7 @@ def organs():
 def press(organs):
     """Put the tool between both, and tell where it touches them."""
     pose = np.array([[ASIDE, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
-    sequence, all_of_it = organs.post_pose(0, pose[0]), np.ones(1, dtype=np.int64)
+    sequence, all_of_it = organs.post_poses([0], pose), np.ones(1, dtype=np.int64)
     for one in organs.each:
         wait_for(lambda taken=one: taken.results().bodies[0].pose_sequence == sequence)
         organ = one.simulation.organ

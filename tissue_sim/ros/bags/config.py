@@ -39,6 +39,8 @@ def check_config(config: Mapping[str, Any]) -> None:
     chosen |= {name: _is_name for name in ("return_target", "integrator") if name in parameters}
     for tool in config["tools"]:
         chosen |= {f"{tool}.{name}": fits for name, fits in {**of_tool, "mesh": _is_name}.items()}
+        if f"{tool}.smoothing" in parameters:  # bags that were recorded before it was one have none
+            chosen[f"{tool}.smoothing"] = _is_number
     _check(parameters, "parameters.", chosen)
 
 

@@ -137,7 +137,14 @@ class Recording:
 def tools_of(config: dict[str, Any]) -> list[Tool]:
     """The tools of a bag's configuration."""
     parameters, keys = config["parameters"], ("shape", "radius", "length", "mesh")
-    return [Tool(name, **{key: parameters[f"{name}.{key}"] for key in keys}) for name in config["tools"]]
+    return [
+        Tool(
+            name,
+            **{key: parameters[f"{name}.{key}"] for key in keys},
+            smoothing=parameters.get(f"{name}.smoothing", 1.0),  # what it was before it was a parameter
+        )
+        for name in config["tools"]
+    ]
 
 
 def _pose_of(values: Sequence[float]) -> Floats:

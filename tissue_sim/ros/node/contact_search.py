@@ -115,7 +115,7 @@ class ContactSearch:
         """Warn of bodies that nothing resists, once each until they have been outside."""
         for body, state in enumerate(engaged.tolist()):
             if state == Engaged.HELD_OFF and not self._reported[body]:
-                name, stale_time = self._port_of[body].name, self._physics.settings().stale_time
+                name, stale_time = self._port_of[body].name, self._physics.stale_time
                 self._warn(
                     f"tool '{name}' appeared inside {self._organ} and feels nothing until it has been outside:"
                     f" send a pose outside first, and the next within stale_time ({stale_time:g} s)"

@@ -40,13 +40,12 @@ class Freshness:
     @property
     def is_fresh(self) -> bool:
         """True until `stale_time` has gone by without a message."""
-        return not self._organs.loop.standing and self.age <= self._organs.settings().stale_time
+        return not self._organs.loop.standing and self.age <= self._organs.stale_time
 
     @property
     def counts(self) -> bool:
         """True until what is stale has faded too, a `ramp_time` later."""
-        settings = self._organs.settings()
-        return not self._organs.loop.standing and self.age < settings.stale_time + settings.ramp_time
+        return not self._organs.loop.standing and self.age < self._organs.stale_time + self._organs.ramp_time
 
     @property
     def last_stamp(self) -> int:

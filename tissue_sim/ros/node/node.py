@@ -1,8 +1,8 @@
 """`tissue_node`: serves one organ, or those of a scene, at a fixed rate.
 
 Threads: the physics loop (compiled, without the GIL); the contact worker (FCL); the outlet (markers,
-fading wrenches, journal, diagnostics); and the executor here, whose callbacks leave the newest
-pose and publish the newest wrench.
+fading wrenches, journal, diagnostics); the answers (a wrench for the pose that a tick took up); and
+the executor here, whose callbacks leave the newest pose.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
+from tissue_sim.ros.node.answers import Answers
 from tissue_sim.ros.node.backlog import Backlog, executor_of
 from tissue_sim.ros.node.contact_kernels import compile_beside
 from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
@@ -95,6 +96,7 @@ class TissueNode(GuardedNode):
         joined = self.recorder.joined
         pairs = None if joined is None else PairSearch(self.organs, joined)
         self.contacts = ContactWorker(searches, pairs, self.ports, self._woken, warn)
+        self.answers = Answers(self.organs, self.ports, self._woken, warn)
         self._warm_up = [
             partial(one.finder.warm_up, served.organ.rest_positions)
             for one, served in zip(searches, self.served, strict=True)
@@ -129,6 +131,7 @@ class TissueNode(GuardedNode):
         """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
         self.live.update()
         self._start_loop()
+        self.answers.start()
         for warm_up in self._warm_up:  # after the tick, beside which its kernels were compiled
             warm_up()
         self._prefer(self.parameters["realtime_priority"])
@@ -146,6 +149,7 @@ class TissueNode(GuardedNode):
             *self.ports,
             self.recorder,
             self.contacts,
+            self.answers,
             *(one for one in self.presenters if isinstance(one, OrganPresenter)),
             *([self.respiration] if self.respiration is not None else []),
             outlet,
@@ -177,6 +181,7 @@ class TissueNode(GuardedNode):
         noted = self.mishaps.noted  # where one of them fails, the others are done
         if self._outlet is not None:
             self._outlet.stop()
+        self.answers.stop()
         for port in self.ports:
             with noted():
                 port.output.publish_zero()
@@ -197,9 +202,10 @@ class TissueNode(GuardedNode):
             self.get_logger().info(f"bag closed: {path}{lost}")
 
     def _prefer(self, priority: int) -> None:
-        """The loop before all other threads, and after it the calling one, which answers poses."""
+        """The loop before all other threads; after it the one that answers, and the calling one, which takes poses."""
         try:
             self.loop.prefer(priority)
+            self.answers.prefer(below(priority))
             prefer(below(priority))
         except OSError as error:
             self.get_logger().warning(

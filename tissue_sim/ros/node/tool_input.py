@@ -125,8 +125,7 @@ class ToolInput:
             self._recorder.received(self._bagged_pose, raw)
             if tool.is_gripper:
                 self._recorder.received(self._bagged_angle, angle)
-            for body, at in zip(tool.bodies, placed, strict=True):
-                sequence = self._organs.post_pose(body, at, stamp)
+            sequence = self._organs.post_poses(tool.bodies, placed, stamp)
             self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
             self._pose_freshness.came(message.stamp)
             self.poses += 1

@@ -19,9 +19,10 @@ from tissue_sim.ros.shared.report import Report
 
 
 class ToolPort:
-    """A tool's input and output, joined: each pose is answered by a wrench, from the callback itself.
+    """A tool's input and output, joined: a pose is answered by the wrench of the tick that takes it up.
 
-    woken is set when there is something new to find contacts for.
+    Where no tick comes, as a clock or the loop stands, it is answered at once. woken is set when there is something new
+    to find contacts for.
     """
 
     def __init__(
@@ -35,10 +36,11 @@ class ToolPort:
         woken: threading.Event,
     ) -> None:
         self._tool, self._organs, self._woken = tool, organs, woken
+        self._answered = 0  # sequence number of the pose
         self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
         self.output = ToolOutput(node, tool, organs, recorder)
         freshness = self.pose_freshness, self.force_freshness
-        self.input = ToolInput(node, tool, organs, recorder, freshness, backlog, self._answer, woken.set)
+        self.input = ToolInput(node, tool, organs, recorder, freshness, backlog, self._came, woken.set)
 
     @property
     def name(self) -> str:
@@ -79,6 +81,14 @@ class ToolPort:
         }
         report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(refused.items())}
 
-    def _answer(self) -> None:
-        self.output.answer(self.newest)
-        self._woken.set()
+    def answer(self, taken: int) -> None:
+        """Publish the newest wrench, unless it answers no new pose; taken: number of the one that a tick took up."""
+        if taken not in (0, self._answered):
+            self._answered = taken
+            self.output.answer(self.newest)
+
+    def _came(self) -> None:
+        """A pose has come. What ticks take up is answered by `answers.Answers`."""
+        if self._organs.loop.standing or not self._organs.answers:
+            self.output.answer(self.newest)
+            self._woken.set()

@@ -15,13 +15,14 @@ from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model.joined_box import make_joined_box
 from tissue_sim.model.pairs import PairSet, used_words
-from tissue_sim.model.records import copy_of
+from tissue_sim.model.records import copy_of, field_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
+_waiting_libc = ctypes.CDLL(None)
 
 
 class Loop:
@@ -43,7 +44,13 @@ class Loop:
         self.ended = False  # though nobody has asked for that
         self.failure: BaseException | None = None  # what ended it
         self._bell = ctypes.c_void_p(self.words.bell.ctypes.data)
-        _libc.sem_init(self._bell, 0, 0)
+        self._answered = ctypes.c_void_p(self.words.answered.ctypes.data)
+        control = self.words.control
+        self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
+        self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
+        self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
+        for semaphore in (self._bell, self._answered):
+            _libc.sem_init(semaphore, 0, 0)
 
     def _run(self) -> None:
         try:
@@ -101,14 +108,13 @@ class Loop:
         """
         if self.ended:
             return False
-        control = self.words.control
-        oldest = age + (rt.LOOK_UP if control.sim_time else 0)
-        return bool(time.monotonic_ns() - control.looked_up <= oldest)
+        oldest = age + (rt.LOOK_UP if self._sim_time[0] else 0)
+        return bool(time.monotonic_ns() - self._looked_up[0] <= oldest)
 
     @property
     def standing(self) -> bool:
         """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
-        return bool(self.words.control.standing)
+        return bool(self._standing[0])
 
     @property
     def ticks(self) -> int:
@@ -117,8 +123,9 @@ class Loop:
 
     # in ----------------------------------------------------------------------------------------
     def wake(self) -> None:
-        """End a nap: there is something new."""
-        if self.words.control.napping:
+        """Ask for a tick at once: what has been posted is not to wait."""
+        self._asked[0] += 1
+        if self._waiting[0] or self._napping[0]:
             self._ring()
 
     def _ring(self) -> None:
@@ -153,6 +160,12 @@ class Loop:
         self._ring()
 
     # out ---------------------------------------------------------------------------------------
+    def wait_for_answer(self, longest: float) -> bool:
+        """Wait for the end of a tick that was asked for, `longest` s at most; return whether there was one."""
+        end = time.monotonic_ns() + round(1e9 * longest)
+        timespec = (ctypes.c_long * 2)(*divmod(end, 1_000_000_000))
+        return bool(_waiting_libc.sem_clockwait(self._answered, rt.CLOCK_MONOTONIC, timespec) == 0)
+
     def take_snapshots(self, timeout: float = 1.0) -> None:
         """Have the whole state after one tick in the boxes of all organs.
 

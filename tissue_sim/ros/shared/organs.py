@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.handles import handle
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model.settings import Settings
@@ -32,18 +32,37 @@ class Organs:
         self._went_on = -math.inf  # monotonic s, when ticks went on; infinite while they stand
 
     # in ----------------------------------------------------------------------------------------
-    def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
-        """The newest pose (7,) of a tool's body, and its stamp, ns; returns its sequence number, the same of all."""
-        return max([one.post_pose(body, pose, stamp) for one in self.each])
+    def post_poses(self, bodies: Sequence[int], poses: Floats, stamp: int = 0) -> int:
+        """Post the newest poses (b, 7) of a tool's bodies, stamp in ns, and ask for a tick.
+
+        Returns the last one's sequence number, the same of all organs. The tick is asked for after all of them, as in
+        between it would move one jaw of a gripper.
+        """
+        for body, pose in zip(bodies, poses, strict=True):
+            sequence = max([one.post_pose(body, pose, stamp) for one in self.each])
+        self.loop.wake()
+        return sequence
 
     def post_force(self, body: int, force: Floats) -> int:
-        """The newest external force (3,) N at the tip of a body; returns its sequence number, the same of all."""
-        return max([one.post_force(body, force) for one in self.each])
+        """Post the newest external force (3,) N at the tip of a body; return its sequence number, the same of all."""
+        sequence = max([one.post_force(body, force) for one in self.each])
+        self.loop.wake()
+        return sequence
 
     # out ---------------------------------------------------------------------------------------
     def settings(self) -> Settings:
         """The newest settings of the first organ, a copy: what concerns tools and ticks is the same of all."""
         return self.each[0].settings()
+
+    @property
+    def stale_time(self) -> float:
+        """After so many s without input it is stale."""
+        return self.each[0].stale_time
+
+    @property
+    def ramp_time(self) -> float:
+        """In so many s what is stale fades."""
+        return self.each[0].ramp_time
 
     @property
     def tick_time(self) -> float:
@@ -76,6 +95,10 @@ class Organs:
         words = np.zeros(1 + 6 * self.n_bodies, dtype=np.int64)
         mb.take(self._felt, 0, 0, words)
         return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)
+
+    def taken(self) -> Longs:
+        """See Physics.taken; the same of all."""
+        return self.each[0].taken()
 
     def hold_off(self, bodies: Sequence[int]) -> bool:
         """Return whether any organ doesn't resist one of the bodies, which appeared inside it."""

@@ -110,6 +110,7 @@ TOOL_SPECS = (
     Spec("radius", 0.005, "m, of a sphere or capsule", 5e-4, 0.5),
     Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
     Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
+    Spec("smoothing", 1.0, "fraction of the time between two poses in which the tool moves to the newer one", 0.0, 1.0),
     Spec("device_damping", 0.0, "N s/m of the haptic device, which bounds the coupling; 0: unknown", 0.0, 100.0, True),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
     Spec("allow_empty_frame", False, "take what comes without a frame_id as given in frame_id"),
@@ -148,7 +149,7 @@ class Values(Protocol):
 
 def tool_of(values: Values, name: str) -> Tool:
     """The tool of a name as its parameters describe it."""
-    get = {key: values[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh")}
+    get = {key: values[f"{name}.{key}"] for key in ("shape", "radius", "length", "mesh", "smoothing")}
     return Tool(name, **get)
 
 

@@ -34,6 +34,12 @@ class Physics:
         self.n_bodies = len(self.simulation.shapes.kind)
         self._journal_read = 0
         self._oldest = 0  # ns, the age up to which a wrench may go out
+        self.stale_time = self.ramp_time = self.tick_time = 0.0  # s, of the newest settings
+        size = len(self.simulation.state.results)
+        place = results_in(np.arange(size), self.n_bodies)  # where in these words what goes to a hand lies
+        self._result_words, self._tick_at = size, int(place.status.tick)
+        self._wrench_at = place.wrench.view(np.int64).copy()
+        self._taken_at = np.array(place.bodies.pose_sequence)
         self._settings_lock = threading.Lock()
         self.post_settings(self.simulation.settings)
 
@@ -44,14 +50,17 @@ class Physics:
 
     # in ----------------------------------------------------------------------------------------
     def post_pose(self, body: int, pose: Floats, stamp: int = 0) -> int:
-        """The newest pose (7,) of a tool's body, and its stamp, ns; returns its sequence number."""
+        """Hand over the newest pose (7,) of a tool's body, and its stamp, ns; return its sequence number.
+
+        The next tick takes it up; `Loop.wake` asks for one, once all that belongs together has been posted.
+        """
         words = np.empty(mb.POSE_WORDS, dtype=np.int64)
         words[:7], words[7] = pose.view(np.int64), stamp
-        return self._put(self._pose, body, words)
+        return int(mb.put(self._pose, body, words))
 
     def post_force(self, body: int, force: Floats) -> int:
-        """The newest external force (3,) N at the tip of a body; returns its sequence number."""
-        return self._put(self._force, body, force.view(np.int64))
+        """Hand over the newest external force (3,) N at the tip of a body, as a pose; return its sequence number."""
+        return int(mb.put(self._force, body, force.view(np.int64)))
 
     def post_contacts(self, found: ContactSet) -> int:
         """The newest contact set; returns its sequence number."""
@@ -60,8 +69,10 @@ class Physics:
     def post_settings(self, settings: Settings) -> int:
         """New settings; returns their sequence number."""
         with self._settings_lock:
-            lasts = min(settings.stale_time + settings.ramp_time, LONGEST)
-            self._oldest = round(1e9 * max(lasts, 2.0 * settings.tick_time))
+            self.stale_time, self.ramp_time = float(settings.stale_time), float(settings.ramp_time)
+            self.tick_time = float(settings.tick_time)
+            lasts = min(self.stale_time + self.ramp_time, LONGEST)
+            self._oldest = round(1e9 * max(lasts, 2.0 * self.tick_time))
             return int(mb.put(self._settings, 0, words_of(settings)))
 
     def settings(self) -> Settings:
@@ -70,22 +81,19 @@ class Physics:
         mb.take(self._settings, 0, 0, words)
         return Settings.at(words)
 
-    def _put(self, box: Any, body: int, message: Longs) -> int:
-        sequence = int(mb.put(box, body, message))
-        self.loop.wake()
-        return sequence
-
     # out ---------------------------------------------------------------------------------------
-    @property
-    def tick_time(self) -> float:
-        """Simulated time of a tick, s, by the newest settings."""
-        return float(self.settings().tick_time)
-
     def results(self) -> Results:
         """What the newest tick handed out; a copy."""
-        words = np.zeros(len(self.simulation.state.results), dtype=np.int64)
+        return results_in(self._newest(), self.n_bodies)
+
+    def _newest(self) -> Longs:
+        words = np.zeros(self._result_words, dtype=np.int64)
         mb.take(self._results, 0, 0, words)
-        return results_in(words, self.n_bodies)
+        return words
+
+    def taken(self) -> Longs:
+        """Return the sequence number of the pose that the newest tick had taken up of each body, (T,); 0: none."""
+        return np.asarray(self._newest()[self._taken_at])
 
     def wrenches(self) -> tuple[int, Floats]:
         """The newest tick and its wrenches (T, 6) N, N m; a copy. Tick -1 and zeros while the clock or the loop stands.
@@ -94,8 +102,8 @@ class Physics:
         """
         if self.loop.standing or not self.answers:
             return -1, np.zeros((self.n_bodies, 6))
-        newest = self.results()
-        return newest.status.tick, newest.wrench
+        words = self._newest()
+        return int(words[self._tick_at]), words[self._wrench_at].view(np.float64)
 
     @property
     def surface_sequence(self) -> int:
