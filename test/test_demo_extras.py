@@ -43,5 +43,5 @@ def test_node_loads_without_any_extra_and_programs_of_the_demo_without_the_other
         "import tissue_sim.ros.viewer.loop, tissue_sim.ros.viewer.view\n"
         "import tissue_sim.ros.bridge.play, tissue_sim.ros.bridge.scripted_tool, tissue_sim.ros.bridge.trajectory"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

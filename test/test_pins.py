@@ -29,7 +29,7 @@ def run(script: Path, *arguments: str, **environment: str) -> subprocess.Complet
     left_out = re.compile(r"PIP_\w+|OSV_URL|\w+_proxy", re.IGNORECASE)
     kept = {name: value for name, value in os.environ.items() if not left_out.fullmatch(name)}
     command = [sys.executable, str(script), *arguments]
-    return subprocess.run(command, env={**kept, **environment}, capture_output=True, text=True)
+    return subprocess.run(command, env={**kept, **environment}, capture_output=True, text=True, check=False)
 
 
 # what constraints.txt says

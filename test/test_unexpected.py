@@ -45,7 +45,9 @@ ONE_LINE = (
 
 def run(code, *words, **environment):
     environment = {name: value for name, value in os.environ.items() if name != TRACEBACK} | environment
-    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, env=environment)
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, env=environment, check=False
+    )
 
 
 def test_command_that_fails_ends_with_one_line_and_1():
@@ -100,10 +102,14 @@ def test_full_disk_or_closed_stream_takes_one_line(stream, words, monkeypatch):
     number = {"stdout": 1, "stderr": 2}[stream]
     # Unbuffered, a line fails where it is printed, and a program that forgets to flush would not be noticed.
     monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    closed = subprocess.run(["sh", "-c", f'exec "$@" {number}>&-', "sh", *words], capture_output=True, text=True)
+    closed = subprocess.run(
+        ["sh", "-c", f'exec "$@" {number}>&-', "sh", *words], capture_output=True, text=True, check=False
+    )
     assert (closed.returncode, closed.stderr) == (0, "")
     with open("/dev/full", "w") as full:
-        done = subprocess.run(words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}, text=True)
+        done = subprocess.run(
+            words, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}, text=True, check=False
+        )
     if stream == "stdout":
         assert done.returncode == 1
         assert re.fullmatch(r"tissue_sim: error: No space left on device \(\S+\)\n", done.stderr)
@@ -127,7 +133,7 @@ def test_output_is_gone_when_its_reader_is():
     code = "import sys; from tissue_sim.errors import output_is_gone; sys.stderr.write(str(output_is_gone()))"
     assert run(code).stderr == "False"
     gone = f"{sys.executable} -c 'import time; time.sleep(0.3); {code}' | true"
-    assert subprocess.run(gone, shell=True, capture_output=True, text=True).stderr == "True"
+    assert subprocess.run(gone, shell=True, capture_output=True, text=True, check=False).stderr == "True"
 
 
 def test_what_a_terminal_obeys_is_told_and_not_sent(capsys):

@@ -155,7 +155,7 @@ def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[
         @overload(plain)
         def _compiled_choice(*arguments):  # type: ignore[no-untyped-def]
             kernel = pick(*arguments)
-            return lambda *arguments: kernel(*arguments)
+            return lambda *arguments: kernel(*arguments)  # noqa: PLW0108 - Numba takes no kernel here
 
         return plain
 

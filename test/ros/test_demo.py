@@ -31,7 +31,9 @@ def start_demo(folder: Path, *words: str, node: str = "") -> Process:
 
 
 def children_of(process: Process) -> list[int]:
-    listed = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.child.pid)], capture_output=True, text=True)
+    listed = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(process.child.pid)], capture_output=True, text=True, check=False
+    )
     return [int(pid) for pid in listed.stdout.split()]
 
 

@@ -60,8 +60,8 @@ def _groups(corners: Floats) -> tuple[Floats, Longs]:
         halves = []
         for part in parts:
             axis = int(np.ptp(middle[part], axis=0).argmax())
-            part = part[np.argsort(middle[part, axis], kind="stable")]
-            halves += [part[: len(part) // 2], part[len(part) // 2 :]]
+            ordered = part[np.argsort(middle[part, axis], kind="stable")]
+            halves += [ordered[: len(part) // 2], ordered[len(part) // 2 :]]
         parts = halves
     return np.ascontiguousarray(corners[np.concatenate(parts)]), np.cumsum([0, *map(len, parts)])
 

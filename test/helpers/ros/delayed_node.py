@@ -3,6 +3,7 @@
 DELAYED_TICKS in the environment: by how many.
 """
 
+import itertools
 import os
 import threading
 import time
@@ -13,16 +14,12 @@ from tissue_sim.ros.shared.organs import Organs
 
 DELAY = int(os.environ["DELAYED_TICKS"])
 post_poses = Organs.post_poses
-waiting, posted = deque(), 0
+waiting, numbers = deque(), itertools.count(1)
 
 
 def post_late(organs, bodies, poses, stamp=0):
-    global posted
-    if not posted:
-        threading.Thread(target=take, daemon=True).start()
-    posted += 1
     waiting.append((organs.loop.ticks + DELAY, organs, bodies, poses.copy(), stamp))
-    return posted
+    return next(numbers)
 
 
 def take():
@@ -34,4 +31,5 @@ def take():
 
 
 Organs.post_poses = post_late
+threading.Thread(target=take, daemon=True).start()
 program.run()

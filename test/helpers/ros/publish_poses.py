@@ -41,18 +41,17 @@ node.create_subscription(WrenchStamped, "left/servo_cf", answers.append, qos_pro
 message = PoseStamped()
 message.header.frame_id = "organ"
 message.pose.orientation.w = 1.0
-count = 0
+sent: list[float] = []  # depths, m
 
 
 def send(depth: float) -> None:
     """A pose at a depth in m; returns when it is answered."""
-    global count
     position = touch + depth * inward
     message.header.stamp = node.get_clock().now().to_msg()
     message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, position)
     answers.clear()
     publisher.publish(message)
-    count += 1
+    sent.append(depth)
     begin = time.monotonic()
     while not answers and time.monotonic() < begin + PATIENCE:
         executor.spin_once(timeout_sec=PATIENCE)
@@ -64,12 +63,12 @@ while not (answers or asked):  # the node may discover this publisher later than
 for depth in np.linspace(-OUTSIDE, args.depth, STEPS):
     send(depth)
 print("pressed", flush=True)
-pressed = count
+pressed = len(sent)
 while not asked:
-    send(args.depth - 0.5 * args.stroke * (1.0 - np.cos((count - pressed) / STEPS * 2.0 * np.pi)))
+    send(args.depth - 0.5 * args.stroke * (1.0 - np.cos((len(sent) - pressed) / STEPS * 2.0 * np.pi)))
 for depth in np.linspace(args.depth, -OUTSIDE, STEPS):
     send(depth)
-print(f"{count} poses", flush=True)
+print(f"{len(sent)} poses", flush=True)
 executor.shutdown()
 node.destroy_node()
 rclpy.shutdown()

@@ -30,7 +30,7 @@ def large_ct(path):
     array = sitk.GetArrayFromImage(image)
     rng = np.random.default_rng(300)
     for plane in array:
-        plane += (20.0 * rng.standard_normal(plane.shape, dtype=np.float32)).astype(np.int16)
+        plane[:] += (20.0 * rng.standard_normal(plane.shape, dtype=np.float32)).astype(np.int16)
     noisy = sitk.GetImageFromArray(array)
     noisy.CopyInformation(image)
     sitk.WriteImage(noisy, str(path))

@@ -53,6 +53,7 @@ def test_another_processors_linear_algebra_repeats_to_the_last_bit(kernels):
         env=os.environ | {"OPENBLAS_CORETYPE": kernels},
         capture_output=True,
         text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -68,6 +69,7 @@ def test_another_instruction_set_repeats_to_the_last_bit(tmp_path):
         env=os.environ | compiled,
         capture_output=True,
         text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count(" ok\n") == len(BAGS)

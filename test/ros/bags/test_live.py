@@ -32,7 +32,7 @@ def node(tmp_path_factory):
 @pytest.mark.extended
 def test_a_node_with_the_same_organ_shows_the_same(node):
     command = [sys.executable, "-m", "tissue_sim", *WORDS, *LOOSE]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "parameter marker_rate: recorded 2.0, /tissue_sim has 5.0" in done.stdout
     (line,) = (line for line in done.stdout.splitlines() if line.startswith(f"{BAG} on /tissue_sim: "))

@@ -150,9 +150,10 @@ def copy_bag(source: Path, target: Path, scale: float) -> None:
             connection.topic: writer.add_connection(connection.topic, connection.msgtype, typestore=store)
             for connection in reader.connections
         }
-        for connection, stamp, raw in reader.messages():
+        for connection, stamp, held in reader.messages():
+            raw = bytes(held)
             if connection.topic.endswith("servo_cf"):
                 message = store.deserialize_cdr(raw, kind)
                 message.wrench.force.x *= scale
                 raw = bytes(store.serialize_cdr(message, kind))
-            writer.write(connections[connection.topic], stamp, bytes(raw))
+            writer.write(connections[connection.topic], stamp, raw)

@@ -32,7 +32,7 @@ def test_asking_whether_it_is_allowed_changes_nothing():
     allowed = is_allowed(7)
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
     ask = "import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(7))"
-    run = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True)
+    run = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False)
     assert allowed == (run.returncode == 0), run.stderr
     assert not is_allowed(1000), "no priority at all"
 

@@ -88,7 +88,7 @@ def test_ticks_of_joined_organs_repeat_by_hand_bit_for_bit():
     def find_pairs():
         for one, out in zip(both, positions, strict=True):
             _, carried = one.positions(out)
-            out += carried
+            np.add(out, carried, out=out)
         found = finder.find(positions)
         pair_sets[loop.post_pairs(found)] = pair_set(found.words.copy())
 

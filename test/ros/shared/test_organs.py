@@ -93,3 +93,26 @@ def test_one_organ_alone_is_felt_as_it_is():
     assert organs.wrenches()[1].shape == (1, 6)
     assert len(organs.each) == len(organs.surface_sequences) == 1
     organs.loop.stop()
+
+
+def test_a_tick_is_asked_for_when_all_bodies_of_a_tool_were_posted(monkeypatch):
+    """Woken in between, the loop would move one jaw of a gripper."""
+    jaws = ToolSet([Tool("left", "gripper", 0.003, length=0.04)])
+    loop = Loop([Simulation(ball(1), shapes=jaws.shapes)])
+    organs, asked = Organs(loop), []
+    monkeypatch.setattr(loop, "wake", lambda: asked.append(loop.boxes[0].pose.sequence.tolist()))
+    poses = jaws.poses(0, np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0]), 0.5)
+    assert [organs.post_poses([0, 1], poses) for _ in range(2)] == [1, 2]
+    assert asked == [[1, 1], [2, 2]]
+
+
+def test_what_asks_for_a_tick_is_answered_when_it_has_ended():
+    organs = Organs(Loop([Simulation(ball(1), shapes=TOOLS.shapes)]))
+    pose = np.array([[0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0]])
+    organs.loop.start()
+    assert not organs.loop.wait_for_answer(0.01), "nothing was asked for"
+    for _ in range(20):
+        sequence = organs.post_poses([0], pose)
+        assert organs.loop.wait_for_answer(10.0)
+        assert organs.taken().tolist() == [sequence]
+    organs.loop.stop()

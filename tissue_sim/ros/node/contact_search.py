@@ -147,7 +147,7 @@ class PairSearch:
         ticks = []
         for one, positions in zip(self._organs.each, self._positions, strict=True):
             tick, carried = one.positions(positions)
-            positions += carried
+            np.add(positions, carried, out=positions)
             ticks.append(tick)
         found = self.finder.find(self._positions, [not one.results().status.asleep for one in self._organs.each])
         is_empty = bool(found.found[0] == 0)

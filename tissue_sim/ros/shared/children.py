@@ -32,7 +32,7 @@ class Child:
             text=True,
             errors="replace",
             start_new_session=True,
-            preexec_fn=end_with_parent,
+            preexec_fn=end_with_parent,  # noqa: PLW1509 - one system call, and nothing that a thread could hold
         )
         self.output: deque[str] = deque(maxlen=100)
         self.errors: deque[str] = deque(maxlen=100)
