@@ -65,7 +65,7 @@ NODE_SPECS = (
     Spec(
         "realtime_priority",
         0,
-        "of the loop's thread, SCHED_FIFO, one less for the one that answers poses; 0: as every thread",
+        "of the loop's thread, SCHED_FIFO, one less for those that take and answer poses; 0: as every thread",
         0,
         HIGHEST,
     ),
