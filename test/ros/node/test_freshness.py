@@ -16,9 +16,8 @@ from tissue_sim.ros.shared.organs import Organs
 def scene():
     """Freshness by a clock that the test moves, with the settings that a simulation has at first."""
     clock = SimpleNamespace(time=10.0, now=lambda: clock.time, jumped=[])
-    organs = SimpleNamespace(
-        loop=SimpleNamespace(standing=False), settings=Organs(Loop([Simulation(ball(1))])).settings
-    )
+    made = Organs(Loop([Simulation(ball(1))]))
+    organs = SimpleNamespace(loop=SimpleNamespace(standing=False), stale_time=made.stale_time, ramp_time=made.ramp_time)
     return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs))
 
 
