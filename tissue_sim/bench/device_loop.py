@@ -25,9 +25,11 @@ PUSH, START = 0.5, 5e-4  # N of the hand, and m before the tissue: it lands at s
 SOFTEST, STIFFEST = 1.0, 2e4  # N/m
 CLOSE_ENOUGH = 1.05  # ratio of a stable stiffness and one that is not, where a search ends
 PERIODS, SHORTEST, LONGEST = 24.0, 0.8, 4.0  # of a free swing, and s: how long a trial lasts
+UNCOUPLED = 2.0  # s of a trial where tissue alone resists
 QUANTA = 4.0  # of the encoder, from peak to peak: less than that is the encoder's own
 FAR = 0.01  # m before the tissue, where a device has been thrown off
-REST = 200  # periods of the servo without any motion after which none comes
+REST, LOOK = 200, 50  # periods of the servo: rest for so long is for good, and how often that is looked at
+STILL = 0.5  # of what is told from rest
 KEPT = 0.95  # of a swing that is left a quarter of a trial later: more, and it does not decay
 
 
@@ -96,8 +98,8 @@ class Wall:
 class Tissue:
     """An organ that a sphere presses from above, in ticks like the node's; hardness: factor on its stiffness."""
 
-    def __init__(self, organ: Organ, hardness: float = 1.0, radius: float = 0.005) -> None:
-        self._scene = Scene(organ, [Tool("left", radius=radius)], ticks_a_set=4)
+    def __init__(self, organ: Organ, hardness: float = 1.0, radius: float = 0.005, ticks_a_set: int = 4) -> None:
+        self._scene = Scene(organ, [Tool("left", radius=radius)], ticks_a_set=ticks_a_set)
         settings = self._scene.simulation.settings
         settings.stiffness_scale, settings.coupling_damping = hardness, 1.0
         self._scene.set_substeps()
@@ -134,7 +136,7 @@ def hard_ball() -> Tissue:
         atom_parent=np.arange(-1, 4),
         fixed=np.flatnonzero(surface[:, 2] < -0.7 * radius),
     )
-    return Tissue(organ, HARDNESS, 0.01)
+    return Tissue(organ, HARDNESS, 0.01, ticks_a_set=20)  # the tool hardly moves
 
 
 class Port(Protocol):
@@ -153,10 +155,9 @@ class Trial(NamedTuple):
 
     @property
     def swings(self) -> bool:
-        """True when it neither rests on the tissue in the end nor is about to: a limit cycle, or thrown off."""
+        """True when it neither rests in the end nor is about to: a limit cycle, or thrown off."""
         before, last = quarters(self.places)
-        is_on = self.forces[-len(self.forces) // 4 :].min() > 0.0 and abs(self.places[-1]) < FAR
-        return not is_on or (last > QUANTA * self.finest and last > KEPT * before)
+        return bool(self.places[-1] > FAR) or (last > QUANTA * self.finest and last > KEPT * before)
 
 
 class Holder(NamedTuple):
@@ -175,7 +176,9 @@ class Holder(NamedTuple):
     def seconds(self, stiffness: float) -> float:
         """How long a trial lasts, s."""
         mass = self.device.mass + self.hand.mass
-        period = 2.0 * math.pi * math.sqrt(mass / stiffness) if stiffness > 0.0 else LONGEST
+        if stiffness == 0.0:
+            return UNCOUPLED
+        period = 2.0 * math.pi * math.sqrt(mass / stiffness)
         return min(max(PERIODS * period, SHORTEST), LONGEST)
 
 
@@ -205,8 +208,8 @@ def tried(world: World, holder: Holder, stiffness: float) -> Trial:
             given = answers.popleft()[1]
         places[now], forces[now] = moving.place, given
         moving.advance(given)
-        rests = now > 2 * REST and np.ptp(places[now - REST : now + 1]) == 0.0
-        if rests or moving.place > FAR:
+        looks = now > 2 * REST and now % LOOK == 0
+        if places[now] > FAR or (looks and np.ptp(places[now - REST : now]) < STILL * device.finest):
             places, forces = places[: now + 1], forces[: now + 1]
             break
     return Trial(places, forces, device.finest)

@@ -45,7 +45,7 @@ MOST_ADDED = 2.0  # N s/m by the observer
 
 
 class Row(NamedTuple):
-    """A device at a rate, Hz, and a delay, s: the stiffness that was found, N/m, also with an observer, and theory's."""
+    """A device at a rate, Hz, and a delay, s: stiffness that was found, N/m, without and with an observer; theory's."""
 
     device: str
     rate: float
@@ -79,6 +79,11 @@ class Cell(NamedTuple):
     organ: str = ""
 
     @property
+    def name(self) -> str:
+        """The device's name in tables."""
+        return f"{self.device.name}, held" if self.held else self.device.name
+
+    @property
     def holder(self) -> Holder:
         """The device, and the hand on it."""
         return Holder(self.device, self.link, GRIP if self.held else NO_HAND)
@@ -90,7 +95,6 @@ class Cell(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, out="draw the stable stiffness over the delay into FOLDER", check=True)
-    parser.add_argument("--held", action="store_true", help="hold the devices in a light grip; default: pushed only")
     parser.add_argument("--observer", action="store_true", help="also with a passivity observer (takes twice as long)")
 
 
@@ -99,8 +103,7 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     organ = args.organ or str(shipped_organ())
     Organ.load(organ)
-    cells = cells_of(organ, held=args.held, observed=args.observer)
-    found = as_json(*measure(cells), held=args.held)
+    found = as_json(*measure(cells_of(organ, observed=args.observer)))
     emit(found, text(found), args.json)
     if args.out:
         from tissue_sim.bench.haptics_plot import write_plot
@@ -109,12 +112,14 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(found, check=args.check)
 
 
-def cells_of(organ: str, *, held: bool, observed: bool) -> list[Cell]:
+def cells_of(organ: str, *, observed: bool) -> list[Cell]:
     """Return all cells: first those on the hard ball, then those on an organ without a coupling."""
+    pushed, held = [(one, False) for one in DEVICES], [(one, True) for one in DEVICES[:-1]]
     coupled = [
-        Cell(device, Link(rate, delay), held, observed) for device, rate, delay in product(DEVICES, RATES, DELAYS)
+        Cell(device, Link(rate, delay), is_held, observed)
+        for (device, is_held), rate, delay in product((*pushed, *held), RATES, DELAYS)
     ]
-    return coupled + [Cell(device, Link(rate), held, False, organ) for device, rate in product(DEVICES, RATES)]
+    return coupled + [Cell(device, Link(rate), False, False, organ) for device, rate in product(DEVICES, RATES)]
 
 
 def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
@@ -145,7 +150,7 @@ def coupled(cell: Cell) -> Row:
     holder, link = cell.holder, cell.link
     with_observer = holder._replace(port=partial(Observer, link.period, MOST_ADDED))
     return Row(
-        cell.device.name,
+        cell.name,
         link.rate,
         link.delay,
         stable_stiffness(_ball(), holder),
@@ -177,7 +182,7 @@ def _tissue(organ: str) -> Tissue:
 # reporting -----------------------------------------------------------------------------------------
 
 
-def as_json(rows: Sequence[Row], bare: Sequence[Bare], *, held: bool) -> dict[str, Any]:
+def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
     """Return all figures, and the bounds that they are held against."""
     textbook = [row.ratio for row in rows if row.device == DEVICES[-1].name]
     bounds = [
@@ -185,7 +190,7 @@ def as_json(rows: Sequence[Row], bare: Sequence[Bare], *, held: bool) -> dict[st
         Bound("the textbook device, found, of theory, most", max(textbook, default=None), MOST_RATIO, ""),
     ]
     return {
-        "held": held,
+        "grip": GRIP._asdict(),
         "devices": [one._asdict() | {"dry_limit": dry_limit(one)} for one in DEVICES],
         "rows": [row._asdict() | {"ratio": row.ratio} for row in rows],
         "uncoupled": [one._asdict() for one in bare],
@@ -194,27 +199,28 @@ def as_json(rows: Sequence[Row], bare: Sequence[Bare], *, held: bool) -> dict[st
 
 
 def dry_limit(device: Device) -> float | None:
-    """Return the stiffness, N/m, at which a quantum of the encoder makes more force than dry friction takes; None: 0."""
+    """Return the stiffness, N/m, above which a quantum of the encoder weighs more than dry friction."""
     return 2.0 * device.friction / device.quantum if device.quantum > 0.0 else None
 
 
 def text(found: dict[str, Any]) -> str:
     """Return the figures as tables."""
-    grip = f"held: {GRIP.mass:g} kg, {GRIP.damping:g} N s/m, {GRIP.stiffness:g} N/m" if found["held"] else "no hand"
+    grip = f"held: by {1e3 * GRIP.mass:g} g, {GRIP.damping:g} N s/m, {GRIP.stiffness:g} N/m (assumed: a light grip)"
     observed = any(row["observed"] is not None for row in found["rows"])
-    head = ["device, poses", "Hz", "delay ms", "found N/m", "2 b / T", "b / (T/2 + t)", "found / that"]
+    head = ["device", "poses, Hz", "delay ms", "found N/m", "2 b / T", "b / (T/2 + t)", "found / that"]
     rows = [[*head, "observer"] if observed else head]
     for row in found["rows"]:
         line = [row["device"], f"{row['rate']:g}", f"{1e3 * row['delay']:g}", _found(row["found"])]
         line += [f"{row['without_delay']:.0f}", f"{row['with_delay']:.0f}", f"{row['ratio']:.2f}"]
         rows.append([*line, _found(row["observed"])] if observed else line)
-    bare = [["without a coupling, on the organ", "Hz", "bears a delay of"]]
+    bare = [["without a coupling, on the organ", "poses, Hz", "bears a delay of"]]
     for one in found["uncoupled"]:
         most = "none" if one["delay"] is None else f"{1e3 * one['delay']:g} ms"
         bare.append([one["device"], f"{one['rate']:g}", most])
     lines = [
-        f"largest coupling_stiffness with which a device comes to rest on a hard ball; {grip}",
+        "largest coupling_stiffness with which a device comes to rest on a hard ball; t: from a pose to its force",
         *(f"{one['name']}: {_data(one)}" for one in found["devices"]),
+        grip,
         "",
         *aligned(rows),
         "",
