@@ -231,7 +231,9 @@ def text(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _found(stiffness: float) -> str:
+def _found(stiffness: float | None) -> str:
+    if stiffness is None:
+        return "-"
     return f">= {stiffness:.0f}" if math.isclose(stiffness, STIFFEST) else f"{stiffness:.0f}"
 
 
