@@ -20,6 +20,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
+from tissue_sim.ros.node.passivity import Observer
 
 PUSH, START = 0.5, 5e-4  # N of the hand, and m before the tissue: it lands at some 50 mm/s
 SOFTEST, STIFFEST = 1.0, 2e4  # N/m
@@ -31,8 +32,7 @@ FAR = 0.01  # m before the tissue, where a device has been thrown off
 REST, LOOK = 200, 50  # periods of the servo: rest for so long is for good, and how often that is looked at
 STILL = 0.5  # of what is told from rest
 KEPT = 0.95  # of a swing that is left a quarter of a trial later: more, and it does not decay
-
-
+MOST_ADDED = 5.0  # N s/m by an observer
 BALL, HARDNESS = 0.027, 1000.0  # m, and times the stiffness of tissue: a ball that hardly gives way
 
 
@@ -169,17 +169,39 @@ class Holder(NamedTuple):
     port: Callable[[], Port] | None = None
 
     @property
+    def mass(self) -> float:
+        """Moving mass, kg."""
+        return self.device.mass + self.hand.mass
+
+    @property
     def damping(self) -> float:
         """Viscous damping, N s/m."""
         return self.device.damping + self.hand.damping
 
     def seconds(self, stiffness: float) -> float:
         """How long a trial lasts, s."""
-        mass = self.device.mass + self.hand.mass
         if stiffness == 0.0:
             return UNCOUPLED
-        period = 2.0 * math.pi * math.sqrt(mass / stiffness)
+        period = 2.0 * math.pi * math.sqrt(self.mass / stiffness)
         return min(max(PERIODS * period, SHORTEST), LONGEST)
+
+
+class ObservedPort:
+    """The node's passivity observer, for a device that it knows the mass of."""
+
+    def __init__(self, holder: Holder) -> None:
+        link = holder.link
+        self._observer, self._period = Observer(), link.period
+        self._lag = link.delay + link.transport
+        # Damping that comes late is stable only below some mass / lag.
+        self._most = min(MOST_ADDED, holder.mass / (0.5 * link.period + self._lag))
+
+    def send(self, place: float, force: float) -> float:
+        """See Port."""
+        there, wanted = np.array([place, 0.0, 0.0]), np.array([force, 0.0, 0.0])
+        force = self._observer.damped(there, wanted, self._period, self._lag, self._most)
+        self._observer.sent(force)
+        return float(force[0])
 
 
 def tried(world: World, holder: Holder, stiffness: float) -> Trial:
