@@ -18,6 +18,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.devices import NO_HAND, SERVO, Device, Hand, Moving, quarters
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.model.coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 from tissue_sim.ros.node.passivity import Observer
@@ -25,8 +26,8 @@ from tissue_sim.ros.node.passivity import Observer
 PUSH, START = 0.5, 5e-4  # N of the hand, and m before the tissue: it lands at some 50 mm/s
 SOFTEST, STIFFEST = 1.0, 2e4  # N/m
 CLOSE_ENOUGH = 1.05  # ratio of a stable stiffness and one that is not, where a search ends
-PERIODS, SHORTEST, LONGEST = 24.0, 0.8, 4.0  # of a free swing, and s: how long a trial lasts
-UNCOUPLED = 2.0  # s of a trial where tissue alone resists
+PERIODS, SHORTEST, LONGEST = 24.0, 0.8, 2.5  # of a free swing, and s: how long a trial lasts
+UNCOUPLED = 1.5  # s of a trial where tissue alone resists
 QUANTA = 4.0  # of the encoder, from peak to peak: less than that is the encoder's own
 FAR = 0.01  # m before the tissue, where a device has been thrown off
 REST, LOOK = 200, 50  # periods of the servo: rest for so long is for good, and how often that is looked at
@@ -178,6 +179,11 @@ class Holder(NamedTuple):
         """Viscous damping, N s/m."""
         return self.device.damping + self.hand.damping
 
+    @property
+    def passive(self) -> float:
+        """Stiffness, N/m, that theory allows."""
+        return passive_stiffness(self.damping, self.link.period, self.link.lag)
+
     def seconds(self, stiffness: float) -> float:
         """How long a trial lasts, s."""
         if stiffness == 0.0:
@@ -238,17 +244,25 @@ def tried(world: World, holder: Holder, stiffness: float) -> Trial:
 
 
 def stable_stiffness(world: World, holder: Holder) -> float:
-    """Return the largest stiffness of a coupling, N/m, with which a device comes to rest, to CLOSE_ENOUGH.
+    """Return the stiffness of a coupling, N/m, up to which a device comes to rest, to CLOSE_ENOUGH.
 
-    Between SOFTEST and STIFFEST, by bisection of its logarithm; 0 where it swings at SOFTEST already.
+    From what theory allows, in doubles, as a device may come to rest again where it is far too stiff; then by
+    bisection of the logarithm. Between SOFTEST and STIFFEST; 0 where it swings at SOFTEST.
     """
-    if not tried(world, holder, STIFFEST).swings:
-        return STIFFEST
-    low, high = SOFTEST, STIFFEST
+    low = max(holder.passive, SOFTEST)
+    while tried(world, holder, low).swings:
+        if low == SOFTEST:
+            return 0.0
+        low = max(0.5 * low, SOFTEST)
+    high = min(2.0 * low, STIFFEST)
+    while not tried(world, holder, high).swings:
+        if high == STIFFEST:
+            return STIFFEST
+        low, high = high, min(2.0 * high, STIFFEST)
     while high > CLOSE_ENOUGH * low:
         middle = math.sqrt(low * high)
         if tried(world, holder, middle).swings:
             high = middle
         else:
             low = middle
-    return low if low > SOFTEST or not tried(world, holder, SOFTEST).swings else 0.0
+    return low

@@ -4,8 +4,9 @@ Simulated devices are pushed onto a hard ball through the virtual coupling, in s
 node runs. The largest stiffness with which they come to rest is held against theory: a device of damping b bears
 K < 2 b / T where poses are T s apart (Colgate and Schenkel 1997, b > K T / 2 + |B|; the coupling's own damping acts on
 the tool, so that B = 0), and K < b / (T / 2 + t) where a force comes t s after its pose (Hulin, Preusche and Hirzinger
-2006; Gil et al. 2009). Dry friction, which neither knows, bears more: up to 2 c / quantum (Abbott and Okamura 2005;
-Diolaiti et al. 2006).
+2006; Gil et al. 2009). An encoder's quantum asks for dry friction c: K < 2 c / quantum (Abbott and Okamura 2005). That
+friction also takes energy out of a swing, so that real devices bear more than viscous damping alone allows (Diolaiti,
+Niemeyer, Barbagli and Salisbury 2006).
 """
 
 from __future__ import annotations
@@ -158,7 +159,7 @@ def coupled(cell: Cell) -> Row:
         stable_stiffness(_ball(), holder),
         stable_stiffness(_ball(), with_observer) if cell.observed else None,
         passive_stiffness(holder.damping, link.period, 0.0),
-        passive_stiffness(holder.damping, link.period, link.lag),
+        holder.passive,
     )
 
 
