@@ -205,9 +205,9 @@ class ObservedPort:
     def send(self, place: float, force: float) -> float:
         """See Port."""
         there, wanted = np.array([place, 0.0, 0.0]), np.array([force, 0.0, 0.0])
-        force = self._observer.damped(there, wanted, self._period, self._lag, self._most)
-        self._observer.sent(force)
-        return float(force[0])
+        damped = self._observer.damped(there, wanted, self._period, self._lag, self._most)
+        self._observer.sent(damped)
+        return float(damped[0])
 
 
 def tried(world: World, holder: Holder, stiffness: float) -> Trial:
