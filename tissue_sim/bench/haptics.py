@@ -65,7 +65,7 @@ class Row(NamedTuple):
 
 
 class Bare(NamedTuple):
-    """A device without a coupling on an organ: the longest delay, s, with which it comes to rest; None: none."""
+    """A device without a coupling on an organ: the longest delay, s, up to which it comes to rest; None: none."""
 
     device: str
     rate: float
@@ -164,12 +164,14 @@ def coupled(cell: Cell) -> Row:
 
 
 def uncoupled(cell: Cell) -> Bare:
-    """Search the longest delay with which a device rests on tissue that nothing softens."""
-    for delay in reversed(DELAYS):
+    """Search the longest delay up to which a device rests on tissue that nothing softens."""
+    longest = None
+    for delay in DELAYS:
         holder = cell.holder._replace(link=cell.link._replace(delay=delay))
-        if not tried(_tissue(cell.organ), holder, 0.0).swings:
-            return Bare(cell.device.name, cell.link.rate, delay)
-    return Bare(cell.device.name, cell.link.rate, None)
+        if tried(_tissue(cell.organ), holder, 0.0).swings:
+            break
+        longest = delay
+    return Bare(cell.device.name, cell.link.rate, longest)
 
 
 @cache
