@@ -37,6 +37,10 @@ BENCHMARKS = {
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
     "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
     "presses": ("tissue_sim.bench.presses", "tools enter fast, late or in jumps: is any lost, what does the hand feel"),
+    "haptics": (
+        "tissue_sim.bench.haptics",
+        "a device in the loop: how stiff a coupling it bears, by pose rate and delay",
+    ),
     "palpation": ("tissue_sim.bench.palpation", "a finger feels for a tumour, against nonlinear finite elements"),
     "breathing": ("tissue_sim.bench.breathing", "an organ whose clamp breathes, against implicit finite elements"),
     "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),

@@ -17,6 +17,7 @@ from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings
 from tissue_sim.ros.node.served_organ import ServedScene
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
+from tissue_sim.ros.shared.report import Report
 
 STRAIN, MIDDLING, WELL = Look(0.95, 0.5, 0), Look(0.6, 0.0, 0), Look(0.1, 0.0, 0)
 
@@ -124,12 +125,13 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     simulation = Simulation(ball(2), rate=rate, local_region=local_region, integrator=integrator)
     values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
     values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
+    values = {"left.smoothing": 1.0, "right.smoothing": 1.0} | values
     posted, physics = [], Physics(Loop([simulation]))
     made = LiveSettings(
         ServedScene("ball", ("",), (simulation,), (1.0,), None),
         Values(values),
         lambda _, one: posted.append((physics.post_settings(one), one)),
-        [SimpleNamespace(period=period) for period in (1e-3, 4e-3)],
+        [SimpleNamespace(period=period, delay=0.0, counts=True) for period in (1e-3, 4e-3)],
     )
     return made, posted
 
@@ -141,10 +143,74 @@ def test_coupling_is_no_stiffer_than_the_devices_bear():
     made, posted = live(**{"coupling_stiffness": 2000.0, "left.device_damping": 2.0, "right.device_damping": 1.0})
     made.update()
     # Of the slower tool: half its period, the period until the next pose, and a tick.
-    assert made.coupling_stiffness == pytest.approx(1.0 / (0.5 * 4e-3 + 4e-3 + 1e-3))
+    assert made.coupling_stiffness == pytest.approx(0.9 / (0.5 * 4e-3 + 4e-3 + 1e-3))
     made, _ = live(**{"coupling_stiffness": 100.0, "right.device_damping": 1.0})
     made.update()
     assert made.coupling_stiffness == 100.0
+
+
+BOUNDED = {"coupling_stiffness": 2000.0, "left.device_damping": 4.0}
+
+
+def allowed(period, delay):
+    """Of a device of 4 N s/m, ticks at 1 kHz."""
+    return 4.0 / (1.5 * period + 1e-3 + 2.0 * delay)
+
+
+def test_delay_counts_there_and_back():
+    made, _ = live(**BOUNDED)
+    made.poses[0].delay = 5e-3
+    made.update()
+    assert made.coupling_stiffness == pytest.approx(0.9 * allowed(1e-3, 5e-3))
+
+
+def test_less_smoothing_bears_a_stiffer_coupling():
+    made, _ = live(**BOUNDED, **{"left.smoothing": 0.5})
+    made.poses[0].period = 10e-3
+    made.update()
+    assert made.coupling_stiffness == pytest.approx(0.9 * 4.0 / (0.5 * 10e-3 + 0.5 * 10e-3 + 1e-3))
+
+
+def test_bound_follows_rate_and_delay_and_not_their_noise():
+    made, posted = live(**BOUNDED)
+    poses, rng = made.poses[0], np.random.default_rng(1)
+    made.update()
+    before, count = made.coupling_stiffness, len(posted)
+    for _ in range(200):
+        poses.period, poses.delay = 1e-3 * rng.uniform(0.95, 1.05), rng.uniform(0.0, 5e-5)
+        made.update()
+        assert made.coupling_stiffness <= allowed(poses.period, poses.delay)
+    assert made.coupling_stiffness == before
+    assert len(posted) == count, "nothing is posted while it only trembles"
+    poses.period, poses.delay = 10e-3, 0.0
+    made.update()
+    assert made.coupling_stiffness == pytest.approx(0.9 * allowed(10e-3, 0.0))
+    poses.period = 1e-3
+    made.update()
+    assert made.coupling_stiffness == pytest.approx(before), "and back"
+
+
+def test_report_tells_rate_delay_bound_and_why():
+    made, _ = live(**BOUNDED)
+    made.poses[0].delay, made.poses[1].counts = 2e-3, False
+    made.update()
+    report = Report()
+    made.report(report)
+    stiffness = 0.9 * allowed(1e-3, 2e-3)
+    assert report.values["coupling_stiffness"] == report.values["coupling_bound"] == pytest.approx(stiffness)
+    assert report.values["left.pose_rate_hz"] == pytest.approx(1000.0)
+    assert report.values["left.delay_ms"] == pytest.approx(2.0)
+    assert report.values["right.pose_rate_hz"] == 0.0
+    assert report.warnings == [
+        f"coupling_stiffness is {stiffness:.0f} instead of 2000 N/m: with left.device_damping 4 N s/m,"
+        " poses at 1000 Hz and 2.0 ms old, more may not be stable"
+    ]
+    made, _ = live(coupling_stiffness=2000.0)
+    made.update()
+    report = Report()
+    made.report(report)
+    assert report.values["coupling_bound"] == "none"
+    assert report.warnings == []
 
 
 def test_levels_become_settings_with_substeps_of_their_own():

@@ -8,6 +8,7 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node.freshness import Freshness
+from tissue_sim.ros.shared.cdr import UNSTAMPED
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 
@@ -15,7 +16,9 @@ from tissue_sim.ros.shared.organs import Organs
 @pytest.fixture
 def scene():
     """Freshness by a clock that the test moves, with the settings that a simulation has at first."""
-    clock = SimpleNamespace(time=10.0, now=lambda: clock.time, jumped=[])
+    clock = SimpleNamespace(
+        time=10.0, now=lambda: clock.time, jumped=[], age_of=lambda stamp: clock.time - 1e-9 * stamp
+    )
     made = Organs(Loop([Simulation(ball(1))]))
     organs = SimpleNamespace(loop=SimpleNamespace(standing=False), stale_time=made.stale_time, ramp_time=made.ramp_time)
     return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs))
@@ -70,3 +73,22 @@ def test_the_period_is_that_of_the_times_at_which_messages_come(scene):
     scene.clock.time += 5.0
     scene.freshness.came(1)
     assert 0.0099 < scene.freshness.period <= 0.0125
+
+
+def test_the_delay_is_how_old_messages_are_when_they_come(scene):
+    def come(age, count=400):
+        for _ in range(count):
+            scene.clock.time += 0.01
+            scene.freshness.came(round(1e9 * (scene.clock.time - age)))
+
+    assert scene.freshness.delay == 0.0
+    come(0.004)
+    assert scene.freshness.delay == pytest.approx(0.004, rel=0.01)
+    come(-0.02)
+    assert scene.freshness.delay == pytest.approx(0.0, abs=1e-5), "a clock that is ahead"
+    come(0.004)
+    come(30.0)
+    assert scene.freshness.delay == pytest.approx(0.0, abs=1e-5), "a clock that is far behind"
+    for _ in range(400):
+        scene.freshness.came(UNSTAMPED)
+    assert scene.freshness.delay == pytest.approx(0.0, abs=1e-5)

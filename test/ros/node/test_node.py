@@ -209,6 +209,7 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     assert not client.record(True).success, "one bag at a time"
     before = int(client.report()["left.poses"])
     client.set_parameter("stiffness_scale", 2.0)
+    client.set_parameter("left.passivity_damping", 5.0)  # a bag holds forces without what that adds
     position = press_until_felt(client, client.ask, deepest=0.004)
     for _ in range(300):
         client.ask(position)
@@ -219,6 +220,8 @@ def test_recording_on_demand_replays_bit_for_bit(client, capsys):
     assert client.spin_until(lambda: client.moved() < 1e-6)
     arrived = int(client.report()["left.poses"]) - before
     client.set_parameter("stiffness_scale", 1.0)
+    assert int(client.report()["left.damped_forces"]) > 0
+    client.set_parameter("left.passivity_damping", 0.0)
     stopped = client.record(False)
     assert stopped.success
     assert stopped.message == started.message
@@ -248,6 +251,8 @@ def test_diagnostics_tell_the_state_of_the_loop(client):
     assert float(values["tick_p50_us"]) > 0.0
     assert values["region"] in ("asleep", "whole")
     for key in ("overruns", "active_nodes", "contact_count", "force_n", "recording", "real_time_factor", "left.state"):
+        assert key in values
+    for key in ("coupling_stiffness", "coupling_bound", "left.pose_rate_hz", "left.delay_ms"):
         assert key in values
     for key in ("skipped.asleep", "skipped.mesh_unchanged", "skipped.nothing_moved"):
         assert int(values[key]) > 0, key

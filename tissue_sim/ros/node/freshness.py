@@ -9,7 +9,8 @@ from tissue_sim.ros.shared.organs import Organs
 
 FIRST_PERIOD = 1e-3  # s between two messages, until they come
 LONGEST_PERIOD = 0.1  # s between two messages of a stream
-COARSE = 1.25  # step of the scale of periods, so that what depends on them changes seldom
+LONGEST_DELAY = 0.1  # s, above which an age tells of clocks that differ
+NEW = 0.02  # weight of the newest message in averages
 
 
 class Freshness:
@@ -22,14 +23,16 @@ class Freshness:
     def __init__(self, clock: SimClock, organs: Organs) -> None:
         self._clock, self._organs = clock, organs
         self._came, self._stamp = -math.inf, 0  # s, ns
-        self._period = FIRST_PERIOD  # s, on average
+        self._period, self._delay = FIRST_PERIOD, 0.0  # s, on average
         clock.jumped.append(self._forget)
 
     def came(self, stamp: int) -> None:
         """A message was taken up; stamp in ns, or UNSTAMPED."""
         now = self._clock.now()
         if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock are one to the ticks
-            self._period += 0.02 * (gap - self._period)
+            self._period += NEW * (gap - self._period)
+        age = self._clock.age_of(stamp) if stamp > 0 else 0.0
+        self._delay += NEW * ((age if 0.0 <= age <= LONGEST_DELAY else 0.0) - self._delay)
         self._came, self._stamp = now, stamp
 
     @property
@@ -54,8 +57,16 @@ class Freshness:
 
     @property
     def period(self) -> float:
-        """Seconds between two messages, on average, to the next step of a coarse scale."""
-        return float(COARSE ** math.ceil(math.log(self._period, COARSE)))
+        """Seconds between two messages, on average."""
+        return self._period
+
+    @property
+    def delay(self) -> float:
+        """Seconds from a message's stamp until it came, on average.
+
+        0 for messages without a stamp, or from a machine whose clock is ahead, or far behind.
+        """
+        return self._delay
 
     def _forget(self) -> None:
         self._came, self._stamp = -math.inf, 0

@@ -19,6 +19,8 @@ from tissue_sim.ros.shared.report import Report
 
 LEAST_RATE = 50.0  # Hz
 ANY_FORCE = 1e9  # N, under which every load is small
+# A bound on the coupling is kept while it stays allowed and not much more is: a rate that is measured is never still.
+ROOM, REGAINED = 0.9, 1.25  # share of what is allowed that is taken, and what more than is in use is worth a change
 WORTH = 0.9  # share of the substeps a second that half the rate may leave at the most, to be worth it
 
 
@@ -35,10 +37,11 @@ class LiveSettings:
         post: Callable[[int, Settings], None],
         poses: Sequence[Freshness],
     ) -> None:
-        self._poses = poses
+        self.poses = poses
         self._served, self._parameters, self._post = served, parameters, post
         self._lock = threading.Lock()
         self.level = degrade.NONE
+        self._bound, self._bounded_by = math.inf, 0  # N/m of the coupling, and by which tool
 
     def update(self, level: int | None = None) -> None:
         """Post the settings anew if they changed; level: the new level of degradation."""
@@ -47,6 +50,7 @@ class LiveSettings:
             every = [one.settings for one in self._served.simulations]
             before = [copy_of(settings) for settings in every]
             self._served.apply(self._parameters)
+            self._renew_bound(2.0 ** degrade.halvings(self.level) / self._parameters["rate"])
             for settings in every:
                 self._give_up(settings)
             if not any(map(_differ, every, before)):
@@ -59,7 +63,7 @@ class LiveSettings:
     def _give_up(self, settings: Settings) -> None:
         """Less than the parameters say, where the machine is too slow or a device can't bear it."""
         settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
-        settings.coupling_stiffness = min(settings.coupling_stiffness, self._passive(settings.tick_time))
+        settings.coupling_stiffness = min(settings.coupling_stiffness, self._bound)
         if self.level >= degrade.REGION and self._first.local_region == "auto":
             settings.region_force = ANY_FORCE
 
@@ -68,16 +72,24 @@ class LiveSettings:
         """All have the same rate and local region."""
         return self._served.simulations[0]
 
-    def _passive(self, tick_time: float) -> float:
-        """Stiffest coupling, N/m, that the devices whose damping is known render passively.
+    def _renew_bound(self, tick_time: float) -> None:
+        """Bound the coupling, N/m, to what the devices whose damping is known render passively."""
+        allowed = [self._passive(tool, tick_time) for tool in range(len(self.poses))]
+        least = min(allowed, default=math.inf)
+        if not self._bound <= least <= REGAINED * self._bound:
+            self._bound = ROOM * least
+        if allowed:
+            self._bounded_by = allowed.index(least)
 
-        A force answers the pose before the newest one, and a tick later.
+    def _passive(self, tool: int, tick_time: float) -> float:
+        """Stiffest coupling, N/m, that a tool's device renders passively.
+
+        A tool reaches a pose within its smoothing of the time until the next is due, and a tick later its force goes
+        out, which takes as long back as the pose took.
         """
-        bounds = [
-            passive_stiffness(self._parameters[f"{tool}.device_damping"], poses.period, poses.period + tick_time)
-            for tool, poses in zip(self._parameters.tools, self._poses, strict=True)
-        ]
-        return min(bounds, default=math.inf)
+        poses, name = self.poses[tool], self._parameters.tools[tool]
+        damping, smoothing = (self._parameters[f"{name}.{what}"] for what in ("device_damping", "smoothing"))
+        return passive_stiffness(damping, poses.period, smoothing * poses.period + tick_time + 2.0 * poses.delay)
 
     @property
     def coupling_stiffness(self) -> float:
@@ -100,14 +112,25 @@ class LiveSettings:
         report.values |= {
             "degraded": degrade.name(self.level),
             "coupling_stiffness": self.coupling_stiffness,
+            "coupling_bound": "none" if math.isinf(self._bound) else self._bound,
         }
         if self.level != degrade.NONE:
             report.warnings.append(f"degraded: {self.describe()}")
+        for tool, poses in zip(self._parameters.tools, self.poses, strict=True):
+            report.values[f"{tool}.pose_rate_hz"] = 1.0 / poses.period if poses.counts else 0.0
+            report.values[f"{tool}.delay_ms"] = 1e3 * poses.delay
         if self.coupling_stiffness < self._parameters["coupling_stiffness"]:
-            report.warnings.append(
-                f"coupling_stiffness is {self.coupling_stiffness:.0f} N/m: more is not passive with this"
-                " device_damping and rate of poses"
-            )
+            report.warnings.append(self._softer())
+
+    def _softer(self) -> str:
+        """Why the coupling is softer than asked for."""
+        tool, poses = self._parameters.tools[self._bounded_by], self.poses[self._bounded_by]
+        return (
+            f"coupling_stiffness is {self.coupling_stiffness:.0f} instead of"
+            f" {self._parameters['coupling_stiffness']:g} N/m: with {tool}.device_damping"
+            f" {self._parameters[f'{tool}.device_damping']:g} N s/m, poses at {1.0 / poses.period:.0f} Hz and"
+            f" {1e3 * poses.delay:.1f} ms old, more may not be stable"
+        )
 
     @property
     def marker_rate(self) -> float:

@@ -36,6 +36,7 @@ from tissue_sim.ros.node.guarded import GuardedNode
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
+from tissue_sim.ros.node.passivity import DevicePort
 from tissue_sim.ros.node.presenter import OrganPresenter, ScenePresenter
 from tissue_sim.ros.node.respiration import RespirationInput
 from tissue_sim.ros.node.served_organ import ServedOrgan, ServedScene, told
@@ -218,7 +219,14 @@ class TissueNode(GuardedNode):
         values = self.parameters
         topics, frames = topics_of(values, name), frames_of(values, name, self._lookup)
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
-        return ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
+        port = ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
+        port.output.device = DevicePort(
+            port.pose_freshness,
+            values[f"{name}.motion_scale"],
+            values[f"{name}.passivity_damping"],
+            self.organs.settings,
+        )
+        return port
 
     def _finder(self, organ: Organ, tools: ToolSet) -> ContactFinder:
         return ContactFinder(organ, tools)
@@ -267,6 +275,8 @@ class TissueNode(GuardedNode):
 
     def _on_parameters(self, _: set[str]) -> None:
         self.contacts.rate = self.parameters["contact_rate"]
+        for port in self.ports:
+            port.output.device.most = self.parameters[f"{port.name}.passivity_damping"]
         self.live.update()
 
     def _report(self) -> None:

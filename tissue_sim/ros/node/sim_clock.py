@@ -34,6 +34,10 @@ class SimClock:
         """Seconds on the clock that ticks follow: of /clock, or monotonic."""
         return 1e-9 * self._clock.now().nanoseconds if self._active else time.monotonic()
 
+    def age_of(self, stamp: int) -> float:
+        """Seconds since a stamp, ns, by ROS's clock; negative for one of a clock that is ahead."""
+        return 1e-9 * float(self._clock.now().nanoseconds - stamp)
+
     def state(self) -> str:
         """wall, /clock, or why nothing ticks: no /clock yet, /clock stands."""
         if not self._active:

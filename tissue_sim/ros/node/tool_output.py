@@ -14,6 +14,7 @@ from rclpy.node import Node
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.quaternions import rotate_back
 from tissue_sim.ros.bags.recorder import Recorder
+from tissue_sim.ros.node.passivity import DevicePort
 from tissue_sim.ros.node.served_tool import NewestPose, ServedTool, turned
 from tissue_sim.ros.shared.messages import NumbersTemplate
 from tissue_sim.ros.shared.organs import Organs
@@ -27,6 +28,8 @@ class ToolOutput:
     A wrench goes out in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
     rate when poses stop, until the wrench is zero.
     """
+
+    device: DevicePort  # what may damp a force on its way out; the node sets it
 
     def __init__(self, node: Node, tool: ServedTool, organs: Organs, recorder: Recorder) -> None:
         self._tool, self._organs, self._recorder = tool, organs, recorder
@@ -52,7 +55,8 @@ class ToolOutput:
         """Publish the newest wrench, in answer to a pose."""
         with self._lock:
             self._pose = pose
-            self._send_newest()
+            tick, wrench = self._newest()
+            self._send(tick, wrench, self.device.felt(pose.pose[:3], wrench))
 
     def keep_publishing(self, silence: float) -> bool:
         """Publish the newest wrench if nothing went out for `silence` s and the last one wasn't zero.
@@ -62,30 +66,34 @@ class ToolOutput:
         with self._lock:
             if self.force == 0.0:
                 return False
-            if time.monotonic() - self._published >= silence:
-                self._send_newest()
+            if time.monotonic() - self._published >= max(silence, self.device.patience):
+                self.device.forget()
+                tick, wrench = self._newest()
+                self._send(tick, wrench, wrench)
             return self.force != 0.0
 
     def publish_zero(self) -> None:
         """A last wrench of zero, for the shutdown."""
         with self._lock:
-            self._send(-1, np.zeros(6))
+            self._send(-1, np.zeros(6), np.zeros(6))
 
-    def _send_newest(self) -> None:
+    def _newest(self) -> tuple[int, Floats]:
+        """The newest tick, and the tool's wrench (6,) of it."""
         tick, wrenches = self._organs.wrenches()
-        self._send(tick, self._tool.wrench(wrenches, self._pose))
+        return tick, self._tool.wrench(wrenches, self._pose)
 
-    def _send(self, tick: int, wrench: Floats) -> None:
-        if not np.all(np.isfinite(wrench)):  # never seen, and never to be felt
-            wrench = np.zeros(6)
+    def _send(self, tick: int, wrench: Floats, felt: Floats) -> None:
+        """Publish what a hand is to feel; a bag holds the wrench of the tick, which a replay repeats."""
+        if not np.all(np.isfinite(felt)):  # never seen, and never to be felt
+            wrench = felt = np.zeros(6)
             self.not_finite += 1
         stamp = self._clock.now().nanoseconds
-        raw = self._template.message(stamp, self._along_axes(wrench))
+        raw = self._template.message(stamp, self._along_axes(felt))
         self._servo.publish(raw)
-        self.force = math.sqrt(float(wrench[:3] @ wrench[:3]))
+        self.force = math.sqrt(float(felt[:3] @ felt[:3]))
         self._published = time.monotonic()
         if self._recorder.active:
-            if not (self._as_bagged and self._pose.to_organ.is_identity):
+            if not (self._as_bagged and self._pose.to_organ.is_identity and felt is wrench):
                 raw = self._bag_wrench.message(stamp, wrench)
             self._recorder.wrench(self._bagged, self._tool.index, tick, raw)
 

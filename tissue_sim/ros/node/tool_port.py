@@ -77,6 +77,7 @@ class ToolPort:
             f"{self.name}.force_n": self.output.force,
             f"{self.name}.poses": self.input.poses,
             f"{self.name}.passed_over": self.input.passed_over,
+            f"{self.name}.damped_forces": self.output.device.damped,
             "force_n": report.values.get("force_n", 0.0) + self.output.force,  # of all tools
         }
         report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(refused.items())}

@@ -1,0 +1,136 @@
+"""Haptic devices along one axis: moving mass, friction, encoder, actuator; their data and how they move."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.jit import kernel
+
+SERVO = 1e-3  # s between two updates of a device's force
+FINE = 20  # steps of its motion in one of them
+
+
+class Device(NamedTuple):
+    """A haptic device as its tip feels: mass kg, damping N s/m, Coulomb friction N, encoder quantum m, largest force N.
+
+    source: where the figures come from, and which of them is assumed.
+    """
+
+    name: str
+    mass: float
+    damping: float
+    friction: float
+    quantum: float
+    most_force: float
+    source: str
+
+    @property
+    def finest(self) -> float:
+        """Smallest motion, m, that is told from rest."""
+        return max(self.quantum, 5e-6)
+
+
+class Hand(NamedTuple):
+    """What a hand adds where it holds a device: mass kg, damping N s/m, stiffness N/m."""
+
+    mass: float
+    damping: float
+    stiffness: float
+
+
+# Data sheets give no viscous damping: such a device stands on its dry friction.
+ASSUMED_DAMPING = 0.1  # N s/m
+DEVICES = (
+    Device(
+        "Touch",
+        mass=0.045,
+        damping=ASSUMED_DAMPING,
+        friction=0.26,
+        quantum=55e-6,
+        most_force=3.3,
+        source="3D Systems (SensAble) Touch, formerly Phantom Omni: apparent mass 45 g, backdrive friction 0.26 N,"
+        " 0.055 mm, 3.3 N, by its data sheet; damping assumed",
+    ),
+    Device(
+        "Premium 1.5",
+        mass=0.075,
+        damping=ASSUMED_DAMPING,
+        friction=0.04,
+        quantum=30e-6,
+        most_force=8.5,
+        source="3D Systems (SensAble) Phantom Premium 1.5: apparent mass 75 g, backdrive friction 0.04 N, 0.03 mm,"
+        " 8.5 N, by its data sheet; damping assumed",
+    ),
+    Device(
+        "textbook",
+        mass=0.1,
+        damping=5.0,
+        friction=0.0,
+        quantum=0.0,
+        most_force=10.0,
+        source="no real device: mass and damping alone, which is all that theory knows",
+    ),
+)
+NO_HAND, GRIP = Hand(0.0, 0.0, 0.0), Hand(0.05, 2.0, 100.0)  # the latter assumed: a light grip of two fingers
+
+
+class Moving:
+    """A device that is pushed along its axis: place m (negative: into the tissue), speed m/s.
+
+    push: N that the hand adds, towards the tissue.
+    """
+
+    def __init__(self, device: Device, hand: Hand, push: float, start: float) -> None:
+        self.device = device
+        self._motion = np.array([start, 0.0])
+        self._properties = np.array(
+            [device.mass + hand.mass, device.damping + hand.damping, device.friction, hand.stiffness, start]
+        )
+        self._push = push
+
+    @property
+    def measured(self) -> float:
+        """Place as the encoder tells it, m."""
+        place, quantum = float(self._motion[0]), self.device.quantum
+        return quantum * float(np.floor(place / quantum)) if quantum > 0.0 else place
+
+    @property
+    def place(self) -> float:
+        """Place, m."""
+        return float(self._motion[0])
+
+    def advance(self, force: float) -> None:
+        """Move for SERVO s under a force, N, along the axis, of which the actuator gives what it can."""
+        most = self.device.most_force
+        given = min(max(force, -most), most) - self._push
+        move(self._motion, self._properties, given, SERVO / FINE, FINE)
+
+
+@kernel
+def move(motion: Any, properties: Any, force: float, step: float, count: int) -> None:
+    """Advance place and speed (2,) m, m/s by `count` steps, s, under a constant force, N.
+
+    properties (5,): mass kg, damping N s/m, Coulomb friction N, stiffness N/m towards a place m.
+    """
+    mass, damping, friction = properties[0], properties[1], properties[2]
+    for _ in range(count):
+        pull = force - properties[3] * (motion[0] - properties[4])
+        speed = (motion[1] + step * pull / mass) / (1.0 + step * damping / mass)
+        least = step * friction / mass
+        # Dry friction takes what is left of the speed, and no more.
+        if abs(speed) <= least:
+            speed = 0.0
+        else:
+            speed -= least if speed > 0.0 else -least
+        motion[1] = speed
+        motion[0] += step * speed
+
+
+def quarters(places: Floats) -> tuple[float, float]:
+    """Return from peak to peak, m, in the last quarter but one of places (n,) m, and in the last."""
+    count = len(places) // 4
+    third, last = places[-2 * count : -count], places[-count:]
+    return float(np.ptp(third)), float(np.ptp(last))

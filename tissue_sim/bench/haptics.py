@@ -1,0 +1,255 @@
+"""`tissue_sim bench haptics`: how stiff a coupling a haptic device bears, by the rate of its poses and by delay.
+
+Simulated devices are pushed onto a hard ball through the virtual coupling, in simulated time and by the tick that the
+node runs. The largest stiffness with which they come to rest is held against theory: a device of damping b bears
+K < 2 b / T where poses are T s apart (Colgate and Schenkel 1997, b > K T / 2 + |B|; the coupling's own damping acts on
+the tool, so that B = 0), and K < b / (T / 2 + t) where a force comes t s after its pose (Hulin, Preusche and Hirzinger
+2006; Gil et al. 2009). An encoder's quantum asks for dry friction c: K < 2 c / quantum (Abbott and Okamura 2005). That
+friction also takes energy out of a swing, so that real devices bear more than viscous damping alone allows (Diolaiti,
+Niemeyer, Barbagli and Salisbury 2006).
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.device_loop import (
+    STIFFEST,
+    Holder,
+    Link,
+    ObservedPort,
+    Tissue,
+    hard_ball,
+    stable_stiffness,
+    tried,
+)
+from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.model.coupling import passive_stiffness
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+RATES = 1000.0, 500.0, 250.0, 100.0  # Hz
+DELAYS = 0.0, 0.001, 0.002, 0.005, 0.010, 0.020  # s, of both ways together
+OBSERVED = 0.0, 0.005, 0.020  # s, those with an observer
+LEAST_RATIO = 0.95  # of what theory allows, as a search ends within some percent
+MOST_RATIO = 2.0  # of the device that is as theory has it
+WORTH = 1.25  # what an observer raises the stiffness by, in the median, to be worth it
+
+
+class Row(NamedTuple):
+    """A device at a rate, Hz, and a delay, s: stiffness that was found, N/m, without and with an observer; theory's."""
+
+    device: str
+    rate: float
+    delay: float
+    found: float
+    observed: float | None
+    without_delay: float
+    with_delay: float
+
+    @property
+    def ratio(self) -> float:
+        """What was found as a multiple of what theory allows."""
+        return self.found / self.with_delay
+
+
+class Bare(NamedTuple):
+    """A device without a coupling on an organ: the longest delay, s, up to which it comes to rest; None: none."""
+
+    device: str
+    rate: float
+    delay: float | None
+
+
+class Cell(NamedTuple):
+    """What one process works out: a device held by a hand or not, connected somehow; organ file where uncoupled."""
+
+    device: Device
+    link: Link
+    held: bool
+    observed: bool
+    organ: str = ""
+
+    @property
+    def name(self) -> str:
+        """The device's name in tables."""
+        return f"{self.device.name}, held" if self.held else self.device.name
+
+    @property
+    def holder(self) -> Holder:
+        """The device, and the hand on it."""
+        return Holder(self.device, self.link, GRIP if self.held else NO_HAND)
+
+
+# measuring -----------------------------------------------------------------------------------------
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(parser, out="draw the stable stiffness over the delay into FOLDER", check=True)
+    parser.add_argument("--observer", action="store_true", help="with a passivity observer, too, at fewer delays")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    organ = args.organ or str(shipped_organ())
+    Organ.load(organ)
+    found = as_json(*measure(cells_of(organ, observed=args.observer)))
+    emit(found, text(found), args.json)
+    if args.out:
+        from tissue_sim.bench.haptics_plot import write_plot
+
+        told([write_plot(found, Path(args.out))])
+    return exit_code(found, check=args.check)
+
+
+def cells_of(organ: str, *, observed: bool) -> list[Cell]:
+    """Return all cells: first those on the hard ball, then those on an organ without a coupling."""
+    pushed, held = [(one, False) for one in DEVICES], [(one, True) for one in DEVICES[:-1]]
+    coupled = [
+        Cell(device, Link(rate, delay), is_held, observed)
+        for (device, is_held), rate, delay in product((*pushed, *held), RATES, OBSERVED if observed else DELAYS)
+    ]
+    return coupled + [Cell(device, Link(rate), False, False, organ) for device, rate in product(DEVICES, RATES)]
+
+
+def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
+    """Work out all cells, on all processors."""
+    rows: list[Row] = []
+    bare: list[Bare] = []
+    for found in tqdm(_worked_out(cells), total=len(cells), disable=None, unit="search"):
+        if isinstance(found, Row):
+            rows.append(found)
+        else:
+            bare.append(found)
+    return rows, bare
+
+
+def _worked_out(cells: Sequence[Cell]) -> Iterator[Row | Bare]:
+    from joblib import Parallel, delayed
+
+    yield from Parallel(n_jobs=-1, return_as="generator", batch_size=1)(delayed(worked_out)(cell) for cell in cells)
+
+
+def worked_out(cell: Cell) -> Row | Bare:
+    """Search what a device bears."""
+    return uncoupled(cell) if cell.organ else coupled(cell)
+
+
+def coupled(cell: Cell) -> Row:
+    """Search the largest stiffness, and what theory says of it."""
+    holder, link = cell.holder, cell.link
+    with_observer = holder._replace(port=partial(ObservedPort, holder))
+    return Row(
+        cell.name,
+        link.rate,
+        link.delay,
+        stable_stiffness(_ball(), holder),
+        stable_stiffness(_ball(), with_observer) if cell.observed else None,
+        passive_stiffness(holder.damping, link.period, 0.0),
+        holder.passive,
+    )
+
+
+def uncoupled(cell: Cell) -> Bare:
+    """Search the longest delay up to which a device rests on tissue that nothing softens."""
+    longest = None
+    for delay in DELAYS:
+        holder = cell.holder._replace(link=cell.link._replace(delay=delay))
+        if tried(_tissue(cell.organ), holder, 0.0).swings:
+            break
+        longest = delay
+    return Bare(cell.device.name, cell.link.rate, longest)
+
+
+@cache
+def _ball() -> Tissue:
+    return hard_ball()
+
+
+@cache
+def _tissue(organ: str) -> Tissue:
+    return Tissue(Organ.load(organ))
+
+
+# reporting -----------------------------------------------------------------------------------------
+
+
+def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
+    """Return all figures, and the bounds that they are held against."""
+    textbook = [row.ratio for row in rows if row.device == DEVICES[-1].name]
+    bounds = [
+        Bound("found, of what theory allows, least", min(row.ratio for row in rows), LEAST_RATIO, "", least=True),
+        Bound("the textbook device, found, of theory, most", max(textbook, default=None), MOST_RATIO, ""),
+    ]
+    if gains := [row.observed / row.found for row in rows if row.observed is not None and row.found > 0.0]:
+        bounds.append(Bound("with an observer, of without, median", float(np.median(gains)), WORTH, "", least=True))
+    return {
+        "grip": GRIP._asdict(),
+        "devices": [one._asdict() | {"dry_limit": dry_limit(one)} for one in DEVICES],
+        "rows": [row._asdict() | {"ratio": row.ratio} for row in rows],
+        "uncoupled": [one._asdict() for one in bare],
+        "bounds": [bound.as_json() for bound in bounds],
+    }
+
+
+def dry_limit(device: Device) -> float | None:
+    """Return the stiffness, N/m, above which a quantum of the encoder weighs more than dry friction."""
+    return 2.0 * device.friction / device.quantum if device.quantum > 0.0 else None
+
+
+def text(found: dict[str, Any]) -> str:
+    """Return the figures as tables."""
+    grip = f"held: by {1e3 * GRIP.mass:g} g, {GRIP.damping:g} N s/m, {GRIP.stiffness:g} N/m (assumed: a light grip)"
+    observed = any(row["observed"] is not None for row in found["rows"])
+    head = ["device", "poses, Hz", "delay ms", "found N/m", "2 b / T", "b / (T/2 + t)", "found / that"]
+    rows = [[*head, "observer", "of without"] if observed else head]
+    for row in found["rows"]:
+        line = [row["device"], f"{row['rate']:g}", f"{1e3 * row['delay']:g}", _found(row["found"])]
+        line += [f"{row['without_delay']:.0f}", f"{row['with_delay']:.0f}", f"{row['ratio']:.2f}"]
+        if observed:
+            gain = "-" if row["observed"] is None else f"{row['observed'] / row['found']:.2f}"
+            line += [_found(row["observed"]), gain]
+        rows.append(line)
+    bare = [["without a coupling, on the organ", "poses, Hz", "bears a delay of"]]
+    for one in found["uncoupled"]:
+        most = "none" if one["delay"] is None else f"{1e3 * one['delay']:g} ms"
+        bare.append([one["device"], f"{one['rate']:g}", most])
+    lines = [
+        "largest coupling_stiffness with which a device comes to rest on a hard ball; t: from a pose to its force",
+        *(f"{one['name']}: {_data(one)}" for one in found["devices"]),
+        grip,
+        "",
+        *aligned(rows),
+        "",
+        *aligned(bare),
+        "",
+        *bound_lines(found["bounds"]),
+    ]
+    return "\n".join(lines)
+
+
+def _found(stiffness: float | None) -> str:
+    if stiffness is None:
+        return "-"
+    return f">= {stiffness:.0f}" if math.isclose(stiffness, STIFFEST) else f"{stiffness:.0f}"
+
+
+def _data(device: dict[str, Any]) -> str:
+    limit = "" if device["dry_limit"] is None else f"; 2 c / quantum = {device['dry_limit']:.0f} N/m"
+    return (
+        f"{1e3 * device['mass']:g} g, b = {device['damping']:g} N s/m, c = {device['friction']:g} N,"
+        f" {1e6 * device['quantum']:g} um, {device['most_force']:g} N{limit} ({device['source']})"
+    )

@@ -1,0 +1,40 @@
+"""The plot of `tissue_sim bench haptics`: the stiffness that a device bears, over the delay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tissue_sim.errors import UserError
+
+
+def write_plot(found: dict[str, Any], folder: Path) -> Path:
+    """Write haptics.png into the folder; returns its path. Raises UserError when it can't be written."""
+    path = folder / "haptics.png"
+    try:
+        drawn(found).savefig(path, dpi=140)
+    except OSError as error:
+        raise UserError(f"cannot write to {folder}: {error.strerror}") from None
+    return path
+
+
+def drawn(found: dict[str, Any]) -> Any:
+    """Draw a panel for each device and a colour for each rate; lines: found, dotted: theory with delay."""
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(row["device"] for row in found["rows"]))
+    rates = list(dict.fromkeys(row["rate"] for row in found["rows"]))
+    figure = Figure(figsize=(4.2 * len(names), 4.2), layout="constrained")
+    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for panel, name in zip(panels, names, strict=True):
+        for number, rate in enumerate(rates):
+            rows = [row for row in found["rows"] if (row["device"], row["rate"]) == (name, rate)]
+            delays = [1e3 * row["delay"] for row in rows]
+            panel.plot(delays, [row["found"] for row in rows], f"C{number}o-", label=f"{rate:g} Hz")
+            panel.plot(delays, [row["with_delay"] for row in rows], f"C{number}:")
+        panel.set(xlabel="delay, there and back (ms)", title=name, yscale="log")
+        for side in ("top", "right"):
+            panel.spines[side].set_visible(False)
+    panels[0].set_ylabel("stable stiffness (N/m); dotted: b / (T / 2 + t)")
+    panels[0].legend(title="poses", frameon=False)
+    return figure
