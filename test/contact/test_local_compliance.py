@@ -6,10 +6,18 @@ import math
 import numpy as np
 import pytest
 
-from helpers.pressing import given, press
+from helpers.pressing import given, lead, line, press
 from helpers.scenes import ball, kidney
 from tissue_sim.contact import finder
-from tissue_sim.contact.local_compliance import MOST_GIVE, STRETCHED, local_compliance, most_give
+from tissue_sim.contact.local_compliance import (
+    BETWEEN,
+    COVERED,
+    MOST_GIVE,
+    STRETCHED,
+    local_compliance,
+    more_between,
+    most_give,
+)
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.topology import node_area
@@ -35,9 +43,53 @@ def test_a_fine_tool_sinks_in_as_a_flat_punch_does_and_one_between_the_points_no
     np.testing.assert_allclose(
         local_compliance(organ, fine)[:, 0], math.pi * fine**2 / area / (2.0 * fine * stiffness), rtol=1e-12
     )
-    assert most_give(0.004, 0.001) == MOST_GIVE * 0.004
-    assert most_give(0.004, 0.003) == pytest.approx(0.004 - STRETCHED * 0.003)
+    assert most_give(0.004, 0.0005) == MOST_GIVE * 0.004
+    assert most_give(0.004, 0.003) == pytest.approx(0.004 - COVERED * STRETCHED * 0.003)
     assert most_give(0.001, 0.003) == 0.0
+
+
+def test_nothing_of_a_triangle_is_farther_from_its_corners_than_covered():
+    rng = np.random.default_rng(0)
+    inside = rng.dirichlet(np.ones(3), 400)
+    for corner in rng.standard_normal((200, 3, 2)):
+        longest = np.linalg.norm(corner - np.roll(corner, 1, axis=0), axis=1).max()
+        apart = np.linalg.norm((inside @ corner)[:, None] - corner, axis=2).min(axis=1)
+        assert apart.max() < COVERED * longest
+
+
+def test_points_between_nodes_give_way_by_more():
+    organ = ball(3)
+    corner = organ.surface_positions[organ.surface_triangles]
+    edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
+    edge = edges.mean()
+    assert more_between(organ, 3.0 * edge) == BETWEEN
+    assert more_between(organ, 0.5 * edge) == pytest.approx(0.5 * BETWEEN)
+    scene = Scene(organ, [Tool("finger", radius=2.0 * edge)])
+    press(scene, 0.5 * edge, hold=1)
+    found = scene.contacts
+    parts = finder.divisions_of(edges.max() / (finder.SPACING * 2.0 * edge))
+    nodes = parts**2 * local_compliance(organ, 2.0 * edge)
+    assert {1, 2, 3} >= set(np.count_nonzero(found.weight, axis=1)) > {1}
+    for node, weight, compliance in zip(found.node, found.weight, found.compliance, strict=True):
+        mean = sum(share * nodes[which] for share, which in zip(weight, node, strict=True))
+        more = 1.0 + BETWEEN * (1.0 - sum(share**2 for share in weight))
+        np.testing.assert_allclose(compliance, more * mean, rtol=1e-12)
+
+
+def test_a_small_ball_feels_the_same_over_a_node_as_between_nodes():
+    """Over the middle of a triangle it felt half as much again, of points that could give way no farther."""
+    organ = kidney()
+    corners = organ.surface_positions[organ.surface_triangles[1509]]  # where the kidney is flat
+    inwards = np.cross(corners[2] - corners[0], corners[1] - corners[0])
+    inwards /= np.linalg.norm(inwards)
+    radius = 0.8 * np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()
+    felt = []
+    for place in (corners[0], corners[:2].mean(axis=0), corners.mean(axis=0)):
+        scene = Scene(organ, [Tool("finger", radius=radius)], ticks_a_set=4)
+        start, end = (place + inwards * (deep - radius) for deep in (-0.001, 0.8 * radius))
+        felt.append(-lead(scene, 0, line(start, end, 600), hold=200)[-1] @ inwards)
+    assert min(felt) > 0.0
+    assert max(felt) / min(felt) < 1.2
 
 
 def test_an_organ_of_unknown_stiffness_gives_way_by_nothing():

@@ -23,7 +23,7 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
-from tissue_sim.contact.local_compliance import local_compliance, most_give
+from tissue_sim.contact.local_compliance import local_compliance, more_between, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
@@ -38,7 +38,8 @@ TIP_REACH = 0.02  # m from the tip within which an external force finds the tiss
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
-SPACING = 0.75  # of a tool's smallest radius: farthest that contact points lie apart
+SPACING = 0.45  # of a tool's smallest radius: farthest that contact points lie apart, and where edges can't be
+COARSEST = 0.75  # divided as often, at all
 LEAST_DIVISIONS = 2  # a big ball that is pressed in a little touches less than a node's area
 MOST_DIVISIONS = 8
 
@@ -97,7 +98,7 @@ class ContactFinder:
         self._grown = [fcl.CollisionObject(shape, fcl.Transform()) for shape in tools.grown]
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
-        self._is_fine = [longest > MOST_DIVISIONS * SPACING * size for size in tools.smallest]
+        self._is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
         divisions = [divisions_of(longest / (SPACING * size)) for size in tools.smallest]
         self._lattices = [lattice_of(count) for count in divisions]
         order = np.argsort(self.triangles.ravel(), kind="stable")
@@ -107,6 +108,7 @@ class ContactFinder:
         lattices = list(zip(divisions, tools.smallest, strict=True))
         parts = [count**2 * local_compliance(organ, size) for count, size in lattices]
         self._compliance = np.reshape(parts, (len(parts), self.n_surface, 2))
+        self._between = np.array([more_between(organ, size) for size in tools.smallest])
         # A nearest point is another one each time, with no force that it could have given way to.
         room = [most_give(size, longest / count) for count, size in lattices]
         self._most_give = np.where(self._is_fine, 0.0, room)
@@ -138,7 +140,9 @@ class ContactFinder:
         found.header.points, found.header.dropped = len(found.body), max(0, count - MOST_POINTS)
         found.body[:], found.node[:] = points.body[chosen], points.node[chosen]
         found.weight[:], found.normal[:] = points.weight[chosen], points.normal[chosen]
-        found.compliance[:] = np.einsum("kc,kcx->kx", found.weight, self._compliance[found.body[:, None], found.node])
+        more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", found.weight, found.weight))
+        compliance = self._compliance[found.body[:, None], found.node]
+        found.compliance[:] = np.einsum("k,kc,kcx->kx", more, found.weight, compliance)
         found.most_give[:] = self._most_give[found.body]
         found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
         found.n_points[:], found.releases[:] = counts, sought.releases
