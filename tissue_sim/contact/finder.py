@@ -23,11 +23,11 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
-from tissue_sim.contact.local_compliance import local_compliance, more_between, most_give
+from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, local_compliance, more_between, most_give
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
-from tissue_sim.model.shapes import rotation_matrix
+from tissue_sim.model.shapes import SPHERE, rotation_matrix
 from tissue_sim.model.tool_motion import way_between
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
@@ -38,8 +38,7 @@ TIP_REACH = 0.02  # m from the tip within which an external force finds the tiss
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
-SPACING = 0.45  # of a tool's smallest radius: farthest that contact points lie apart, and where edges can't be
-COARSEST = 0.75  # divided as often, at all
+COARSEST = 0.75  # of a tool's smallest radius: farthest that contact points may lie apart, or its nearest is added
 LEAST_DIVISIONS = 2  # a big ball that is pressed in a little touches less than a node's area
 MOST_DIVISIONS = 8
 
@@ -99,18 +98,21 @@ class ContactFinder:
         corner = rest[self.triangles]
         longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
         self._is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
-        divisions = [divisions_of(longest / (SPACING * size)) for size in tools.smallest]
+        gives = [OF_BALLS if kind == SPHERE else OF_OTHERS for kind in tools.shapes.kind.tolist()]
+        divisions = [
+            divisions_of(longest / (give.spacing * size)) for give, size in zip(gives, tools.smallest, strict=True)
+        ]
         self._lattices = [lattice_of(count) for count in divisions]
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
         # Of the area that belongs to a point of the body's lattice.
-        lattices = list(zip(divisions, tools.smallest, strict=True))
-        parts = [count**2 * local_compliance(organ, size) for count, size in lattices]
+        lattices = list(zip(gives, divisions, tools.smallest, strict=True))
+        parts = [count**2 * local_compliance(organ, size) for _, count, size in lattices]
         self._compliance = np.reshape(parts, (len(parts), self.n_surface, 2))
-        self._between = np.array([more_between(organ, size) for size in tools.smallest])
+        self._between = np.array([more_between(give, organ, size) for give, _, size in lattices])
         # A nearest point is another one each time, with no force that it could have given way to.
-        room = [most_give(size, longest / count) for count, size in lattices]
+        room = [most_give(give, size, longest / count) for give, count, size in lattices]
         self._most_give = np.where(self._is_fine, 0.0, room)
 
     def find(self, position: Floats, sought: Sought) -> ContactSet:

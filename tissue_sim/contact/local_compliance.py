@@ -5,13 +5,15 @@ A half-space gives way to a wave of pressure of length L by pressure times L / (
 finger's pressure is made, are a foundation of springs under the contact points, as soft as for waves of an edge's
 length. Across the normal it is softer by (2 - nu) / (2 (1 - nu)) (Mindlin 1949).
 
-A mesh gives way by less between its nodes than at them, and a tool as large as an edge feels where it is; so tissue
-gives way by more there (`more_between`).
+A mesh gives way by less between its nodes than at them, and a ball as large as an edge feels where it is; so tissue
+gives way by more there (`more_between`). To shafts and jaws it gives way by less (`Give`), or it would slip from under
+their edges.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,29 +22,48 @@ from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
-MOST_GIVE = 0.8  # of the radius of the finest thing about a tool
 STRETCHED = 1.15  # times as far as at rest, that points lie apart under a tool
-COVERED = 0.7  # of how far points lie apart, that nothing between them is farther from one: 1 / sqrt(3), and a fifth
-# Under a point load the kidney that ships gives way by 0.71 of its nodes' in the middle of an edge, 0.64 in that of a
-# triangle. Of balls of 0.5 to 3 edges, over nodes and between, this leaves the least error (docs/models.md).
-BETWEEN = 0.5
 MOST_POISSON = 0.5
 
 
-def most_give(smallest: float, spacing: float) -> float:
-    """How far tissue may give way to a tool, m; what sank in farther would slip between points `spacing` m apart."""
-    return max(0.0, min(MOST_GIVE * smallest, smallest - COVERED * STRETCHED * spacing))
+class Give(NamedTuple):
+    """How tissue gives way to a kind of tool.
+
+    spacing: of the radius of the finest thing about the tool, how far contact points lie apart at the most; most: of
+    that radius, how far tissue gives way; covered: of how far points lie apart, what nothing between them is farther
+    from one; between: by what fraction more it gives way between nodes.
+    """
+
+    spacing: float
+    most: float
+    covered: float
+    between: float
 
 
-def more_between(organ: Organ, smallest: float) -> float:
-    """By how much more of itself tissue gives way between nodes, times 1 less the sum of squares of a point's weights.
+# Nothing within a triangle is farther from its corners than 1 / sqrt(3) of its longest side, to which a fifth is added.
+# Under a point load the kidney that ships gives way by 0.71 of its nodes' in the middle of an edge, 0.64 in that of a
+# triangle: of balls of 0.5 to 3 edges, over nodes and between, 0.5 leaves the least error (docs/models.md).
+OF_BALLS = Give(spacing=0.45, most=0.8, covered=0.7, between=0.5)
+OF_OTHERS = Give(spacing=0.75, most=0.5, covered=1.0, between=0.0)
+
+
+def most_give(give: Give, smallest: float, spacing: float) -> float:
+    """Return how far tissue may give way, m; what sank in farther would slip between points `spacing` m apart.
+
+    smallest: radius of the finest thing about the tool, m.
+    """
+    return max(0.0, min(give.most * smallest, smallest - give.covered * STRETCHED * spacing))
+
+
+def more_between(give: Give, organ: Organ, smallest: float) -> float:
+    """Return by what fraction more tissue gives way between nodes, times 1 less the sum of a point's squared weights.
 
     smallest: radius of the finest thing about the tool, m; within a triangle what lies between nodes is most of what
     gives way at all, and knows no nodes.
     """
     corner = organ.surface_positions[organ.surface_triangles]
     edge = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
-    return BETWEEN * min(1.0, smallest / edge)
+    return give.between * min(1.0, smallest / edge)
 
 
 def local_compliance(organ: Organ, smallest: float) -> Floats:
