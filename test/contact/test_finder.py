@@ -17,6 +17,7 @@ from tissue_sim.contact.finder import (
     edge_and_face_points,
     reach_margins,
 )
+from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.contact_set import MOST_POINTS, Engaged
 from tissue_sim.ros.probes.soak_watch import resident
@@ -203,6 +204,45 @@ def test_tool_is_inside_when_its_middle_is():
     outside = over(organ, (0.0, 0.0, 1.0), 0.005)
     assert not finder.is_inside(0, organ.rest_positions, outside)
     assert not finder.is_inside(0, organ.rest_positions, np.array([5.0, 5.0, 5.0, *STILL]))
+
+
+def between_nodes(organ, depth):
+    """The pose of a capsule whose tip is `depth` m deep in the middle of a triangle; its shaft points outwards."""
+    corners = organ.surface_positions[organ.surface_triangles[0]]
+    way = np.cross(corners[2] - corners[0], corners[1] - corners[0])
+    way /= np.linalg.norm(way)
+    turn, _ = Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])
+    return np.concatenate([corners.mean(axis=0) + depth * way, turn.as_quat()])
+
+
+def test_tool_whose_tip_alone_is_in_tissue_is_inside():
+    organ = ball(2)
+    finder = make_finder(organ, Tool("left", "capsule", radius=0.001, length=0.02))
+    assert finder.is_inside(0, organ.rest_positions, between_nodes(organ, 0.0005))
+    assert not finder.is_inside(0, organ.rest_positions, between_nodes(organ, -0.0005))
+
+
+def test_tool_that_appears_with_its_tip_in_tissue_is_held_off_and_resisted_once_it_has_been_outside():
+    """It was neither: it stood where it had appeared, and its hand felt nothing wherever it went."""
+    organ = ball(2)
+    scene = Scene(organ, [Tool("left", "capsule", radius=0.001, length=0.02)])
+
+    def go(depths):
+        for depth in depths:
+            pose = between_nodes(organ, depth)
+            scene.move(0, pose[:3], pose[3:])
+            scene.step()
+        return scene.simulation.state.bodies[0], float(np.linalg.norm(scene.wrenches[0, :3]))
+
+    status, force = go([0.003] * 20)
+    assert status.held_off
+    assert not status.engaged
+    assert force == 0.0
+    status, _ = go(np.linspace(0.003, -0.005, 50))
+    assert status.engaged
+    assert not status.held_off
+    _, force = go(np.linspace(-0.005, 0.003, 200))
+    assert force > 0.01, "N"
 
 
 def test_tool_that_holds_a_node_counts_as_inside():

@@ -185,16 +185,18 @@ class ContactFinder:
         self.counters = FinderCounters()
 
     def is_inside(self, body: int, position: Floats, pose: Floats) -> bool:
-        """True when the centre of a body lies inside the organ, or a surface node inside the body."""
+        """Return whether the middle of a body lies inside the organ, or a surface node inside the body.
+
+        The middle of a capsule's caps, too: a tip may lie in tissue, between nodes, with all else of it outside.
+        """
         self._place(body, pose, 0.0)
         origin, low, high = pose[:3], self._box_low, self._box_high
         if holds_node(position, self.n_surface, self.tools.shapes, body, origin, self._matrix, low, high):
             return True
-        centre = self._matrix.reshape(3, 3) @ self.tools.centre[body] + origin
+        middle = self.tools.middle[body] @ self._matrix.reshape(3, 3).T + origin
         surface_box(position, self.n_surface, self._low, self._high)
-        if np.any(centre < self._low) or np.any(centre > self._high):
-            return False
-        return bool(inside(centre[None], position, self.triangles)[0])
+        near = ~np.any((middle < self._low) | (middle > self._high), axis=1)
+        return bool(near.any() and inside(middle[near], position, self.triangles).any())
 
     def _way_out(self, body: int, position: Floats, pose: Floats) -> Floats | None:
         """Return how a body that has slipped through the surface gets out of the organ, (3,) m; None for others.

@@ -106,7 +106,9 @@ def take_contacts(state: Any, shapes: Any, found: Any, sequence: int) -> None:
                 put_back(state, body)
             status.engaged = status.engaged or covers(state, shapes, found, body)
             status.resisted = status.resisted and not status.engaged
-            status.held_off = not status.engaged and (status.held_off or found.engaged[body] == Engaged.HELD_OFF)
+            # What slips without ever having been resisted appeared inside, too.
+            is_inside = found.engaged[body] == Engaged.HELD_OFF or found.engaged[body] == Engaged.SLIPPED
+            status.held_off = not status.engaged and (status.held_off or is_inside)
             status.placed = not status.held_off
 
 
