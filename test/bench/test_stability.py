@@ -144,7 +144,7 @@ def test_load_beyond_all_bounds_is_guarded():
 def test_probe_through_a_part_of_the_organ_comes_back():
     record = run_cell(cell("depth_side", 0.1))
     assert record.outcome == "stable"
-    assert record.peak > 0.05 * 0.05
+    assert record.peak > 0.04 * 0.05, "m, less what lies between nodes gives"
     assert record.newtons == 0.0
 
 
