@@ -24,6 +24,7 @@ from helpers.shapes import solid, write_dicom
 from tissue_sim.cli import main
 from tissue_sim.commands.build import parse_triple, report_path
 from tissue_sim.errors import UserError
+from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.imaging.image import Volume, read_image
 from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ, signed_volume
@@ -144,6 +145,7 @@ def test_a_surface_keeps_its_points(tmp_path, capsys):
     np.testing.assert_array_equal(kept.surface_triangles, mesh.faces)
     assert kept.n_atoms == 12
     assert "642 points" in text
+    assert f"fine enough for balls from {1e3 * mean_edge(kept):.2g} mm radius" in text
 
 
 def test_a_report_lies_where_it_is_wanted(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 from helpers.eggs import forked_egg
 from tissue_sim.cli import main
+from tissue_sim.organ.fineness import mean_edge, points_for
 from tissue_sim.organ.organ import SCHEMA_VERSION, Organ
 from tissue_sim.organ.reporting.description import describe
 
@@ -89,3 +90,23 @@ def test_needs_no_image_libraries(path):
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "egg <1>" in run.stdout
+
+
+def test_it_tells_which_balls_the_surface_is_fine_enough_for_and_what_smaller_ones_need(path, egg, capsys):
+    edge = 1e3 * mean_edge(egg)
+    assert main(["info", path]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = lines.index("least ball radius:")
+    assert lines[at + 1 : at + 3] == [
+        f"  within 8 percent (mm): {edge:.4g}",
+        f"  within 15 percent (mm): {0.5 * edge:.4g}",
+    ]
+    assert main(["info", path, "--json", "--ball", "0.001"]) == 0
+    assert json.loads(capsys.readouterr().out)["points_for_ball"] == {
+        "radius_mm": 1.0,
+        "within_8_percent": points_for(egg, 0.001, 1.0),
+        "within_15_percent": points_for(egg, 0.001, 0.5),
+    }
+    for wrong in ("0", "nan", "-1"):
+        assert main(["info", path, f"--ball={wrong}"]) == 2
+        assert "--ball" in capsys.readouterr().err

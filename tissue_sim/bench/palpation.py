@@ -85,11 +85,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(
         parser, organ="the kidney with a tumour that ships", out="folder for a plot of curves and map", check=True
     )
+    places = parser.add_argument_group(
+        "balls at nodes, on edges and inside triangles, and sliding, in place of a finger"
+    )
+    places.add_argument(
+        "--places",
+        type=int,
+        metavar="N",
+        help="press balls at so many flat places of ORGAN, which needs no inclusion (default: the kidney that ships)",
+    )
+    places.add_argument(
+        "--radii", metavar="R,...", help="of the balls, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)"
+    )
+    places.add_argument(
+        "--slab",
+        action="store_true",
+        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated, once, in four minutes",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Feel, compare and print; returns 0, or with --check 1 when a bound is missed."""
     check_shared(args)
+    if args.places is not None:
+        from tissue_sim.bench import palpation_places
+
+        return palpation_places.run(args)
+    if args.radii is not None or args.slab:
+        raise UserError("--radii and --slab belong to --places N")
     organ = Organ.load(args.organ or shipped_organ(DEFAULT))
     felt = measure(organ)
     maps = [mapped(organ, one.press) for one in tqdm(felt, disable=None, desc="map")]

@@ -6,25 +6,46 @@ import argparse
 import json
 from pathlib import Path
 
+from tissue_sim.errors import UserError
+from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, points_for
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.description import describe, file_header, text_lines
+
+LARGEST = 0.5  # m, radius of a tool
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("file", metavar="FILE", help="organ file (.npz), or a scene of several (.yaml)")
+    parser.add_argument(
+        "--ball",
+        type=float,
+        metavar="METRES",
+        help="tell also how many surface points (build --points) would do for a ball of this radius",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the organ or the scene; returns 0. Raises UserError for a file that is missing, damaged or neither."""
+    if args.ball is not None and not 0.0 < args.ball <= LARGEST:
+        raise UserError(f"--ball {args.ball:g} is outside 0..{LARGEST:g} m")
     if Path(args.file).suffix.lower() in (".yaml", ".yml"):
         from tissue_sim.commands.info_scene import describe_scene, scene_lines
 
+        if args.ball is not None:
+            raise UserError("--ball is of one organ; name an organ's file (.npz)")
         found = describe_scene(Path(args.file))
         lines = scene_lines(found)
     else:
-        found = describe(Organ.load(args.file)) | file_header(args.file)
+        organ = Organ.load(args.file)
+        found = describe(organ) | file_header(args.file)
+        if args.ball is not None:
+            found["points_for_ball"] = {
+                "radius_mm": 1e3 * args.ball,
+                f"within_{FINE_WITHIN:g}_percent": points_for(organ, args.ball, FINE),
+                f"within_{FAIR_WITHIN:g}_percent": points_for(organ, args.ball, FAIR),
+            }
         lines = list(text_lines(found))
     print(json.dumps(found, indent=2, ensure_ascii=False) if args.json else "\n".join(lines))
     return 0

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats
+from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.inclusions import inclusions_of, stiffness_at
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
@@ -61,9 +62,7 @@ def more_between(give: Give, organ: Organ, smallest: float) -> float:
     smallest: radius of the finest thing about the tool, m; within a triangle what lies between nodes is most of what
     gives way at all, and knows no nodes.
     """
-    corner = organ.surface_positions[organ.surface_triangles]
-    edge = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
-    return give.between * min(1.0, smallest / edge)
+    return give.between * min(1.0, smallest / mean_edge(organ))
 
 
 def local_compliance(organ: Organ, smallest: float) -> Floats:

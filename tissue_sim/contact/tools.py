@@ -49,6 +49,11 @@ class Tool:
         return 2 if self.shape == "gripper" else 1
 
     @property
+    def is_round(self) -> bool:
+        """True when `radius` is that of its bodies: of spheres, capsules, and jaws that are capsules."""
+        return self.shape in ("sphere", "capsule") or (self.shape == "gripper" and not self.mesh)
+
+    @property
     def jaws(self) -> Jaws:
         """The jaws of a gripper."""
         return Jaws(0.0 if self.mesh else self.radius, self.length)

@@ -12,6 +12,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from helpers.patience import LIMIT
 from helpers.ros.clients import Client
 from helpers.ros.processes import poke_path, running_node, shipped
+from tissue_sim.organ.fineness import points_for
 
 MISSPELT = "organ_fil:=kidney.npz", "lef.radius:=0.004", "entirely_else:=1"
 
@@ -19,7 +20,8 @@ MISSPELT = "organ_fil:=kidney.npz", "lef.radius:=0.004", "entirely_else:=1"
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("by_hand")
-    parameters = "local_region:=off", "right.allow_empty_frame:=true", "stale_time:=5.0", *MISSPELT
+    needle = "tools:=[left,right,needle]", "needle.radius:=0.001"
+    parameters = "local_region:=off", "right.allow_empty_frame:=true", "stale_time:=5.0", *needle, *MISSPELT
     with running_node(folder, *parameters) as process:
         yield process
 
@@ -54,6 +56,13 @@ def test_a_misspelt_parameter_is_named_with_the_nearest(node):
     ):
         assert line in node.text()
     assert node.text().count("is unknown") == len(MISSPELT)
+
+
+def test_a_tool_too_fine_for_the_organ_is_named_with_the_points_that_would_do(node):
+    organ = shipped()
+    (line,) = (line for line in node.text().splitlines() if "its radius of" in line)
+    assert "tool 'needle': its radius of 1 mm is below half the mean edge of organ 'kidney'" in line
+    assert f"--points {points_for(organ, 0.001)} (" in line
 
 
 def test_a_dump_of_its_own_parameters_can_be_loaded(client):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.organ.cell_mesh import quality_of
+from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN
 from tissue_sim.organ.inclusions import inclusions_of
 from tissue_sim.organ.organ import Organ, SpringKind, signed_volume
 from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
@@ -24,7 +25,8 @@ UNITS = "SI: m, kg, s, N, Pa"
 def describe(organ: Organ) -> dict[str, Any]:
     """All figures of an organ, nested, ready for JSON; units stand in the names: mm, mL, g, N/m, Pa, kg/m^3, degrees.
 
-    A range is an object of `least`, `median` and `largest`. `variation` is the standard deviation over the mean.
+    A range is an object of `least`, `median` and `largest`. `variation` is the standard deviation over the mean;
+    `least_ball_radius` that of the smallest ball whose force the surface is fine enough for.
     """
     surface = organ.surface_positions
     quality = measure(surface, organ.surface_triangles)
@@ -47,6 +49,10 @@ def describe(organ: Organ) -> dict[str, Any]:
             "edge_variation": quality.edge_variation,
             "least_angle_deg": quality.least_angle,
             "self_intersections": quality.self_intersections,
+        },
+        "least_ball_radius": {
+            f"within_{FINE_WITHIN:g}_percent_mm": FINE * quality.edge_mean * 1e3,
+            f"within_{FAIR_WITHIN:g}_percent_mm": FAIR * quality.edge_mean * 1e3,
         },
         "skeleton": _skeleton(organ),
         "interior_points": len(organ.interior_positions),

@@ -20,6 +20,7 @@ from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
 from tissue_sim.jit import is_compiled
 from tissue_sim.model.settings import Settings
+from tissue_sim.organ.fineness import mean_edge, too_coarse
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import bag
@@ -161,12 +162,21 @@ class TissueNode(GuardedNode):
         if self.parameters["record"]:
             self.get_logger().info(f"recording to {self._start_recording()}")
         outlet.start()
+        self._warn_of_fine_tools()
         simulations = self.scene.simulations
         substeps = max(int(max(one.settings.substeps, one.settings.least_substeps)) for one in simulations)
         self.get_logger().info(
             f"{told(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g} Hz,"
             f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {told_reach()}"
         )
+
+    def _warn_of_fine_tools(self) -> None:
+        """Name tools that are finer than the coarsest organ's surface can tell, and what helps."""
+        coarsest = max(self.scene.organs, key=mean_edge)
+        for tool in (tool_of(self.parameters, name) for name in self.parameters.tools):
+            why = too_coarse(coarsest, tool.radius) if tool.is_round else None
+            if why is not None:
+                self.get_logger().warning(f"tool '{tool.name}': {why}")
 
     def _start_loop(self) -> None:
         """A scene's loop is compiled for its number of organs."""
