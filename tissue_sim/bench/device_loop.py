@@ -30,8 +30,8 @@ PERIODS, SHORTEST, LONGEST = 24.0, 0.8, 2.5  # of a free swing, and s: how long 
 UNCOUPLED = 1.5  # s of a trial where tissue alone resists
 QUANTA = 4.0  # of the encoder, from peak to peak: less than that is the encoder's own
 FAR = 0.01  # m before the tissue, where a device has been thrown off
-REST, LOOK = 200, 50  # periods of the servo: rest for so long is for good, and how often that is looked at
-STILL = 0.5  # of what is told from rest
+REST, LOOK = 200, 50  # periods of the servo: at rest for so long, it stays there; between two checks of that
+STILL = 0.5  # of the smallest motion that counts
 KEPT = 0.95  # of a swing that is left a quarter of a trial later: more, and it does not decay
 MOST_ADDED = 5.0  # N s/m by an observer
 BALL, HARDNESS = 0.027, 1000.0  # m, and times the stiffness of tissue: a ball that hardly gives way
@@ -148,7 +148,7 @@ class Port(Protocol):
 
 
 class Trial(NamedTuple):
-    """What a device did: places (n,) m, forces (n,) N, every SERVO s; what is told from rest, m."""
+    """What a device did: places (n,) m, forces (n,) N, every SERVO s; the smallest motion that counts, m."""
 
     places: Floats
     forces: Floats

@@ -29,7 +29,7 @@ class Device(NamedTuple):
 
     @property
     def finest(self) -> float:
-        """Smallest motion, m, that is told from rest."""
+        """Return the smallest motion that counts as one, m."""
         return max(self.quantum, 5e-6)
 
 

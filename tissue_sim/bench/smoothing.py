@@ -18,7 +18,7 @@ from tissue_sim.organ.organ import Organ
 
 RATE, POSE_RATES, SMOOTHINGS = 1000, (500, 100, 30), (1.0, 0.5, 0.0)  # Hz, Hz, fractions
 RADIUS, DEPTH, STEP = 0.005, 0.003, 3e-4  # m
-SWING, FREQUENCY, SWINGS = 1e-3, 5.0, 2  # m and Hz of the hand, 31 mm/s at the most
+SWING, FREQUENCY, SWINGS = 1e-3, 5.0, 2  # m and Hz of the hand, 31 mm/s at most
 REST = 300  # ticks until the tissue has come to rest
 WAY = np.array([-1.0, 0.0, 0.0])
 

@@ -193,10 +193,8 @@ class ContactFinder:
         origin, low, high = pose[:3], self._box_low, self._box_high
         if holds_node(position, self.n_surface, self.tools.shapes, body, origin, self._matrix, low, high):
             return True
-        middle = self.tools.middle[body] @ self._matrix.reshape(3, 3).T + origin
         surface_box(position, self.n_surface, self._low, self._high)
-        near = ~np.any((middle < self._low) | (middle > self._high), axis=1)
-        return bool(near.any() and inside(middle[near], position, self.triangles).any())
+        return self._swallowed(body, position, origin) is not None
 
     def _way_out(self, body: int, position: Floats, pose: Floats) -> Floats | None:
         """Return how a body that has slipped through the surface gets out of the organ, (3,) m; None for others.
@@ -206,18 +204,23 @@ class ContactFinder:
         the body is beside it.
         """
         self._place(body, pose, 0.0)
-        rotation, middle = self._matrix.reshape(3, 3), self.tools.middle[body]
-        points = middle @ rotation.T + pose[:3]
-        if np.all(np.any((points < self._low) | (points > self._high), axis=1)):
+        point = self._swallowed(body, position, pose[:3])
+        if point is None:
             return None
-        swallowed = inside(points, position, self.triangles)
-        if not swallowed.any():
-            return None
-        point = points[np.argmax(swallowed)]
         nodes, weight, _ = self._nearest(position, point)
         way = weight @ position[nodes] - point
         outward = way / max(float(np.linalg.norm(way)), 1e-9)
         return way + outward * (self.tools.clearance[body] + TISSUE_WAY)
+
+    def _swallowed(self, body: int, position: Floats, origin: Floats) -> Floats | None:
+        """Return the first point (3,) m of a body's middle that lies inside the organ, None where none does.
+
+        The body has been placed, and the surface's box found.
+        """
+        points = self.tools.middle[body] @ self._matrix.reshape(3, 3).T + origin
+        near = points[~np.any((points < self._low) | (points > self._high), axis=1)]
+        within = near[inside(near, position, self.triangles)] if len(near) else near
+        return within[0] if len(within) else None
 
     def _place(self, body: int, pose: Floats, margin: float) -> None:
         """Write the rotation matrix of a body, and its box grown by a margin."""

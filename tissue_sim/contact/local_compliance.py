@@ -30,7 +30,7 @@ MOST_POISSON = 0.5
 class Give(NamedTuple):
     """How tissue gives way to a kind of tool.
 
-    spacing: of the radius of the finest thing about the tool, how far contact points lie apart at the most; most: of
+    spacing: of the radius of the finest thing about the tool, how far contact points lie apart at most; most: of
     that radius, how far tissue gives way; covered: of how far points lie apart, what nothing between them is farther
     from one; between: by what fraction more it gives way between nodes.
     """

@@ -79,13 +79,13 @@ class ToolSet:
         self.grown_centre = [np.array([0.0, 0.0, -0.5 * body.size[1]]) for body in bodies]
         self.corners = [body.corners for body in bodies]  # points whose hull, grown by `padding`, holds the body
         self.padding = [body.size[0] for body in bodies]
-        self.centre = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
+        centres = [0.5 * (body.corners.min(axis=0) + body.corners.max(axis=0)) for body in bodies]  # m
         # Points that lie inside no tissue that resists: the middles of a capsule's caps and length, or what is deepest.
         self.middle = [
             np.vstack([body.corners, centre])
             if body.kind in (SPHERE, CAPSULE)
             else (centre if body.grid is None else _deepest(body.grid))[None]
-            for body, centre in zip(bodies, self.centre, strict=True)
+            for body, centre in zip(bodies, centres, strict=True)
         ]
         self.clearance = [  # m, from there to the body's surface at the most
             body.size[0] or float(np.linalg.norm(body.corners - middle[0], axis=1).max())

@@ -1,6 +1,7 @@
 """Errors that nobody thought of, in a real node: it goes on, or ends with its wrenches zeroed; and says where."""
 
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,6 +22,12 @@ def node(tmp_path_factory):
 
 def sabotage(client, way):
     return client.call(Trigger, f"/tissue_sim/{way}", Trigger.Request())
+
+
+def moved(client, position):
+    """Send a pose, and hear for a moment."""
+    client.send_pose(position)
+    client.spin(0.005)
 
 
 def lines(process, place):
@@ -51,12 +58,7 @@ def test_callback_that_fails_is_told_once_and_counted_and_the_node_goes_on(node,
 
 def test_a_hand_goes_on_feeling_tissue_where_answers_fail(node, client):
     """The outlet goes on publishing what nobody has published for a while."""
-
-    def move(position):
-        client.send_pose(position)
-        client.spin(0.005)
-
-    where = press_until_felt(client, move)
+    where = press_until_felt(client, partial(moved, client))
     assert sabotage(client, "break_answers").success
     assert client.spin_until(lambda: int(client.diagnostics.get("answers_failures", 0)) > 10 or client.send_pose(where))
     client.wrenches.clear()
@@ -88,11 +90,7 @@ def test_thread_that_fails_is_told(node, client):
 
 
 def test_no_force_stands_while_the_loop_hangs(node, client):
-    def move(position):
-        client.send_pose(position)
-        client.spin(0.005)
-
-    where = press_until_felt(client, move)
+    where = press_until_felt(client, partial(moved, client))
     assert sabotage(client, "hang").success
     assert client.spin_until(lambda: client.hand_force() == 0.0 or client.send_pose(where))
     heard = len(client.wrenches)
@@ -101,5 +99,5 @@ def test_no_force_stands_while_the_loop_hangs(node, client):
     assert client.spin_until(lambda: "loop hangs" in client.message)
     assert sabotage(client, "resume").success
     client.ask(OUTSIDE)
-    press_until_felt(client, move)
+    press_until_felt(client, partial(moved, client))
     assert client.spin_until(lambda: "loop hangs" not in client.message)

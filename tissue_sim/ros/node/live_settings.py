@@ -50,7 +50,7 @@ class LiveSettings:
             every = [one.settings for one in self._served.simulations]
             before = [copy_of(settings) for settings in every]
             self._served.apply(self._parameters)
-            self._renew_bound(2.0 ** degrade.halvings(self.level) / self._parameters["rate"])
+            self._renew_bound()
             for settings in every:
                 self._give_up(settings)
             if not any(map(_differ, every, before)):
@@ -62,7 +62,7 @@ class LiveSettings:
 
     def _give_up(self, settings: Settings) -> None:
         """Less than the parameters say, where the machine is too slow or a device can't bear it."""
-        settings.tick_time = 2.0 ** degrade.halvings(self.level) / self._parameters["rate"]
+        settings.tick_time = self._tick_time
         settings.coupling_stiffness = min(settings.coupling_stiffness, self._bound)
         if self.level >= degrade.REGION and self._first.local_region == "auto":
             settings.region_force = ANY_FORCE
@@ -72,16 +72,21 @@ class LiveSettings:
         """All have the same rate and local region."""
         return self._served.simulations[0]
 
-    def _renew_bound(self, tick_time: float) -> None:
+    @property
+    def _tick_time(self) -> float:
+        """Of the level of degradation, s."""
+        return float(2.0 ** degrade.halvings(self.level) / self._parameters["rate"])
+
+    def _renew_bound(self) -> None:
         """Bound the coupling, N/m, to what the devices whose damping is known render passively."""
-        allowed = [self._passive(tool, tick_time) for tool in range(len(self.poses))]
+        allowed = [self._passive(tool) for tool in range(len(self.poses))]
         least = min(allowed, default=math.inf)
         if not self._bound <= least <= REGAINED * self._bound:
             self._bound = ROOM * least
         if allowed:
             self._bounded_by = allowed.index(least)
 
-    def _passive(self, tool: int, tick_time: float) -> float:
+    def _passive(self, tool: int) -> float:
         """Stiffest coupling, N/m, that a tool's device renders passively.
 
         A tool reaches a pose within its smoothing of the time until the next is due, and a tick later its force goes
@@ -89,7 +94,7 @@ class LiveSettings:
         """
         poses, name = self.poses[tool], self._parameters.tools[tool]
         damping, smoothing = (self._parameters[f"{name}.{what}"] for what in ("device_damping", "smoothing"))
-        return passive_stiffness(damping, poses.period, smoothing * poses.period + tick_time + 2.0 * poses.delay)
+        return passive_stiffness(damping, poses.period, smoothing * poses.period + self._tick_time + 2.0 * poses.delay)
 
     @property
     def coupling_stiffness(self) -> float:

@@ -37,7 +37,7 @@ class Observer:
         """Return the force (3,) N that is to go out, in place of one, in answer to a pose at a place (3,) m.
 
         period s between poses; lag s from a pose until the force acts that answers it; most N s/m that is added. What
-        goes out in the end is told to `sent`.
+        goes out in the end is reported to `sent`.
         """
         way = np.zeros(3) if self._place is None else place - self._place
         self._energy -= float(self._acted(lag / period) @ way)

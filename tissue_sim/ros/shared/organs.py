@@ -91,7 +91,7 @@ class Organs:
 
     def _newest(self) -> tuple[int, Floats]:
         if self._felt is None:
-            return self.each[0].wrenches()
+            return self.each[0].newest_wrenches()
         words = np.zeros(1 + 6 * self.n_bodies, dtype=np.int64)
         mb.take(self._felt, 0, 0, words)
         return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)

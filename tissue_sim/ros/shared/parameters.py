@@ -115,7 +115,7 @@ TOOL_SPECS = (
     Spec(
         "passivity_damping",
         0.0,
-        "N s/m at the most that a passivity observer adds to the force; 0: none",
+        "N s/m, at most, that a passivity observer adds to the force; 0: none",
         0.0,
         100.0,
         True,
