@@ -70,7 +70,7 @@ class Guard:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refused}\n")
             response = answer(connection, request)
             if response is not None:
-                response.body = titled(response.body)
+                response.body = titled(bytes(response.body))
                 del response.headers["Content-Length"]
                 response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Content-Security-Policy"] = "frame-ancestors 'self'"

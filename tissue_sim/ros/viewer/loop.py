@@ -52,7 +52,7 @@ class Viewer:
         self._heard = -np.inf
         self._rest: Floats | None = None  # of all organs, (n, 3) m
         self._seen_by: set[int] = set()  # pages whose cameras see all of these
-        self._lines = client.Inbox(node, MarkerArray, f"/{target}/ligaments", client.latched_qos())
+        self._lines: client.Inbox | None = None  # of a scene's ligaments
         self._ligaments = LigamentView(server)
         server.scene.set_up_direction("+z")
         light(server)
@@ -96,7 +96,14 @@ class Viewer:
         for one in self.organs:
             one.remove()
         self.organs = [ViewedOrgan(self._server, self._node, self._target, name) for name in names]
-        self._panel.name(names if names != ("",) else ())
+        is_scene = names != ("",)
+        self._panel.name(names if is_scene else ())
+        if self._lines is not None:
+            self._lines.close()
+            self._ligaments.remove()
+        self._lines = None
+        if is_scene:
+            self._lines = client.Inbox(self._node, MarkerArray, f"/{self._target}/ligaments", client.latched_qos())
         self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
 
     def _points(self) -> tuple[Floats | None, str]:
@@ -131,7 +138,7 @@ class Viewer:
         return [page for page in watchers.values() if _has_size(page)]
 
     def _draw_ligaments(self) -> None:
-        message = self._lines.take()
+        message = self._lines.take() if self._lines is not None else None
         for marker in message.markers if message is not None else ():
             ends = [(point.x, point.y, point.z) for point in marker.points if marker.action == Marker.ADD]
             self._ligaments.show(np.array(ends).reshape(-1, 2, 3))

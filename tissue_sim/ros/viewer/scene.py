@@ -198,7 +198,7 @@ class LigamentView:
             return
         self.remove()
         if len(ends):
-            self._lines = self._server.scene.add_line_segments("/ligaments", ends, LIGAMENT, line_width=1.5)
+            self._lines = self._server.scene.add_line_segments("/ligaments", ends, LIGAMENT, thickness=1.5)
 
     def remove(self) -> None:
         """Take them out of the picture."""
