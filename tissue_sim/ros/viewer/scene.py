@@ -198,7 +198,9 @@ class LigamentView:
             return
         self.remove()
         if len(ends):
-            self._lines = self._server.scene.add_line_segments("/ligaments", ends, LIGAMENT, thickness=1.5)
+            self._lines = self._server.scene.add_line_segments(
+                "/ligaments", ends, LIGAMENT, thickness=0.0008, thickness_units="world"
+            )
 
     def remove(self) -> None:
         """Take them out of the picture."""
