@@ -114,7 +114,9 @@ class TissueNode(GuardedNode):
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         if self.scene.is_scene:
-            self.presenters.append(ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, values))
+            self.presenters.append(
+                ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, self.scene.joined, values)
+            )
         self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, broadcast)
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
