@@ -28,7 +28,7 @@ def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> V
     apart to be joined.
     """
     labels, count = ndimage.label(mask.array, structure=np.ones((3, 3, 3)))
-    if count < 2:
+    if count < 2 and not merge:
         if part not in (None, 1):
             raise UserError(f"mask {mask.name} has no part {part}: it is in one")
         return mask
@@ -39,11 +39,10 @@ def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> V
     if part is not None and not 1 <= part <= count:
         raise UserError(f"mask {mask.name} has no part {part}; it holds {listed}")
     if merge:
-        large = order[: max(int(np.count_nonzero(volumes > _SCRAP * volumes.sum())), 1)]
-        kept, told = _merged(mask, labels, large + 1)
-        aside, beside = count - len(large), volumes[len(large) :].sum()
-        more = (told, *([f"left out {_count(aside)} of {beside:.3g} mL beside them"] if aside else []))
-        return replace(mask, array=kept, notes=(*mask.notes, *more))
+        joined, told = joined_parts(mask)
+        if joined is None:
+            raise UserError(f"mask {mask.name} {told}; build each with --part N, and put them into a scene")
+        return replace(mask, array=joined, notes=(*mask.notes, *told))
     if part is None and volumes[0] < DOMINANT * volumes.sum():
         raise UserError(
             f"mask {mask.name} has {count} separate parts: {listed}; take one with --part N (1 is the largest), or join"
@@ -55,31 +54,18 @@ def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> V
     return replace(mask, array=labels == order[taken] + 1, notes=(*mask.notes, note))
 
 
-def _merged(mask: Volume, labels: NDArray[Any], wanted: NDArray[Any]) -> tuple[Mask, str]:
-    """The wanted parts with the gaps between them filled, and a line on it."""
-    parts = np.isin(labels, wanted)
-    joined, gap = join(parts, mask.spacing[::-1])
-    before = float(np.count_nonzero(parts)) * mask.voxel_volume
-    filled = float(np.count_nonzero(joined & ~parts)) * mask.voxel_volume
-    if gap > 0.0 and (filled > _MOST_FILLED * before or ndimage.label(joined)[1] > 1):
-        raise UserError(
-            f"mask {mask.name} has parts up to {gap:.3g} mm apart, too far to be one organ; build each with --part N,"
-            " and put them into a scene"
-        )
-    return (
-        joined,
-        f"joined {_count(len(wanted))} of {before:.3g} mL across gaps of up to {gap:.3g} mm: {filled:.3g} mL filled",
-    )
+def joined_parts(mask: Volume) -> tuple[Mask, list[str]] | tuple[None, str]:
+    """Return the mask with its parts in one, and lines that tell how; without a mask why they can't be joined.
 
-
-def join(solid: Mask, sampling: Floats) -> tuple[Mask, float]:
-    """Return a solid (nz, ny, nx) with the gaps between its parts filled, and the widest of these gaps, mm.
-
-    sampling: mm along z, y, x. The parts are joined one by one, the nearest first, and then closed by a ball as large
-    as the widest gap, so that the bridges are no threads.
+    Parts of less than a hundredth of the volume are left out. The others are joined one by one, the nearest first, by a
+    closing with a ball a voxel larger than the widest gap, so that the bridges are no threads.
     """
-    labels, count = ndimage.label(solid, structure=np.ones((3, 3, 3)))
-    left, reached, gap = set(range(2, count + 1)), labels == 1, 0.0
+    labels, count = ndimage.label(mask.array)
+    voxels = np.bincount(labels.ravel())[1:]
+    large = np.flatnonzero(voxels > _SCRAP * voxels.sum()) + 1
+    solid = np.isin(labels, large)
+    sampling = mask.spacing[::-1]
+    left, reached, gap = set(large[1:].tolist()), labels == large[0], 0.0
     while left:
         away = ndimage.distance_transform_edt(~reached, sampling)
         nearest = {one: float(away[labels == one].min()) for one in left}
@@ -87,14 +73,26 @@ def join(solid: Mask, sampling: Floats) -> tuple[Mask, float]:
         gap = max(gap, nearest[one])
         left.remove(one)
         reached |= labels == one
-    if gap == 0.0:
-        return solid, gap
-    margin = [int(np.ceil(gap / step)) + 2 for step in sampling]
-    around = np.pad(solid, [(m, m) for m in margin])
-    grown = ndimage.distance_transform_edt(~around, sampling) <= gap
-    closed = ndimage.distance_transform_edt(grown, sampling) > gap
-    inner = tuple(slice(m, -m) for m in margin)
-    return solid | closed[inner], gap
+    joined = solid | _closed(solid, gap + float(sampling.max()), sampling) if gap > 0.0 else solid
+    before, filled, aside = (
+        float(np.count_nonzero(part)) * mask.voxel_volume for part in (solid, joined & ~solid, mask.array & ~solid)
+    )
+    if filled > _MOST_FILLED * before or ndimage.label(joined)[1] > 1:
+        return None, f"has parts {gap:.3g} mm apart, too far to be one organ"
+    told = []
+    if len(large) > 1:
+        told.append(f"joined {_count(len(large))} across gaps of up to {gap:.3g} mm: {filled:.3g} mL filled between")
+    if aside > 0.0:
+        told.append(f"left out {_count(count - len(large))} of {aside:.3g} mL beside {before:.3g} mL")
+    return joined, told
+
+
+def _closed(solid: Mask, radius: float, sampling: Floats) -> Mask:
+    """The solid after a closing by a ball of `radius` mm; sampling: mm along z, y, x."""
+    margin = [(m, m) for m in (int(np.ceil(radius / step)) + 2 for step in sampling)]
+    grown = ndimage.distance_transform_edt(~np.pad(solid, margin), sampling) <= radius
+    closed = ndimage.distance_transform_edt(grown, sampling) > radius
+    return np.asarray(closed[tuple(slice(m, -m) for m, _ in margin)])
 
 
 def _count(parts: int) -> str:
