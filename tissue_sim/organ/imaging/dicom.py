@@ -338,6 +338,9 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
     matrix = geometry.affine[:, [2, 1, 0, 3]]  # highdicom counts slices, rows, columns
     nz, ny, nx = geometry.spatial_shape
     check_count(file, (nx, ny, nz))
+    if np.linalg.det(matrix[:3, :3]) < 0.0:  # along the normal of rows and columns, as slices of a folder
+        matrix[:3, 3] += (nz - 1) * matrix[:3, 2]
+        matrix[:3, 2] *= -1.0
     at = (np.array(positions, dtype=np.float64) - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
     spacing = np.linalg.norm(matrix[:3, :3], axis=0)
     place = [int(slot) for slot in np.round(at[:, 2])]
