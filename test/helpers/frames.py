@@ -75,10 +75,16 @@ def label_map(path, labels, names):
     return frame_file(path, LABEL_MAP, labels, positions, **more)
 
 
-def enhanced_ct(path, values, positions, **more):
-    """Write HU (n, rows, columns), each frame at its position z, mm, as an Enhanced CT."""
-    rescale = item(RescaleIntercept=-1024, RescaleSlope=1, RescaleType="HU")
+def enhanced_ct(path, values, positions, intercepts=None):
+    """Write HU (n, rows, columns), each frame at its position z, mm, as an Enhanced CT.
+
+    intercepts: that each frame says it has; the values are stored with -1024.
+    """
     bits = {"BitsAllocated": 16, "BitsStored": 16, "HighBit": 15, "PixelRepresentation": 0}
     pixels = (values + 1024).astype("<u2").tobytes()
-    shared = {"PixelValueTransformationSequence": [rescale]}
-    return frame_file(path, ENHANCED_CT, values, positions, shared=shared, PixelData=pixels, **bits, **more)
+    rescales = [
+        {"PixelValueTransformationSequence": [item(RescaleIntercept=intercept, RescaleSlope=1, RescaleType="HU")]}
+        for intercept in intercepts or [-1024]
+    ]
+    groups = {"own": rescales} if intercepts else {"shared": rescales[0]}
+    return frame_file(path, ENHANCED_CT, values, positions, PixelData=pixels, **groups, **bits)

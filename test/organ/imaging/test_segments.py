@@ -1,4 +1,4 @@
-"""DICOM segmentations: each segment a mask at its place, whatever frames are there and wherever the pixels' size stands."""
+"""DICOM segmentations: each segment a mask at its place, whatever frames are there; volumes in many frames."""
 
 import numpy as np
 import pytest
@@ -100,4 +100,13 @@ def test_frames_are_ordered_by_their_positions(tmp_path):
 def test_frames_that_are_no_regular_stack_are_refused(tmp_path, positions):
     path = enhanced_ct(tmp_path / "ct.dcm", np.zeros((4, 6, 7)), positions)
     with pytest.raises(UserError, match=r"ct\.dcm has frames that are no regular stack"):
+        read_image(path)
+
+
+def test_frames_of_several_intercepts_are_refused(tmp_path):
+    values = np.arange(4 * 6 * 7).reshape(4, 6, 7).astype(np.float32)
+    path = enhanced_ct(tmp_path / "ct.dcm", values, heights(4), [-1024, -1024, -1024, -1024])
+    np.testing.assert_array_equal(read_image(path).array, values)
+    enhanced_ct(path, values, heights(4), [-1024, -1000, -1024, -1024])
+    with pytest.raises(UserError, match=r"ct\.dcm has frames of several rescale slopes or intercepts"):
         read_image(path)

@@ -347,6 +347,15 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
     return FrameGrid(image, (nx, ny, nz), spacing, matrix[:3, 3], matrix[:3, :3] / spacing, place)
 
 
+def _rescale(image: Any, frame: int) -> tuple[str, str]:
+    """The slope and intercept of a frame, as they are written; empty where it has none."""
+    try:
+        found = functional_group(image, frame, "PixelValueTransformationSequence")
+    except KeyError:
+        return "", ""
+    return str(found.get("RescaleSlope", "")), str(found.get("RescaleIntercept", ""))
+
+
 def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
     """Read a DICOM file that holds a volume in many frames; notes: remarks that go on to the result.
 
@@ -362,6 +371,8 @@ def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
     if header.storage in SEGMENTATIONS:
         raise UserError(f"DICOM file {file} is a segmentation, not a CT; give it to --mask")
     grid = read_frame_grid(file, whole=True)
+    if len({_rescale(grid.image, frame) for frame in range(len(grid.place))}) > 1:  # GDCM takes the first for all
+        raise UserError(f"DICOM file {file} has frames of several rescale slopes or intercepts; export them as slices")
     frames = sitk.GetArrayFromImage(_decoded(str(file), math.prod(header.size)))
     if frames.shape[::-1] != grid.size:
         raise UserError(f"DICOM file {file} is damaged: it holds {len(frames)} frames for {grid.size[2]} slices")

@@ -262,7 +262,7 @@ def _read_vtk(source: Path) -> MeshFile:
                 raise ValueError(f"a VTK {dataset}, no surface")
         elif word == "POINTS":
             count = words.count()
-            positions = words.numbers(3 * count, _vtk_type(words)).reshape(count, 3).astype("f8")
+            positions = words.numbers(3 * count, _vtk_type(words.word())).reshape(count, 3).astype("f8")
         elif word in ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS"):
             cells[word] = _vtk_cells(words)
         elif word == "CELL_TYPES":
@@ -288,12 +288,11 @@ def _read_vtk(source: Path) -> MeshFile:
     return MeshFile(found.pieces, (*found.notes, "turned from RAS to LPS")) if space else found
 
 
-def _vtk_type(words: _Words) -> str:
-    """The next word, a type of VTK's, as numpy has it."""
-    word = words.word().lower()
-    if word not in _VTK_TYPES:
+def _vtk_type(word: str) -> str:
+    """A type of VTK's as numpy has it."""
+    if word.lower() not in _VTK_TYPES:
         raise ValueError(f"numbers of the type {shown(word)}")
-    return _VTK_TYPES[word]
+    return _VTK_TYPES[word.lower()]
 
 
 def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
@@ -301,9 +300,9 @@ def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
     first, second = words.count(), words.count()
     start = words.at
     if words.word().upper() == "OFFSETS":
-        offsets = words.numbers(first, _vtk_type(words)).astype(np.int64)
+        offsets = words.numbers(first, _vtk_type(words.word())).astype(np.int64)
         words.word()  # CONNECTIVITY
-        return offsets, words.numbers(second, _vtk_type(words)).astype(np.int64)
+        return offsets, words.numbers(second, _vtk_type(words.word())).astype(np.int64)
     words.at = start
     if first > second:
         raise ValueError("more polygons than numbers that describe them")
@@ -324,15 +323,13 @@ def _skip_field(words: _Words) -> None:
         if words.word().upper() == "METADATA":  # of the array before
             _skip_metadata(words)
             words.word()
-        count = words.count() * words.count()
-        at = words.at
-        if (kind := words.word().lower()) in _VTK_LINES:
+        count, kind = words.count() * words.count(), words.word().lower()
+        if kind in _VTK_LINES:
             words.skip_strings(count)
-        elif kind == "bit" and words.binary:
-            words.at += 1 + (count + 7) // 8
+        elif kind == "bit":
+            words.numbers((count + 7) // 8 if words.binary else count, "i1")
         else:
-            words.at = at
-            words.numbers(count, "i1" if kind == "bit" else _vtk_type(words))
+            words.numbers(count, _vtk_type(kind))
 
 
 def _skip_metadata(words: _Words) -> None:
