@@ -38,6 +38,7 @@ from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.node.passivity import DevicePort
+from tissue_sim.ros.node.pausing import Pausing
 from tissue_sim.ros.node.presenter import OrganPresenter, ScenePresenter
 from tissue_sim.ros.node.respiration import RespirationInput
 from tissue_sim.ros.node.served_organ import ServedOrgan, ServedScene, told
@@ -120,6 +121,7 @@ class TissueNode(GuardedNode):
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
         self.namesakes = Namesakes(self)
+        self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"])
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         self._bags = Bound(values["record_folder"])
@@ -145,6 +147,7 @@ class TissueNode(GuardedNode):
         self._parts = [
             LoopReport(self.organs, self.scene.names),
             self.sim_clock,
+            self.pausing,
             self.backlog,
             self.live,
             self.namesakes,
@@ -189,6 +192,7 @@ class TissueNode(GuardedNode):
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
+        self.pausing.close()
         noted = self.mishaps.noted  # where one of them fails, the others are done
         if self._outlet is not None:
             self._outlet.stop()
@@ -257,7 +261,8 @@ class TissueNode(GuardedNode):
     # services and parameters -------------------------------------------------------------------
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.loop.reset()
-        response.success, response.message = True, "the organ is back at rest"
+        when = ", with the next tick: the node is paused" if self.pausing.paused else ""
+        response.success, response.message = True, f"the organ is back at rest{when}"
         return response
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
