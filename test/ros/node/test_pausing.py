@@ -59,7 +59,8 @@ def test_a_pause_leaves_no_force_a_step_takes_its_ticks_and_a_bag_repeats_both(c
     assert client.diagnostics["left.state"] == "fresh"
     assert "paused: no ticks and no forces" in client.message
     assert "paused: no ticks and no forces" in node.text()
-    assert "real-time" not in client.message
+    assert tick(client) == before, "and a second later"
+    assert "simulated time" not in client.message
 
     moved = client.moved()
     for ticks in (1, 40):

@@ -16,6 +16,7 @@ from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.report import Report
 
 BY_CLOCK = "use_sim_time is set: ticks follow /clock, and whoever publishes that pauses and steps it"
+NEXT_TICK = "the organs are back at rest with the next tick: the node is paused"
 PAUSED = "paused: no ticks and no forces until ~/pause is called with data: false"
 
 
