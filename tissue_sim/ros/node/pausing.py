@@ -52,6 +52,7 @@ class Pausing:
         if not self.possible:
             raise UserError(BY_CLOCK)
         self._cancelled.set()
+        self.stopped = False
         if not self.paused:
             self._log.info(PAUSED)
             self._loop.hold.begin()

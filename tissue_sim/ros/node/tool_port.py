@@ -17,6 +17,7 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_input import ToolInput
 from tissue_sim.ros.node.tool_output import ToolOutput
+from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
@@ -73,7 +74,9 @@ class ToolPort:
         """
         if self.input.bridges:
             raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
-        self.input.place(self._tool.frames.to_organ(frame_id).scaled(1.0).of(pose))
+        tool = self._tool
+        to_organ = Transform() if frame_id == tool.organ_frame else tool.frames.to_organ(frame_id).scaled(1.0)
+        self.input.place(to_organ.of(pose))
 
     def wrench(self, of_bodies: Floats) -> Floats:
         """The tool's wrench (6,), N and N m about its origin, in the organ's axes, of those of all bodies, (B, 6)."""
