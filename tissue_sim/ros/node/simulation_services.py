@@ -56,16 +56,13 @@ class SimulationServices:
     def __init__(self, node: GuardedNode, loop: Loop, pausing: Pausing, entities: Entities) -> None:
         self._loop, self._pausing, self._entities = loop, pausing, entities
         self._clock = node.get_clock()
-        for kind, name, answer in (
-            (GetEntities, "get_entities", self._get_entities),
-            (GetEntityState, "get_entity_state", self._get_entity_state),
-            (GetSimulationState, "get_simulation_state", self._get_state),
-            (GetSimulatorFeatures, "get_simulator_features", self._get_features),
-            (ResetSimulation, "reset_simulation", self._reset),
-            (SetEntityState, "set_entity_state", self._set_entity_state),
-            (SetSimulationState, "set_simulation_state", self._set_state),
-        ):
-            node.create_service(kind, f"~/{name}", answer)
+        node.create_service(GetEntities, "~/get_entities", self._get_entities)
+        node.create_service(GetEntityState, "~/get_entity_state", self._get_entity_state)
+        node.create_service(GetSimulationState, "~/get_simulation_state", self._get_state)
+        node.create_service(GetSimulatorFeatures, "~/get_simulator_features", self._get_features)
+        node.create_service(ResetSimulation, "~/reset_simulation", self._reset)
+        node.create_service(SetEntityState, "~/set_entity_state", self._set_entity_state)
+        node.create_service(SetSimulationState, "~/set_simulation_state", self._set_state)
         LateService(node, StepSimulation, "~/step_simulation", self._step)
 
     # the simulation ----------------------------------------------------------------------------
