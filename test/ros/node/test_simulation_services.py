@@ -13,6 +13,7 @@ import pytest
 import helpers.ros
 from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, press_until_felt, running_node, shipped
+from tissue_sim.ros.node.guarded import failed
 
 pytestmark = pytest.mark.extended
 
@@ -119,6 +120,16 @@ def features(call):
     assert not answer.spawn_formats
     assert "a step is a tick" in answer.custom_info
     return {names[number] for number in answer.features}
+
+
+def test_a_handler_that_fails_says_so_by_its_code(of):
+    srv, msg = of
+    for kind in (srv.StepSimulation, srv.GetEntityState, srv.SetSimulationState):
+        result = failed(kind.Response(), kind.Request(), "callback failed: it broke").result
+        assert (result.result, result.error_message) == (
+            msg.Result.RESULT_OPERATION_FAILED,
+            "callback failed: it broke",
+        )
 
 
 def test_features_are_those_of_the_services_that_are_served(call):
