@@ -5,6 +5,7 @@ import math
 import os
 import shutil
 import sys
+import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,10 @@ WORDS = (
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """The folder of a package that is made of the definitions."""
-    if shutil.which("g++") is None:
-        pytest.skip("there is no C++ compiler")
+    if shutil.which("g++") is None or not Path(sysconfig.get_path("include"), "Python.h").is_file():
+        pytest.skip("there is no C++ compiler, or no header of Python's")
+    if not Path(sys.prefix, "share", "rosidl_generator_py").is_dir():
+        pytest.skip("ROS isn't that of the wheels, whose generators make the package")
     from helpers.ros.interfaces import make_interfaces
 
     folder = tmp_path_factory.mktemp("interfaces")
