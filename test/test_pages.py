@@ -126,7 +126,8 @@ def topics() -> dict[str, str]:
     for path in (ROOT / "tissue_sim" / "ros" / "node").rglob("*.py"):
         # {below} is the node's name, or in a scene an organ's below it.
         made = re.findall(
-            r'create_(?:publisher|subscription|service)\(\s*(\w+), f?"((?:~|/|\{below\})\S+)"', path.read_text()
+            r'(?:create_(?:publisher|subscription|service)\(\s*|LateService\(node, )(\w+), f?"((?:~|/|\{below\})\S+)"',
+            path.read_text(),
         )
         found |= {name.replace("{below}", "~"): kind for kind, name in made}
     return found

@@ -67,6 +67,7 @@ def fitted(node: str, values: Mapping[str, Any]) -> str:
 
 def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     """What each process may do, by its enclave."""
+    from tissue_sim.ros.node.simulation_services import SERVICES
     from tissue_sim.ros.shared.tool_link import ToolLink
 
     links = [link for tool in values["tools"] if (link := ToolLink.told(values, tool, node)) is not None]
@@ -82,7 +83,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
         own: Allowed(
             own,
             [own],
-            # tf where it is installed, and the clock with use_sim_time.
+            # tf and simulation_interfaces where they are installed, and the clock with use_sim_time.
             [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools")]
             + ["/diagnostics", "/rosout", "/tf", "/tf_static"],
             [
@@ -93,7 +94,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
                 "/tf_static",
                 *_below(own, *(["respiration"] if values["organs"] else [])),
             ],
-            _below(own, "record", "reset", *PARAMETER_SERVICES),
+            _below(own, "pause", "record", "reset", "step", *SERVICES, *PARAMETER_SERVICES),
         ),
         f"{own}/bridge": Allowed(
             f"{namespace}/haptic_bridge",

@@ -20,7 +20,9 @@ def scene():
         time=10.0, now=lambda: clock.time, jumped=[], age_of=lambda stamp: clock.time - 1e-9 * stamp
     )
     made = Organs(Loop([Simulation(ball(1))]))
-    organs = SimpleNamespace(loop=SimpleNamespace(standing=False), stale_time=made.stale_time, ramp_time=made.ramp_time)
+    organs = SimpleNamespace(
+        loop=SimpleNamespace(standing=False, clock_stands=False), stale_time=made.stale_time, ramp_time=made.ramp_time
+    )
     return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs))
 
 
@@ -45,10 +47,18 @@ def test_what_is_stale_counts_until_it_has_faded(scene):
 def test_nothing_counts_before_the_first_message_nor_while_the_clock_stands(scene):
     assert scene.freshness.age == math.inf
     assert not scene.freshness.counts
-    scene.organs.loop.standing = True
+    scene.organs.loop.standing = scene.organs.loop.clock_stands = True
     assert states(scene, 0.0) == [(False, False)]
-    scene.organs.loop.standing = False
+    scene.organs.loop.standing = scene.organs.loop.clock_stands = False
     assert states(scene, 0.0) == [(True, True)]
+
+
+def test_while_the_loop_is_held_what_is_fresh_stays_so_and_a_stream_may_begin_anew(scene):
+    scene.freshness.came(5_000)
+    scene.organs.loop.standing = True
+    assert scene.freshness.is_fresh
+    assert scene.freshness.counts
+    assert scene.freshness.last_stamp == 0, "of a bridge that was started again"
 
 
 def test_a_stream_that_begins_anew_may_have_any_stamp(scene):

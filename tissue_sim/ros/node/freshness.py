@@ -16,8 +16,9 @@ NEW = 0.02  # weight of the newest message in averages
 class Freshness:
     """When the newest pose, or force, of a tool came, by simulated time, and what follows from that.
 
-    While the clock stands nothing counts, so that no tool bears on the organ at once when it goes on; a clock that
-    jumps back, or is exchanged, begins anew.
+    While /clock stands nothing counts, so that no tool bears on the organ at once when it goes on; a clock that jumps
+    back, or is exchanged, begins anew. While the loop is held, what is fresh stays so: contacts are found for the ticks
+    that it is given.
     """
 
     def __init__(self, clock: SimClock, organs: Organs) -> None:
@@ -43,17 +44,17 @@ class Freshness:
     @property
     def is_fresh(self) -> bool:
         """True until `stale_time` has gone by without a message."""
-        return not self._organs.loop.standing and self.age <= self._organs.stale_time
+        return not self._organs.loop.clock_stands and self.age <= self._organs.stale_time
 
     @property
     def counts(self) -> bool:
         """True until what is stale has faded too, a `ramp_time` later."""
-        return not self._organs.loop.standing and self.age < self._organs.stale_time + self._organs.ramp_time
+        return not self._organs.loop.clock_stands and self.age < self._organs.stale_time + self._organs.ramp_time
 
     @property
     def last_stamp(self) -> int:
         """Stamp in ns before which the next message can't be; 0 for a stream that begins anew, with any stamp."""
-        return self._stamp if self.counts else 0
+        return self._stamp if self.counts and not self._organs.loop.standing else 0
 
     @property
     def period(self) -> float:

@@ -66,6 +66,9 @@ def failed(response: Any, request: Any, line: str) -> Any:
         response.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=line)
+    elif hasattr(getattr(response, "result", None), "error_message"):  # of simulation_interfaces
+        result = response.result
+        result.result, result.error_message = result.RESULT_OPERATION_FAILED, line
     elif hasattr(response, "failure_reason"):
         response.successful, response.failure_reason = False, line
     return response

@@ -27,17 +27,20 @@ from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
+from tissue_sim.ros.node import simulation_services
 from tissue_sim.ros.node.answers import Answers
 from tissue_sim.ros.node.backlog import Backlog, executor_of
 from tissue_sim.ros.node.contact_kernels import compile_beside
 from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
+from tissue_sim.ros.node.entities import Entities
 from tissue_sim.ros.node.guarded import GuardedNode
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.node.passivity import DevicePort
+from tissue_sim.ros.node.pausing import NEXT_TICK, Pausing
 from tissue_sim.ros.node.presenter import OrganPresenter, ScenePresenter
 from tissue_sim.ros.node.respiration import RespirationInput
 from tissue_sim.ros.node.served_organ import ServedOrgan, ServedScene, told
@@ -122,6 +125,10 @@ class TissueNode(GuardedNode):
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
         self.namesakes = Namesakes(self)
+        self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"])
+        if simulation_services.installed():
+            entities = Entities(self, values, self.served, self.ports)
+            simulation_services.SimulationServices(self, self.loop, self.pausing, entities)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         self._bags = Bound(values["record_folder"])
@@ -147,6 +154,7 @@ class TissueNode(GuardedNode):
         self._parts = [
             LoopReport(self.organs, self.scene.names),
             self.sim_clock,
+            self.pausing,
             self.backlog,
             self.live,
             self.namesakes,
@@ -191,6 +199,7 @@ class TissueNode(GuardedNode):
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
+        self.pausing.close()
         noted = self.mishaps.noted  # where one of them fails, the others are done
         if self._outlet is not None:
             self._outlet.stop()
@@ -259,7 +268,8 @@ class TissueNode(GuardedNode):
     # services and parameters -------------------------------------------------------------------
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.loop.reset()
-        response.success, response.message = True, "the organ is back at rest"
+        response.success = True
+        response.message = NEXT_TICK if self.pausing.paused else "the organ is back at rest"
         return response
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

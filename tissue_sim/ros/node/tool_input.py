@@ -61,7 +61,7 @@ class ToolInput:
         self._pose_freshness, self._force_freshness = freshness
         self._pose_gate, self._force_gate = Turnstile(backlog), Turnstile(backlog)
         self._pose_came, self._force_came = pose_came, force_came
-        self._log, self._clock = node.get_logger(), node.get_clock()
+        self._log, self._clock, self._count_publishers = node.get_logger(), node.get_clock(), node.count_publishers
         self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws
         self._newest_force: tuple[int, bytes] = (0, b"")
         self.poses = 0
@@ -94,6 +94,22 @@ class ToolInput:
         """Poses and forces that were not looked at, as the executor was behind."""
         return self._pose_gate.passed_over + self._force_gate.passed_over
 
+    @property
+    def topic(self) -> str:
+        """The full name of the topic of its poses."""
+        return str(self._subscriptions[0].topic_name)
+
+    @property
+    def bridges(self) -> int:
+        """Publishers of its poses."""
+        return self._count_publishers(self.topic)
+
+    def place(self, values: tuple[float, ...]) -> None:
+        """Take up a pose (7,) in the organ's frame that no message brought. Raises Refused where it can't be used."""
+        if not all(map(math.isfinite, values)):
+            raise Refused("nan_pose", "it holds a value that is not finite")
+        self._take(Stamped(UNSTAMPED, "", values), self._tool.nowhere.to_organ, b"")
+
     def newest_messages(self) -> dict[str, tuple[int, bytes]]:
         """Sequence number and bytes of what came last, by its topic in a bag."""
         pose, found = self.newest, {}
@@ -108,28 +124,33 @@ class ToolInput:
     def _on_pose(self, raw: bytes) -> None:
         if not self._pose_gate.passes():
             return
-        tool = self._tool
         with self._refusing("pose"):
             message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
-            with self._as("zero_quaternion"):
-                pose = unit_pose(np.array(message.values))
-            with self._as("far_pose"):
-                check_position(pose[:3])
-            stamp = self._stamp(message)
-            if not self._is_as_bagged(message, to_organ) or self._pose_type is not POSE_TYPES["PoseStamped"]:
-                raw = self._bag_pose.message(stamp, message.values)
-            angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
-            placed = tool.tools.poses(tool.index, pose, self._angle)
-            self._recorder.received(self._bagged_pose, raw)
-            if tool.is_gripper:
-                self._recorder.received(self._bagged_angle, angle)
-            sequence = self._organs.post_poses(tool.bodies, placed, stamp)
-            self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
-            self._pose_freshness.came(message.stamp)
-            self.poses += 1
-            self._pose_came()
+            is_as_bagged = self._is_as_bagged(message, to_organ) and self._pose_type is POSE_TYPES["PoseStamped"]
+            self._take(message, to_organ, raw if is_as_bagged else b"")
+
+    def _take(self, message: Stamped, to_organ: Transform, raw: bytes) -> None:
+        """Take up a pose in the organ's frame; raw: its bytes where a bag holds these. Raises Refused."""
+        tool = self._tool
+        with self._as("zero_quaternion"):
+            pose = unit_pose(np.array(message.values))
+        with self._as("far_pose"):
+            check_position(pose[:3])
+        stamp = self._stamp(message)
+        if not raw:
+            raw = self._bag_pose.message(stamp, message.values)
+        angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
+        placed = tool.tools.poses(tool.index, pose, self._angle)
+        self._recorder.received(self._bagged_pose, raw)
+        if tool.is_gripper:
+            self._recorder.received(self._bagged_angle, angle)
+        sequence = self._organs.post_poses(tool.bodies, placed, stamp)
+        self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
+        self._pose_freshness.came(message.stamp)
+        self.poses += 1
+        self._pose_came()
 
     def _on_angle(self, message: JointState) -> None:
         """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""

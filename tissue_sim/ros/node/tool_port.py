@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 
+import numpy as np
 from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.freshness import Freshness
@@ -14,6 +17,7 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_input import ToolInput
 from tissue_sim.ros.node.tool_output import ToolOutput
+from tissue_sim.ros.shared.frames import Transform
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
@@ -56,6 +60,23 @@ class ToolPort:
     def newest(self) -> NewestPose:
         """The newest pose that was taken up."""
         return self.input.newest
+
+    @property
+    def extents(self) -> Floats:
+        """Radii (b,) m of the balls about the origins of its bodies that hold them."""
+        return np.asarray(self._tool.tools.shapes.extent[self.bodies])
+
+    def place(self, frame_id: str, pose: Sequence[float]) -> None:
+        """Take up a pose (7,), m and quaternion xyzw, in a frame, as if its bridge had sent it but for motion_scale.
+
+        Raises UserError while a bridge publishes, UnknownFrame for a frame that nothing leads from to the organ, and
+        Refused for a pose that can't be used.
+        """
+        if self.input.bridges:
+            raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
+        tool = self._tool
+        to_organ = Transform() if frame_id == tool.organ_frame else tool.frames.to_organ(frame_id).scaled(1.0)
+        self.input.place(to_organ.of(pose))
 
     def wrench(self, of_bodies: Floats) -> Floats:
         """The tool's wrench (6,), N and N m about its origin, in the organ's axes, of those of all bodies, (B, 6)."""

@@ -19,6 +19,7 @@ from tissue_sim.model.records import copy_of, field_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.model.world import make_world
+from tissue_sim.ros.shared.hold import Hold
 from tissue_sim.ros.shared.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
@@ -51,6 +52,9 @@ class Loop:
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
+        # Settings of their own: those of a simulation change between ticks, when a parameter does.
+        self._settings = [copy_of(one.settings) for one in self.simulations]
+        self.hold = Hold(self)
 
     def _run(self) -> None:
         try:
@@ -60,10 +64,9 @@ class Loop:
         self.ended = not self.words.control.stop or self.failure is not None
 
     def _tick_on(self) -> None:
-        # Settings of their own: those of a simulation change between ticks, when a parameter does.
         worlds = [
-            handle(make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch))
-            for one in self.simulations
+            handle(make_world(one.model, one.state, one.shapes, settings, one.scratch))
+            for one, settings in zip(self.simulations, self._settings, strict=True)
         ]
         loop = row(worlds), row([handle(box) for box in self.boxes]), handle(self.words)
         if self.joined is not None:
@@ -113,8 +116,18 @@ class Loop:
 
     @property
     def standing(self) -> bool:
+        """True while no tick is due: the loop is held, or the clock stands that it follows."""
+        return self.hold.active or self.clock_stands
+
+    @property
+    def clock_stands(self) -> bool:
         """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
-        return bool(self._standing[0])
+        return bool(self._standing[0]) and not self.hold.active
+
+    @property
+    def tick_time(self) -> float:
+        """Simulated time of the next tick, s, by the settings that the last one took up."""
+        return float(self._settings[0].tick_time)
 
     @property
     def ticks(self) -> int:

@@ -96,6 +96,7 @@ NODE_SPECS = (
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
     Spec("gravity", [0.0, 0.0, 0.0], "m/s^2 in the organ's frame", live=True, check=_check_gravity),
     Spec("shape_is_unloaded", False, "the organ file's shape is the one without gravity, not the one under it"),
+    Spec("step_ticks", 1, "ticks that ~/step takes while the node is paused", 1, 100_000, live=True),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made; while the node runs, one below it", live=True),
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
