@@ -258,6 +258,7 @@ def test_diagnostics_tell_the_state_of_the_loop(client):
         assert int(values[key]) > 0, key
 
 
+ARM = "left.frame_id:=arm -p right.frame_id:=arm -p left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]"
 REFUSED_STARTS = {
     "organ_file:=nowhere.npz": "does not exist",
     "rate:=1.0": "outside",
@@ -267,6 +268,9 @@ REFUSED_STARTS = {
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",
     "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a quaternion of zero",
+    "organ_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'organ_pose' is the pose of 'organ' in base_frame, which names",
+    f"{ARM}": "'left.base_pose' and 'right.base_pose' place the frame 'arm' differently",
+    "left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'left.base_pose' would move 'organ', which has its place",
     "scene_file:=none.yaml": "none.yaml can't be read",
     "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both given",
 }

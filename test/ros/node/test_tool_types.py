@@ -1,6 +1,7 @@
 """Every message type in and out, transforms and tf: one node with a tool for each, and its bag."""
 
 import os
+from functools import partial
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def numbers(values) -> str:
 
 BASE_POSE = numbers([*OFFSET, *TURN.as_quat()])
 PARAMETERS = (
-    "tools:=[plain, named, odometry, led]",
+    "tools:=[plain, named, odometry, led, pen]",
     "base_frame:=world",
     f"organ_pose:={numbers([*ORGAN, 0.0, 0.0, 0.0, 1.0])}",
     *("plain.frame_id:=arm_base", "plain.pose_type:=Pose", "plain.wrench_type:=Wrench", "plain.force_type:=Wrench"),
@@ -39,7 +40,9 @@ PARAMETERS = (
     *("named.frame_id:=arm_base", "named.pose_type:=TransformStamped", "named.wrench_type:=Float64MultiArray"),
     *("named.array_length:=7", "named.wrench_frame:=body", "named.reliable:=true", f"named.base_pose:={BASE_POSE}"),
     *("odometry.pose_type:=Odometry", "odometry.motion_scale:=0.5", "odometry.frame_id:=world"),
+    f"odometry.wrench_rotation:={numbers(TURN.as_quat())}",
     "led.frame_id:=elsewhere",
+    "pen.wrench_frame:=body",
     UNHURRIED,
 )
 
@@ -54,9 +57,11 @@ class Tools(Client):
 
     def __init__(self) -> None:
         super().__init__()
-        self.felt: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": []}
+        self.felt: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": [], "pen": []}
+        self.axes: dict[str, str] = {}  # by tool, the frame that its newest wrench names
         node, best_effort = self.node, qos_profile_sensor_data
-        types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry, "led": PoseStamped}
+        types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry}
+        types |= {"led": PoseStamped, "pen": PoseStamped}
         self.poses = {
             tool: node.create_publisher(kind, f"{tool}/measured_cp", 10 if tool == "named" else best_effort)
             for tool, kind in types.items()
@@ -71,8 +76,21 @@ class Tools(Client):
         subscribe = node.create_subscription
         subscribe(Wrench, "plain/servo_cf", lambda m: keep["plain"](six(m)), best_effort)
         subscribe(Float64MultiArray, "named/servo_cf", lambda m: keep["named"](np.array(m.data)), 10)
-        subscribe(WrenchStamped, "odometry/servo_cf", lambda m: keep["odometry"](six(m.wrench)), best_effort)
-        subscribe(WrenchStamped, "led/servo_cf", lambda m: keep["led"](six(m.wrench)), best_effort)
+        for tool in ("odometry", "led", "pen"):
+            subscribe(WrenchStamped, f"{tool}/servo_cf", partial(self._on_stamped, tool), best_effort)
+
+    def _on_stamped(self, tool: str, message: WrenchStamped) -> None:
+        self.axes[tool] = message.header.frame_id
+        self.felt[tool].append(six(message.wrench))
+
+    def turn_to_organ(self, frame: str) -> Rotation:
+        """From the axes of a frame to the organ's, as tf has them."""
+        if frame == "organ":
+            return Rotation.identity()
+        if ("organ", frame) in self.frames:
+            return Rotation.from_quat(self.frames["organ", frame][3:])
+        of_organ, of_frame = (Rotation.from_quat(self.frames["world", one][3:]) for one in ("organ", frame))
+        return of_organ.inv() * of_frame
 
     def _on_transform(self, message: TransformStamped) -> None:
         offset, turn = message.transform.translation, message.transform.rotation
@@ -204,6 +222,8 @@ def bag(node, tools):
     felt["plain"] = tools.press("plain", in_device, TURN.inv() * HELD, force=pull)
     felt["named"] = tools.press("named", in_device, TURN.inv() * HELD)
     felt["odometry"] = tools.press("odometry", lambda point: (point + ORGAN) / 0.5, HELD)
+    assert tools.axes["odometry"] == "odometry_wrench"
+    felt["odometry"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["odometry"][:3])
     transform = TransformStamped(child_frame_id="camera")
     transform.header.frame_id = "world"
     translation, rotation = transform.transform.translation, transform.transform.rotation
@@ -211,6 +231,7 @@ def bag(node, tools):
     rotation.x, rotation.y, rotation.z, rotation.w = map(float, TURN.as_quat())
     tools.tf.publish(transform)
     felt["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
+    assert tools.axes["led"] == "camera", "the frame of its poses, not the one that led.frame_id names"
     stopped = tools.record(False)
     assert stopped.success
     return stopped.message, felt
@@ -251,12 +272,26 @@ def test_tools_are_shown_in_the_organs_frame(tools):
     assert gone, "a tool that nobody moves is still shown"
 
 
-def test_odometry_with_motion_scaled(bag):
+def test_odometry_with_motion_scaled_and_the_wrench_turned_into_a_frame_that_tf_has(bag):
     assert is_outward(bag[1]["odometry"][:3])
 
 
 def test_frame_that_tf_knows_is_looked_up(bag):
     assert is_outward(TURN.apply(bag[1]["led"][:3]))
+
+
+@pytest.mark.parametrize("frame", ["organ", "world"])
+def test_the_wrench_of_a_body_names_its_tip_which_tf_has(tools, frame):
+    """Whichever frame the poses come in, also where the organ's is a tool's own and stands elsewhere in the base."""
+    place, turn = np.array([0.3, -0.2, 0.1]), Rotation.from_euler("y", 0.7)
+
+    def is_heard():
+        tools.send("pen", place if frame == "organ" else place + ORGAN, turn, frame=frame)
+        tools.spin(0.02)
+        tip = tools.frames.get(("organ", "pen_tip"))
+        return tools.axes.get("pen") == "pen_tip" and tip is not None and np.allclose(tip, [*place, *turn.as_quat()])
+
+    assert tools.spin_until(is_heard), tools.frames
 
 
 def test_all_feel_the_same_tissue(bag):

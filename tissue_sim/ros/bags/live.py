@@ -92,8 +92,8 @@ class _Live:
             link = ToolLink.told(values, tool.name, target)
             if link is None:
                 raise UserError(f"/{target} has no tool '{tool.name}', which the bag has")
-            if link.topics.wrench_type != "WrenchStamped" or not link.to_organ.is_identity:
-                raise UserError(f"--live needs tool '{tool.name}' with WrenchStamped, and poses in the organ's frame")
+            if link.topics.wrench_type != "WrenchStamped" or link.topics.turns_wrench or not link.to_organ.is_identity:
+                raise UserError(f"--live needs tool '{tool.name}' with WrenchStamped, and both ways the organ's frame")
             self._tools.append(ScriptedTool(self._node, link, tool.shape == "gripper"))
             name = link.topics.names
             self._wrenches.append(client.Inbox(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))

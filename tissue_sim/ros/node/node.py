@@ -108,7 +108,8 @@ class TissueNode(GuardedNode):
             self.respiration = RespirationInput(self, self.loop, joined, self.sim_clock)
         broadcast = None
         if values["broadcast_tf"] and tf_installed():
-            broadcast = TfBroadcast(self, self.frame_id, values.tools, placed_frames(values, values.tools))
+            broadcast = TfBroadcast(self)
+            broadcast.fix(self.get_clock().now().nanoseconds, placed_frames(values, values.tools))
         self.presenters: list[OrganPresenter | ScenePresenter] = [
             OrganPresenter(self, one, self.frame_id, self.ports, recorder, values)
             for one, recorder in zip(self.served, of_organ, strict=True)

@@ -110,7 +110,7 @@ class ToolInput:
             return
         tool = self._tool
         with self._refusing("pose"):
-            message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
+            message, frame_id, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
             with self._as("zero_quaternion"):
@@ -126,7 +126,7 @@ class ToolInput:
             if tool.is_gripper:
                 self._recorder.received(self._bagged_angle, angle)
             sequence = self._organs.post_poses(tool.bodies, placed, stamp)
-            self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
+            self.newest = NewestPose(sequence, pose, placed, frame_id, to_organ, raw, angle)
             self._pose_freshness.came(message.stamp)
             self.poses += 1
             self._pose_came()
@@ -144,7 +144,7 @@ class ToolInput:
         if not self._force_gate.passes():
             return
         with self._refusing("force"):
-            message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
+            message, _, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
             self._force_freshness.came(message.stamp)
             if not self._is_as_bagged(message, to_organ) or self._force_type is not FORCE_TYPES["WrenchStamped"]:
                 message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
@@ -158,34 +158,36 @@ class ToolInput:
 
     def _read(
         self, raw: bytes, kind: Incoming, n_values: int, what: str, freshness: Freshness
-    ) -> tuple[Stamped, Transform]:
-        """A message whose values can be used, and the transform from its frame to the organ's."""
+    ) -> tuple[Stamped, str, Transform]:
+        """A message whose values can be used, the frame that they are in, and the transform from it to the organ's."""
         tool = self._tool
+        usual = tool.topics.frame_id
         with self._as("malformed"):
             message = kind.parse(raw, n_values)
         if not all(map(math.isfinite, message.values)):
             raise Refused(f"nan_{what}", "it holds a value that is not finite")
         if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
-            return message, tool.frames.to_organ(tool.topics.frame_id)
+            return message, usual, tool.frames.to_organ(usual)
         try:
             unnamed = not message.frame_id and tool.topics.allow_empty_frame
-            to_organ = tool.frames.to_organ(tool.topics.frame_id if unnamed else message.frame_id)
+            frame_id = usual if unnamed else message.frame_id
+            to_organ = tool.frames.to_organ(frame_id)
         except UnknownFrame as error:
             remedy = "frame_id names another" if message.frame_id else "allow_empty_frame takes it for that"
             raise Refused(
                 "unknown_frame",
-                f"its frame is '{shown(message.frame_id)}', expected '{tool.topics.frame_id}'"
+                f"its frame is '{shown(message.frame_id)}', expected '{usual}'"
                 f" (parameter {tool.name}.{remedy}); {error}",
             ) from None
         if message.stamp == 0:
             raise Refused("no_stamp", "its stamp is 0, which marks invalid data")
         if (before := freshness.last_stamp - message.stamp) > 0:
             raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
-        return message, to_organ
+        return message, frame_id, to_organ
 
     def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
         """Whether a bag may hold it as it came; there everything has the organ's frame."""
-        return to_organ.is_identity and bool(message.frame_id)
+        return to_organ.is_identity and message.frame_id == self._tool.organ_frame
 
     def _stamp(self, message: Stamped) -> int:
         return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)

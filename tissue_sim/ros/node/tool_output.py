@@ -38,9 +38,7 @@ class ToolOutput:
         self.force = 0.0  # N, magnitude last published
         self.not_finite = 0  # wrenches that were zeroed
         topics = tool.topics
-        frame_id = tool.name if topics.wrench_frame == "body" else topics.frame_id
-        n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
-        self._template = NumbersTemplate(topics.outgoing(), n_numbers, frame_id)
+        self._axes, self._template = "", self._template_for("")
         self._bag_wrench = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
         self._lock = threading.Lock()
         self._published = -math.inf  # monotonic s
@@ -88,14 +86,23 @@ class ToolOutput:
             wrench = felt = np.zeros(6)
             self.not_finite += 1
         stamp = self._clock.now().nanoseconds
+        if (axes := self._tool.axes(self._pose)) != self._axes:
+            self._axes, self._template = axes, self._template_for(axes)
         raw = self._template.message(stamp, self._along_axes(felt))
         self._servo.publish(raw)
         self.force = math.sqrt(float(felt[:3] @ felt[:3]))
         self._published = time.monotonic()
         if self._recorder.active:
-            if not (self._as_bagged and self._pose.to_organ.is_identity and felt is wrench):
+            is_in_organ_frame = self._axes == self._tool.organ_frame and self._pose.to_organ.is_identity
+            if not (self._as_bagged and is_in_organ_frame and felt is wrench):
                 raw = self._bag_wrench.message(stamp, wrench)
             self._recorder.wrench(self._bagged, self._tool.index, tick, raw)
+
+    def _template_for(self, axes: str) -> NumbersTemplate:
+        """A message whose numbers are along the axes of a frame."""
+        topics = self._tool.topics
+        n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
+        return NumbersTemplate(topics.outgoing(), n_numbers, axes)
 
     def _along_axes(self, wrench: Floats) -> Sequence[float] | Floats:
         """A wrench in the organ's axes, along those that the bridge takes it in; about the tool's origin still."""

@@ -14,6 +14,7 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_input import ToolInput
 from tissue_sim.ros.node.tool_output import ToolOutput
+from tissue_sim.ros.shared.frames import Placed
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
@@ -56,6 +57,10 @@ class ToolPort:
     def newest(self) -> NewestPose:
         """The newest pose that was taken up."""
         return self.input.newest
+
+    def moving_frames(self, pose: NewestPose) -> Placed:
+        """The frames that a pose of the tool places."""
+        return self._tool.moving_frames(pose)
 
     def wrench(self, of_bodies: Floats) -> Floats:
         """The tool's wrench (6,), N and N m about its origin, in the organ's axes, of those of all bodies, (B, 6)."""

@@ -11,6 +11,16 @@ from tissue_sim.contact.quaternions import Quaternion, Vector, multiply, rotate,
 IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
+def tip_frame(tool: str) -> str:
+    """Return the frame at a tool's tip, its origin, along the tool's own axes."""
+    return f"{tool}_tip"
+
+
+def wrench_frame(tool: str) -> str:
+    """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame."""
+    return f"{tool}_wrench"
+
+
 class UnknownFrame(ValueError):
     """A frame that nothing leads from to the organ; the message is the end of a sentence that names the frame."""
 
@@ -69,6 +79,10 @@ class Transform(NamedTuple):
 
 
 UNMOVED = Transform()
+
+
+# Frames by name, each with its parent and its pose (7,) in that, m and quaternion xyzw.
+Placed = dict[str, tuple[str, Sequence[float]]]
 
 
 class Frames:

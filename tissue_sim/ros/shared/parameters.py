@@ -22,7 +22,7 @@ from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Settings
 from tissue_sim.model.simulation import acceleration_of
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
-from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform
+from tissue_sim.ros.shared.frames import IDENTITY, Frames, Placed, Transform
 from tissue_sim.ros.shared.priority import HIGHEST
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
@@ -179,33 +179,60 @@ def topics_of(values: Values, tool: str) -> ToolTopics:
 
 def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
     """The frames that a tool's poses may come in; lookup leads others to the node's `tf_target`, None without tf."""
-    organ_id, base_id = values["frame_id"], values["base_frame"]
+    organ_id, base_id = _organ_and_base(values)
     to_organ = Transform.of_pose(values["organ_pose"]).inverse()
-    known = {organ_id: Transform()}
-    if base_id:
-        known[base_id] = to_organ
-    known[values[f"{tool}.frame_id"] or organ_id] = to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"]))
-    if lookup is None:
-        return Frames(known, values[f"{tool}.motion_scale"])
-    # Without a name for the base, tf itself knows where the organ is.
-    led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
+    known = {base_id: to_organ, organ_id: Transform()}
+    known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
+    led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
     return Frames(known, values[f"{tool}.motion_scale"], led)
 
 
-def placed_frames(values: Values, tools: Sequence[str]) -> dict[str, tuple[str, Transform]]:
-    """The frames that parameters place in base_frame, each with its parent and the transform to that; none without it.
+def _organ_and_base(values: Values) -> tuple[str, str]:
+    """The names of the organ's frame and of the one that poses in parameters are in: the organ's, if it has no name."""
+    return values["frame_id"], values["base_frame"] or values["frame_id"]
+
+
+def _frame_of(values: Values, tool: str) -> str:
+    """The name of the frame that a tool's poses come in."""
+    return values[f"{tool}.frame_id"] or values["frame_id"]
+
+
+def check_frames(values: Values, tools: Sequence[str]) -> None:
+    """Raise UserError where parameters give a frame two places, so that what a header says would not be where it is."""
+    organ_id, base_id = _organ_and_base(values)
+    if base_id == organ_id and not Transform.of_pose(values["organ_pose"]).is_identity:
+        raise UserError(
+            f"parameter 'organ_pose' is the pose of '{organ_id}' in base_frame, which names no other frame: name one"
+        )
+    placed: dict[str, tuple[str, Transform]] = {}  # by frame: the tool that places it, and where
+    for tool in tools:
+        frame_id, pose = _frame_of(values, tool), Transform.of_pose(values[f"{tool}.base_pose"])
+        if frame_id in (organ_id, base_id):
+            if not pose.is_identity:
+                raise UserError(
+                    f"parameter '{tool}.base_pose' would move '{frame_id}', which has its place: let {tool}.frame_id"
+                    " name a frame of the tool's own"
+                )
+            continue
+        first, other = placed.setdefault(frame_id, (tool, pose))
+        if other != pose:
+            raise UserError(
+                f"parameters '{first}.base_pose' and '{tool}.base_pose' place the frame '{frame_id}' differently: let"
+                f" {first}.frame_id and {tool}.frame_id name two frames"
+            )
+
+
+def placed_frames(values: Values, tools: Sequence[str]) -> Placed:
+    """The frames that parameters place in base_frame, which is the organ's where none is named.
 
     A tool's frame without a base_pose is its driver's to tell.
     """
-    organ_id, base_id = values["frame_id"], values["base_frame"]
-    if not base_id or base_id == organ_id:
-        return {}
-    placed = {organ_id: (base_id, Transform.of_pose(values["organ_pose"]))}
-    for tool in tools:
-        frame_id, pose = values[f"{tool}.frame_id"], Transform.of_pose(values[f"{tool}.base_pose"])
-        if frame_id not in ("", base_id, organ_id) and not pose.is_identity:
-            placed[frame_id] = (base_id, pose)
-    return placed
+    organ_id, base_id = _organ_and_base(values)
+    poses = {_frame_of(values, tool): Transform.of_pose(values[f"{tool}.base_pose"]) for tool in tools}
+    moved = {frame_id: pose for frame_id, pose in poses.items() if not pose.is_identity}
+    if base_id != organ_id:
+        moved[organ_id] = Transform.of_pose(values["organ_pose"])
+    return {frame_id: (base_id, (*pose.translation, *pose.rotation)) for frame_id, pose in moved.items()}
 
 
 class Parameters:
@@ -228,6 +255,7 @@ class Parameters:
                 raise UserError(f"parameter 'tools': '{tool}' is no name of its own; use letters, digits and _")
             for spec in TOOL_SPECS:
                 self._declare(f"{tool}.{spec.name}", spec)
+        check_frames(self, self.tools)
         self._warn_of_unknown()
         node.add_pre_set_parameters_callback(lambda given: [self._in_words(parameter) for parameter in given])
         node.add_on_set_parameters_callback(self._check)

@@ -58,9 +58,14 @@ class ToolTopics:
     allow_empty_frame: bool = False  # what has no frame_id is in the one above
 
     @property
+    def has_axes_of_its_own(self) -> bool:
+        """True when the wrench goes out along axes that no pose has: `wrench_rotation` turns it."""
+        return self.wrench_rotation != (0.0, 0.0, 0.0, 1.0)
+
+    @property
     def turns_wrench(self) -> bool:
         """True when the wrench goes out along other axes than the poses come in."""
-        return self.wrench_frame == "body" or self.wrench_rotation != (0.0, 0.0, 0.0, 1.0)
+        return self.wrench_frame == "body" or self.has_axes_of_its_own
 
     def outgoing(self) -> Any:
         """An empty message of the type that goes out."""
