@@ -118,11 +118,12 @@ def topics() -> dict[str, str]:
     default = {spec.name: spec.default for spec in TOOL_SPECS}
     types = {
         "measured_cp": default["pose_type"],
-        "measured_cf": default["force_type"],
+        "external_cf": default["force_type"],
         "servo_cf": default["wrench_type"],
         "measured_js": "JointState",
     }
-    found = {name: types[topic] for topic, name in usual_topics("<tool>").items()} | {"/clock": "Clock"}
+    usual = usual_topics("<tool>") | {"external_cf": "<tool>/external_cf"}  # its name is up to the user
+    found = {name: types[topic] for topic, name in usual.items()} | {"/clock": "Clock"}
     for path in (ROOT / "tissue_sim" / "ros" / "node").rglob("*.py"):
         # {below} is the node's name, or in a scene an organ's below it.
         made = re.findall(

@@ -72,7 +72,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     links = [link for tool in values["tools"] if (link := ToolLink.told(values, tool, node)) is not None]
     namespace = f"/{node}".rpartition("/")[0]
     poses = [name for link in links for name in _topics(namespace, link, "measured_cp", "measured_js")]
-    forces = [name for link in links for name in _topics(namespace, link, "measured_cf")]
+    forces = [name for link in links for name in _topics(namespace, link, "external_cf")]
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
     shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
@@ -113,9 +113,9 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
 
 
 def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
-    """Absolute names of a tool's topics; measured_js only of a gripper."""
+    """Absolute names of a tool's topics, of those that it has; measured_js only of a gripper."""
     names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
-    return [name if name.startswith("/") else f"{namespace}/{name}" for name in names]
+    return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 
 def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from helpers.patience import wait_for
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, poke_path, shipped, start_node
+from helpers.ros.processes import PUSHED, UNHURRIED, poke_path, shipped, start_node
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
@@ -260,7 +260,7 @@ def test_fewer_markers_help_only_where_there_are_more():
 @pytest.fixture
 def node(tmp_path):
     process = start_node(
-        tmp_path, "rate:=4000.0", "integrator:=implicit", "tools:=[left]", UNHURRIED, "marker_rate:=30.0"
+        tmp_path, "rate:=4000.0", "integrator:=implicit", "tools:=[left]", UNHURRIED, PUSHED, "marker_rate:=30.0"
     )
     yield process
     process.child.kill()

@@ -11,6 +11,7 @@ from visualization_msgs.msg import Marker
 
 from helpers.ros.clients import Client
 from helpers.ros.processes import (
+    PUSHED,
     UNHURRIED,
     Process,
     poke_path,
@@ -26,7 +27,7 @@ from tissue_sim.cli import main
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
-    with running_node(folder, "marker_rate:=30.0", UNHURRIED, f"record_folder:={folder / 'bags'}") as process:
+    with running_node(folder, "marker_rate:=30.0", UNHURRIED, PUSHED, f"record_folder:={folder / 'bags'}") as process:
         yield process
 
 

@@ -36,6 +36,7 @@ PARAMETERS = (
     "base_frame:=world",
     f"organ_pose:={numbers([*ORGAN, 0.0, 0.0, 0.0, 1.0])}",
     *("plain.frame_id:=arm_base", "plain.pose_type:=Pose", "plain.wrench_type:=Wrench", "plain.force_type:=Wrench"),
+    "plain.external_cf:=plain/external_cf",
     f"plain.base_pose:={BASE_POSE}",
     *("named.frame_id:=arm_base", "named.pose_type:=TransformStamped", "named.wrench_type:=Float64MultiArray"),
     *("named.array_length:=7", "named.wrench_frame:=body", "named.reliable:=true", f"named.base_pose:={BASE_POSE}"),
@@ -66,7 +67,7 @@ class Tools(Client):
             tool: node.create_publisher(kind, f"{tool}/measured_cp", 10 if tool == "named" else best_effort)
             for tool, kind in types.items()
         }
-        self.forces = node.create_publisher(Wrench, "plain/measured_cf", best_effort)
+        self.forces = node.create_publisher(Wrench, "plain/external_cf", best_effort)
         self.tf = node.create_publisher(TransformStamped, "/tf_static", LATCHED)
         self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) heard from tf
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -266,7 +267,7 @@ def test_tools_are_shown_in_the_organs_frame(tools):
     assert ball.header.frame_id == "organ"
     assert (ball.pose.position.x, ball.pose.position.y, ball.pose.position.z) == pytest.approx(place, abs=1e-9)
     assert ball.scale.x == 0.01
-    assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led"}
+    assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led", "pen"}
     # Nobody moves it any more.
     gone = tools.spin_until(lambda: all(m.action == Marker.DELETE for m in seen[-1].markers))
     assert gone, "a tool that nobody moves is still shown"
@@ -306,7 +307,7 @@ def test_bag_holds_poses_and_forces_in_the_organs_frame_and_replays_bit_for_bit(
     with Reader(bag[0]) as reader:
         for connection, _, raw in reader.messages():
             topic = connection.topic
-            if topic.endswith(("measured_cp", "measured_cf", "servo_cf")):
+            if topic.endswith(("measured_cp", "external_cf", "servo_cf")):
                 message = store.deserialize_cdr(raw, connection.msgtype)
                 kinds[topic] = connection.msgtype
                 assert message.header.frame_id == "organ", topic
@@ -314,13 +315,13 @@ def test_bag_holds_poses_and_forces_in_the_organs_frame_and_replays_bit_for_bit(
                     place = message.pose.position
                     depth = (np.array([place.x, place.y, place.z]) - touch) @ inward
                     deepest[topic] = max(deepest.get(topic, -1.0), depth)
-                elif topic.endswith("measured_cf"):
+                elif topic.endswith("external_cf"):
                     force = message.wrench.force
                     assert [force.x, force.y, force.z] == pytest.approx([0.0, 0.0, 0.02])
     for tool in ("plain", "named", "odometry", "led"):
         assert kinds[f"/tissue_sim/{tool}/measured_cp"] == "geometry_msgs/msg/PoseStamped"
         assert kinds[f"/tissue_sim/{tool}/servo_cf"] == "geometry_msgs/msg/WrenchStamped"
         assert deepest[f"/tissue_sim/{tool}/measured_cp"] == pytest.approx(DEPTH, abs=1e-6)
-    assert kinds["/tissue_sim/plain/measured_cf"] == "geometry_msgs/msg/WrenchStamped"
+    assert kinds["/tissue_sim/plain/external_cf"] == "geometry_msgs/msg/WrenchStamped"
     assert main(["replay", bag[0], "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
     assert "repeats" in capsys.readouterr().out

@@ -39,7 +39,9 @@ class Refused(Exception):
 
 
 class ToolInput:
-    """Subscribes a tool's measured_cp, measured_cf and, of a gripper, measured_js; posts them to the loop and the bag.
+    """Subscribes a tool's measured_cp, external_cf where it has a name, and of a gripper measured_js.
+
+    Posts what comes to the loop and the bag.
 
     Inside, and in a bag, a pose is a PoseStamped and a force a WrenchStamped, both in the organ's frame.
     pose_came is called after each pose, force_came after each force that was taken up. While the executor is behind by
@@ -74,15 +76,17 @@ class ToolInput:
         self._bag_force = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
         self._bag_angle = NumbersTemplate(Float64MultiArray(data=[0.0]), 1)
         qos, names = RELIABLE if topics.reliable else STREAM, topics.names
-        poses, forces, *_ = self._subscriptions = [
-            node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True),
-            node.create_subscription(self._force_type.message, names["measured_cf"], self._on_force, qos, raw=True),
-        ]
-        pose_as_bagged = tool.is_unmoved and topics.pose_type == "PoseStamped"
-        force_as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
-        pose_name, force_name = poses.topic_name if pose_as_bagged else "", forces.topic_name if force_as_bagged else ""
-        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", pose_name, qos)
-        self._bagged_force = recorder.add_topic(tool.name, "measured_cf", force_name, qos)
+        poses = node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True)
+        self._subscriptions = [poses]
+        as_bagged = tool.is_unmoved and topics.pose_type == "PoseStamped"
+        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", poses.topic_name if as_bagged else "", qos)
+        if names["external_cf"]:
+            kind = self._force_type.message
+            forces = node.create_subscription(kind, names["external_cf"], self._on_force, qos, raw=True)
+            self._subscriptions.append(forces)
+            as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
+            name = forces.topic_name if as_bagged else ""
+            self._bagged_force = recorder.add_topic(tool.name, "external_cf", name, qos)
         if tool.is_gripper:
             self._subscriptions.append(
                 node.create_subscription(JointState, names["measured_js"], self._on_angle, qos),

@@ -124,10 +124,10 @@ TOOL_SPECS = (
     Spec("allow_empty_frame", False, "take what comes without a frame_id as given in frame_id"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
-    Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
+    Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty: none are taken"),
     Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
     Spec("pose_type", "PoseStamped", "message type of measured_cp", choices=tuple(POSE_TYPES)),
-    Spec("force_type", "WrenchStamped", "message type of measured_cf", choices=tuple(FORCE_TYPES)),
+    Spec("force_type", "WrenchStamped", "message type of external_cf", choices=tuple(FORCE_TYPES)),
     Spec("wrench_type", "WrenchStamped", "message type of servo_cf", choices=tuple(WRENCH_TYPES)),
     Spec("array_length", 3, "numbers in a Float64MultiArray: 3 forces, then up to 3 torques, then a zero", 3, 7),
     Spec("base_pose", list(IDENTITY), "its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
@@ -143,6 +143,7 @@ TOOL_SPECS = (
 )
 
 
+RENAMED = {"measured_cf": "external_cf"}  # of a tool: what a parameter was called, and what it is called now
 OFF = "off"  # which YAML, and so rcl and the ros2 command line, take for false
 TOLD = "organs"  # a parameter that says what was found
 OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
@@ -162,8 +163,13 @@ def tool_of(values: Values, name: str) -> Tool:
 
 
 def usual_topics(tool: str) -> dict[str, str]:
-    """The names of a tool's topics where its parameters give none, by the topics of TOOL_TOPICS and measured_js."""
-    return {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS} | {"measured_js": f"{tool}/gripper/measured_js"}
+    """The names of a tool's topics where its parameters give none, by the topics of TOOL_TOPICS and measured_js.
+
+    External forces have none: in CRTK a device publishes its own force as measured_cf, which must not come back as one
+    on the tissue.
+    """
+    names = {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS}
+    return names | {"external_cf": "", "measured_js": f"{tool}/gripper/measured_js"}
 
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
@@ -330,6 +336,13 @@ class Parameters:
         """A misspelt parameter would change nothing without a word; a file for several nodes may hold others' too."""
         for name in self._node._parameter_overrides:
             if self._node.has_parameter(name) or name.startswith(OF_RCLPY) or name == TOLD:
+                continue
+            tool, _, was = name.partition(".")
+            if tool in self.tools and was in RENAMED:
+                now = f"{tool}.{RENAMED[was]}"
+                self._node.get_logger().warning(
+                    f"parameter '{name}' changes nothing: it is called '{now}' now, {self._specs[now].text}"
+                )
                 continue
             nearest = difflib.get_close_matches(name, self._specs, 1)
             hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"

@@ -46,7 +46,7 @@ WRENCH_FRAMES = ("base", "body")
 class ToolTopics:
     """How a bridge speaks: names, types, QoS, frame, and the axes that it takes a wrench along."""
 
-    names: dict[str, str]  # by the topics of TOOL_TOPICS and GRIPPER_TOPICS
+    names: dict[str, str]  # by the topics of TOOL_TOPICS and GRIPPER_TOPICS; empty: off
     frame_id: str
     pose_type: str = "PoseStamped"
     force_type: str = "WrenchStamped"
