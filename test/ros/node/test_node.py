@@ -179,11 +179,23 @@ def test_tool_that_appears_inside_is_held_off(client, node):
         return "appeared inside the organ" in node.text()
 
     assert client.spin_until(is_told)
+    assert client.set_parameter("stale_time", 5.0).successful
     client.wrenches.clear()
     for _ in range(60):
         client.ask(inside)
     assert len(client.wrenches) > 5
     assert all(np.all(wrench == 0.0) for _, wrench in client.wrenches)
+
+    def warns():
+        client.ask(inside)
+        state = client.diagnostics.get("left.state")
+        return state == "held_off" and client.message.startswith("tool 'left' is held off")
+
+    assert client.spin_until(warns), client.message
+    said, counted = node.text().count("'left' is held off"), int(client.diagnostics["left.held_off"])
+    client.reset()  # the tool is inside still
+    assert client.spin_until(lambda: client.ask(inside) or node.text().count("'left' is held off") > said)
+    assert client.spin_until(lambda: client.ask(inside) or int(client.diagnostics["left.held_off"]) > counted)
 
 
 def test_parameters_change_live_or_say_why_not(client):

@@ -92,7 +92,7 @@ class TissueNode(GuardedNode):
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         warn, of_organ = self.get_logger().warning, self.recorder.of_organ
         searches = [
-            ContactSearch(self._finder(one.organ, tools), one, self.ports, recorder, warn)
+            ContactSearch(self._finder(one.organ, tools), one, self.ports, recorder)
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         joined = self.recorder.joined
@@ -144,12 +144,12 @@ class TissueNode(GuardedNode):
             self.organs, self.ports, show, self.live, self.sim_clock, self.backlog, self._report, self.get_logger()
         )
         self._parts = [
+            *self.ports,
             LoopReport(self.organs, self.scene.names),
             self.sim_clock,
             self.backlog,
             self.live,
             self.namesakes,
-            *self.ports,
             self.recorder,
             self.contacts,
             self.answers,

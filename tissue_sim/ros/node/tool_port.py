@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 
 from rclpy.node import Node
 
@@ -17,6 +19,8 @@ from tissue_sim.ros.node.tool_output import ToolOutput
 from tissue_sim.ros.shared.frames import Placed
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
+
+SAY_EVERY = 1.0  # s between two lines that a tool is held off
 
 
 class ToolPort:
@@ -38,6 +42,8 @@ class ToolPort:
     ) -> None:
         self._tool, self._organs, self._woken = tool, organs, woken
         self._answered = 0  # sequence number of the pose
+        self._log = node.get_logger()
+        self.held_off, self._said, self._unsaid = 0, -math.inf, 0  # how often; monotonic s of the last line; since that
         self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
         self.output = ToolOutput(node, tool, organs, recorder)
         freshness = self.pose_freshness, self.force_freshness
@@ -67,24 +73,48 @@ class ToolPort:
         return self._tool.wrench(of_bodies, self.newest)
 
     def state(self) -> str:
-        """none, fresh, stale, or refused (held off until it leaves the organ)."""
+        """none, fresh, stale, or held_off (until it leaves the organ)."""
         if self.input.poses == 0:
             return "none"
         if not self.pose_freshness.is_fresh:
             return "stale"
-        return "refused" if self._organs.hold_off(self.bodies) else "fresh"
+        return "held_off" if self._organs.hold_off(self.bodies) else "fresh"
+
+    def was_held_off(self, organ: str) -> None:
+        """Say that the tool appeared inside an organ, and is not resisted until it has been outside.
+
+        Where that happens many times a second, as with poses that come more seldom than `stale_time`, a line tells of
+        all of them.
+        """
+        self.held_off += 1
+        self._unsaid += 1
+        now = time.monotonic()
+        if now - self._said < SAY_EVERY:
+            return
+        times = f" ({self._unsaid} times since the last such line)" if self._unsaid > 1 else ""
+        self._said, self._unsaid = now, 0
+        self._log.warning(
+            f"tool '{self.name}' is held off: it appeared inside {organ} and feels nothing until it has been outside;"
+            f" send a pose outside first, and the next within stale_time ({self._organs.stale_time:g} s){times}"
+        )
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""
         refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
+        state = self.state()
+        if state == "held_off":
+            report.warnings.append(
+                f"tool '{self.name}' is held off: it is inside, and feels nothing until it was outside"
+            )
         report.values |= {
-            f"{self.name}.state": self.state(),
+            f"{self.name}.state": state,
             f"{self.name}.force_n": self.output.force,
             f"{self.name}.poses": self.input.poses,
             f"{self.name}.passed_over": self.input.passed_over,
             f"{self.name}.damped_forces": self.output.device.damped,
             "force_n": report.values.get("force_n", 0.0) + self.output.force,  # of all tools
         }
+        report.problems[f"{self.name}.held_off"] = self.held_off
         report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(refused.items())}
 
     def answer(self, taken: int) -> None:
