@@ -12,16 +12,22 @@ from functools import wraps
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 
 from tissue_sim.ros.shared.report import Mishaps
 
 
 class GuardedNode(Node):
-    """A node with `mishaps`, which notes what its callbacks raise."""
+    """A node with `mishaps`, which notes what its callbacks raise, and which tells of topics that don't match.
+
+    remedies: by a topic's name as the graph has it, what makes its QoS another one.
+    """
 
     def __init__(self, name: str) -> None:
         self.mishaps = Mishaps("callback", lambda line: self.get_logger().error(line))
+        self.remedies: dict[str, str] = {}
         super().__init__(name)
 
     def guarded[**P](self, callback: Callable[P, object]) -> Callable[P, None]:
@@ -36,9 +42,43 @@ class GuardedNode(Node):
 
         return call
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *args: Any, **named: Any) -> Any:
+    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos: Any, **named: Any) -> Any:
         """As rclpy's, guarded."""
-        return super().create_subscription(msg_type, topic, self.guarded(callback), *args, **named)
+        if isinstance(qos, QoSProfile):
+            tell = self.guarded(lambda event: self._tell_of_qos(topic, qos, event, publishes=False))
+            named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
+        return super().create_subscription(msg_type, topic, self.guarded(callback), qos, **named)
+
+    def create_publisher(self, msg_type: Any, topic: str, qos: Any, **named: Any) -> Any:
+        """As rclpy's; who asks for more than it offers is told of."""
+        if isinstance(qos, QoSProfile):
+            tell = self.guarded(lambda event: self._tell_of_qos(topic, qos, event, publishes=True))
+            named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
+        return super().create_publisher(msg_type, topic, qos, **named)
+
+    def _tell_of_qos(self, topic: str, own: QoSProfile, event: Any, publishes: bool) -> None:
+        """Say who isn't heard or doesn't hear, as its QoS doesn't match, and what helps."""
+        name, policy = (
+            self.resolve_topic_name(topic),
+            event.last_policy_kind.name.lower().removeprefix("rmw_qos_policy_"),
+        )
+        ends = (self.get_subscriptions_info_by_topic if publishes else self.get_publishers_info_by_topic)(name)
+        pairs = [(own, end.qos_profile) if publishes else (end.qos_profile, own) for end in ends]
+        wrong = [
+            f"{end.node_namespace.rstrip('/')}/{end.node_name}"
+            for end, pair in zip(ends, pairs, strict=True)
+            if qos_check_compatible(*pair)[0] == QoSCompatibility.ERROR and "UNKNOWN" not in end.node_name
+        ]
+        who = ", ".join(sorted(set(wrong))) or "another node"  # it may be found before its name
+        is_reliable = own.reliability == ReliabilityPolicy.RELIABLE
+        mine, theirs = ("reliable", "best effort") if is_reliable else ("best effort", "reliable")
+        if policy != "reliability":
+            mine, theirs = f"one {policy}", "another"
+        line = f"this node offers {mine}, and {who} asks for {theirs}: it hears nothing"
+        if not publishes:
+            line = f"this node asks for {mine}, and {who} offers {theirs}: it is not heard"
+        remedy = self.remedies.get(name, "let the other have the QoS that this node has")
+        self.get_logger().warning(f"the QoS on {name} does not match: {line}; {remedy}")
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **named: Any) -> Any:
         """As rclpy's, guarded."""

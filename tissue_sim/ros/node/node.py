@@ -230,6 +230,11 @@ class TissueNode(GuardedNode):
         values = self.parameters
         topics, frames = topics_of(values, name), frames_of(values, name, self._lookup)
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
+        other = "false" if topics.reliable else "true"
+        for topic in filter(None, topics.names.values()):
+            self.remedies[self.resolve_topic_name(topic)] = (
+                f"{name}.reliable:={other} makes it match, or another QoS there"
+            )
         port = ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
         port.output.device = DevicePort(
             port.pose_freshness,

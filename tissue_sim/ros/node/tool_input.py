@@ -183,15 +183,18 @@ class ToolInput:
                 f"its frame is '{shown(message.frame_id)}', expected '{usual}'"
                 f" (parameter {tool.name}.{remedy}); {error}",
             ) from None
+        if message.stamp == 0 and tool.topics.allow_zero_stamp:
+            return message._replace(stamp=UNSTAMPED), frame_id, to_organ
         if message.stamp == 0:
-            raise Refused("no_stamp", "its stamp is 0, which marks invalid data")
+            remedy = f"parameter {tool.name}.allow_zero_stamp takes the time of its arrival"
+            raise Refused("no_stamp", f"its stamp is 0, which marks invalid data ({remedy})")
         if (before := freshness.last_stamp - message.stamp) > 0:
             raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
         return message, frame_id, to_organ
 
     def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
         """Whether a bag may hold it as it came; there everything has the organ's frame."""
-        return to_organ.is_identity and message.frame_id == self._tool.organ_frame
+        return to_organ.is_identity and message.frame_id == self._tool.organ_frame and message.stamp != UNSTAMPED
 
     def _stamp(self, message: Stamped) -> int:
         return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)

@@ -43,6 +43,7 @@ class ToolPort:
         self._tool, self._organs, self._woken = tool, organs, woken
         self._answered = 0  # sequence number of the pose
         self._log = node.get_logger()
+        self._was_slow = False
         self.held_off, self._said, self._unsaid = 0, -math.inf, 0  # how often; monotonic s of the last line; since that
         self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
         self.output = ToolOutput(node, tool, organs, recorder)
@@ -98,6 +99,23 @@ class ToolPort:
             f" send a pose outside first, and the next within stale_time ({self._organs.stale_time:g} s){times}"
         )
 
+    def _too_slow(self) -> str:
+        """What is wrong with poses that are stale before the next one comes; logged once when it begins."""
+        gap, stale_time = self.pose_freshness.too_slow, self._organs.stale_time
+        line = (
+            ""
+            if gap == 0.0
+            else (
+                f"tool '{self.name}': poses come {1.0 / gap:.0f} times a second, and each counts for stale_time,"
+                f" {stale_time:g} s: its force fades in between, and inside the organ it is held off; send more, or set"
+                f" stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
+            )
+        )
+        if line and not self._was_slow:
+            self._log.warning(line)
+        self._was_slow = bool(line)
+        return line
+
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""
         refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
@@ -106,6 +124,8 @@ class ToolPort:
             report.warnings.append(
                 f"tool '{self.name}' is held off: it is inside, and feels nothing until it was outside"
             )
+        if line := self._too_slow():
+            report.warnings.append(line)
         report.values |= {
             f"{self.name}.state": state,
             f"{self.name}.force_n": self.output.force,

@@ -122,6 +122,9 @@ TOOL_SPECS = (
     ),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
     Spec("allow_empty_frame", False, "take what comes without a frame_id as given in frame_id"),
+    Spec(
+        "allow_zero_stamp", False, "take what comes with a stamp of 0, which marks invalid data, as of when it arrived"
+    ),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
     Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty: none are taken"),
@@ -174,7 +177,8 @@ def usual_topics(tool: str) -> dict[str, str]:
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
     """How the bridge of a tool speaks."""
-    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable", "allow_empty_frame")
+    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
+    words += ("allow_empty_frame", "allow_zero_stamp")
     return ToolTopics(
         names={topic: values[f"{tool}.{topic}"] or usual for topic, usual in usual_topics(tool).items()},
         frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
@@ -263,7 +267,7 @@ class Parameters:
                 self._declare(f"{tool}.{spec.name}", spec)
         check_frames(self, self.tools)
         self._warn_of_unknown()
-        node.add_pre_set_parameters_callback(lambda given: [self._in_words(parameter) for parameter in given])
+        node.add_pre_set_parameters_callback(lambda given: [self._as_meant(parameter) for parameter in given])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._tell)
 
@@ -316,7 +320,7 @@ class Parameters:
         self._specs[name] = spec
         given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
         if given is not None:
-            self._node._parameter_overrides[name] = self._in_words(given)
+            self._node._parameter_overrides[name] = self._as_meant(given)
         try:
             self._node.declare_parameter(name, spec.default, descriptor)
         except InvalidParameterTypeException:
@@ -348,12 +352,19 @@ class Parameters:
             hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"
             self._node.get_logger().warning(f"parameter '{name}' is unknown and changes nothing; {hint}")
 
-    def _in_words(self, parameter: Parameter) -> Parameter:
-        """A parameter whose choice YAML reads as its false, as the choice that was meant."""
+    def _as_meant(self, parameter: Parameter) -> Parameter:
+        """A parameter whose choice YAML reads as its false, or whose decimals as whole numbers, as what was meant."""
         spec = self._specs.get(parameter.name)
-        if spec is None or OFF not in spec.choices or parameter.value is not False:
+        if spec is None:
             return parameter
-        return Parameter(parameter.name, value=OFF)
+        if OFF in spec.choices and parameter.value is False:
+            return Parameter(parameter.name, value=OFF)
+        kind = Parameter.Type
+        if isinstance(spec.default, float) and parameter.type_ == kind.INTEGER:
+            return Parameter(parameter.name, value=float(parameter.value))
+        if _is_decimals(spec.default) and parameter.type_ == kind.INTEGER_ARRAY:
+            return Parameter(parameter.name, value=[float(value) for value in parameter.value])
+        return parameter
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept live parameters in range; refuse others with the reason."""
@@ -395,6 +406,11 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
         except ValueError as error:
             return f"parameter '{name}' {error}"
     return ""
+
+
+def _is_decimals(value: Any) -> bool:
+    """Whether it is a list of numbers that need not be whole."""
+    return isinstance(value, list) and bool(value) and isinstance(value[0], float)
 
 
 def _plain(value: Any) -> Any:

@@ -56,6 +56,7 @@ class ToolTopics:
     wrench_rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     reliable: bool = False
     allow_empty_frame: bool = False  # what has no frame_id is in the one above
+    allow_zero_stamp: bool = False  # what has a stamp of 0 is of when it arrived
 
     @property
     def has_axes_of_its_own(self) -> bool:
