@@ -6,6 +6,8 @@ import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import DescribeParameters
 from rosbags.rosbag2 import Reader
 from visualization_msgs.msg import Marker
 
@@ -22,6 +24,7 @@ from helpers.ros.processes import (
     start_publisher,
 )
 from tissue_sim.cli import main
+from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
 
 @pytest.fixture(scope="module")
@@ -204,9 +207,48 @@ def test_parameters_change_live_or_say_why_not(client):
     refused = client.set_parameter("model", "surface")
     assert not refused.successful
     assert "start it again" in refused.reason
+    refused = client.set_parameter("organ_pose", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    assert not refused.successful
+    assert "names no other frame" in refused.reason
     assert not client.set_parameter("friction", -1.0).successful
     assert client.set_parameter("friction", 0.6).successful
     assert client.set_parameter("marker_rate", 30.0).successful
+
+
+def test_descriptors_tell_what_may_change_while_the_node_runs(client):
+    specs = {spec.name: spec for spec in NODE_SPECS} | {f"left.{spec.name}": spec for spec in TOOL_SPECS}
+    request = DescribeParameters.Request(names=[*specs, "tools", "organs"])
+    told = client.call(DescribeParameters, "/tissue_sim/describe_parameters", request).descriptors
+    assert {one.name: one.read_only for one in told} == {
+        **{name: not spec.live for name, spec in specs.items()},
+        "tools": True,
+        "organs": True,
+    }
+    friction = next(one for one in told if one.name == "friction")
+    assert friction.additional_constraints == "may change while the node runs"
+
+
+def test_diagnostics_have_a_status_for_each_tool_and_organ(client):
+    heard = []
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+
+    def is_told():
+        client.send_pose((1.0, 0.0, 0.0), stamp=0.0)
+        client.spin(0.02)
+        statuses = {status.name: status for status in heard[-1].status} if heard else {}
+        return "refused.no_stamp" in statuses["tissue_sim: tool left"].message and statuses if statuses else None
+
+    found = []
+    assert client.spin_until(lambda: found.append(is_told()) or bool(found[-1]))
+    statuses = found[-1]
+    names = ("physics", "tool left", "tool right", "organ kidney")
+    assert sorted(statuses) == sorted(f"tissue_sim: {name}" for name in names)
+    values = {name: {item.key for item in statuses[f"tissue_sim: {name}"].values} for name in names}
+    assert {"state", "poses", "refused.no_stamp", "pose_rate_hz"} <= values["tool left"]
+    assert {"region", "contact_count", "faults"} <= values["organ kidney"]
+    assert {"left.state", "left.refused.no_stamp", "right.pose_rate_hz", "region", "tick"} <= values["physics"]
+    assert statuses["tissue_sim: tool left"].level == DiagnosticStatus.WARN
+    assert statuses["tissue_sim: tool right"].level == DiagnosticStatus.OK
 
 
 @pytest.mark.parametrize("bad", [[0.0, 0.0], [0.0, float("nan"), 0.0], [0.0, 0.0, -1000.0]])

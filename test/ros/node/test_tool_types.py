@@ -2,6 +2,7 @@
 
 import os
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from helpers.ros.clients import LATCHED, MOMENT, Client
 from helpers.ros.processes import FAKE_TF, UNHURRIED, poke_path, running_node, shipped
 from tissue_sim.cli import main
+from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES
 
 TURN = Rotation.from_euler("zyx", (90.0, 20.0, -35.0), degrees=True)  # of a device's base in the base frame
 OFFSET = np.array([0.2, -0.3, 0.1])
 ORGAN = np.array([0.5, 0.1, -0.2])  # the organ in the base frame
+ORGAN_ELSEWHERE = np.array([-0.2, 0.3, 0.4])
 HELD = Rotation.from_euler("xyz", (40.0, 10.0, 160.0), degrees=True)
 DEPTH = 0.003
 
@@ -233,6 +236,12 @@ def bag(node, tools):
     tools.tf.publish(transform)
     felt["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
     assert tools.axes["led"] == "camera", "the frame of its poses, not the one that led.frame_id names"
+    # The organ is registered anew, while the node runs, and then as it was.
+    assert tools.set_parameter("organ_pose", [*ORGAN_ELSEWHERE, *TURN.as_quat()]).successful
+    felt["registered"] = tools.press("odometry", lambda point: (TURN.apply(point) + ORGAN_ELSEWHERE) / 0.5, HELD)
+    assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf is told"
+    felt["registered"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["registered"][:3])
+    assert tools.set_parameter("organ_pose", [*ORGAN, 0.0, 0.0, 0.0, 1.0]).successful
     stopped = tools.record(False)
     assert stopped.success
     return stopped.message, felt
@@ -295,6 +304,15 @@ def test_the_wrench_of_a_body_names_its_tip_which_tf_has(tools, frame):
     assert tools.spin_until(is_heard), tools.frames
 
 
+def test_an_organ_that_is_registered_anew_is_where_it_is_and_bags_tell_the_tick(bag):
+    assert is_outward(bag[1]["registered"][:3])
+    recording = Recording.read(Path(bag[0]))
+    ticks, poses = zip(*recording.registrations, strict=True)
+    at_first = [*ORGAN, 0.0, 0.0, 0.0, 1.0]
+    np.testing.assert_allclose(poses, [at_first, [*ORGAN_ELSEWHERE, *TURN.as_quat()], at_first])
+    assert ticks[0] < recording.first_tick < ticks[1] < ticks[2] < recording.last_tick
+
+
 def test_all_feel_the_same_tissue(bag):
     depth = [np.linalg.norm(felt[:3]) for felt in bag[1].values()]
     assert max(depth) < 1.5 * min(depth), bag[1]
@@ -324,4 +342,6 @@ def test_bag_holds_poses_and_forces_in_the_organs_frame_and_replays_bit_for_bit(
         assert deepest[f"/tissue_sim/{tool}/measured_cp"] == pytest.approx(DEPTH, abs=1e-6)
     assert kinds["/tissue_sim/plain/external_cf"] == "geometry_msgs/msg/WrenchStamped"
     assert main(["replay", bag[0], "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
-    assert "repeats" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "repeats" in said
+    assert said.count("organ_pose: [") == 2, "both changes, with their ticks"

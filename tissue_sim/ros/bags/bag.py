@@ -37,7 +37,10 @@ ORGAN_TOPICS = {
     "markers": "visualization_msgs/msg/MarkerArray",
 }
 # Under the node's name.
-NODE_TOPICS = {"config": "std_msgs/msg/String"}  # JSON
+NODE_TOPICS = {
+    "config": "std_msgs/msg/String",  # JSON
+    "organ_pose": OCTETS,  # npz: the pose (7,) of the organ in base_frame, and the newest tick when it became that
+}
 SCENE_TOPICS = {
     "joined": OCTETS,  # npz: what joins the organs, at the tick of their states
     "pair_set": OCTETS,  # npz: pairs found from a surface before the state

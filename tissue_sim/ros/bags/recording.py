@@ -26,6 +26,7 @@ from tissue_sim.ros.shared.cdr import (
     check_force,
     check_position,
     parse_number,
+    parse_octets,
     parse_stamped,
     parse_text,
     unit_pose,
@@ -46,6 +47,9 @@ class Recording:
     config: dict[str, Any]
     organs: list[OrganRecording]
     joined: JoinedRecording | None  # of a scene
+    registrations: list[tuple[int, Floats]] = field(
+        default_factory=list
+    )  # from which tick on organ_pose was what, (7,)
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
     stamps: list[dict[int, int]] = field(default_factory=list)  # ns, of the poses
     angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
@@ -80,7 +84,7 @@ class Recording:
         organs = [OrganRecording.parsed(path, messages, one, n_bodies) for one in below]
         sizes = [len(one.state["position"]) for one in organs]
         joined = JoinedRecording.parsed(messages, name, sizes) if "organs" in config else None
-        recording = cls(config, organs, joined)
+        recording = cls(config, organs, joined, [_registration(raw) for raw in messages[f"{name}/organ_pose"]])
         for tool in config["tools"]:
             topics = {topic: _topic(config["topics"], tool, topic) for topic in TOOL_TOPICS}
             first = {topic: int(config["first"].get(name, 1)) for topic, name in topics.items()}
@@ -145,6 +149,15 @@ def tools_of(config: dict[str, Any]) -> list[Tool]:
         )
         for name in config["tools"]
     ]
+
+
+def _registration(raw: bytes) -> tuple[int, Floats]:
+    """Return the tick of a message on organ_pose and the pose (7,); raises ValueError for one that no node writes."""
+    found = bag.unpack(parse_octets(raw))
+    tick, pose = found["tick"], found["organ_pose"]
+    if tick.shape != () or tick.dtype.kind != "i" or pose.shape != (7,) or pose.dtype.kind != "f":
+        raise ValueError("its organ_pose is of another type")
+    return int(tick), _pose_of(pose.tolist())
 
 
 def _topic(names: Mapping[str, str], tool: str, topic: str) -> str:

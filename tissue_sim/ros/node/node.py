@@ -67,6 +67,7 @@ class TissueNode(GuardedNode):
     def __init__(self) -> None:
         super().__init__(NAME)
         self.parameters = Parameters(self)
+        self.decided = self.parameters.decided
         values = self.parameters
         self.frame_id: str = values["frame_id"]
         tools = ToolSet([tool_of(values, name) for name in values.tools])
@@ -106,17 +107,16 @@ class TissueNode(GuardedNode):
         self.respiration = None
         if joined is not None and self.scene.joined is not None and self.scene.joined.carried.breath.follows:
             self.respiration = RespirationInput(self, self.loop, joined, self.sim_clock)
-        broadcast = None
-        if values["broadcast_tf"] and tf_installed():
-            broadcast = TfBroadcast(self)
-            broadcast.fix(self.get_clock().now().nanoseconds, placed_frames(values, values.tools))
+        self._broadcast = TfBroadcast(self) if values["broadcast_tf"] and tf_installed() else None
+        self._registrations = 0  # how often organ_pose changed
+        self._place_frames()
         self.presenters: list[OrganPresenter | ScenePresenter] = [
             OrganPresenter(self, one, self.frame_id, self.ports, recorder, values)
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         if self.scene.is_scene:
             self.presenters.append(ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, values))
-        self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, broadcast)
+        self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
@@ -145,7 +145,7 @@ class TissueNode(GuardedNode):
         )
         self._parts = [
             *self.ports,
-            LoopReport(self.organs, self.scene.names),
+            LoopReport(self.organs, self.scene.names, [one.name or one.organ.name for one in self.served]),
             self.sim_clock,
             self.backlog,
             self.live,
@@ -289,7 +289,23 @@ class TissueNode(GuardedNode):
         with self.recorder.together:
             self.recorder.of_organ[organ].settings(self.organs.each[organ].post_settings(settings), settings)
 
-    def _on_parameters(self, _: set[str]) -> None:
+    def _place_frames(self) -> None:
+        """Tell tf and bags where the organ is."""
+        if self._broadcast is not None:
+            placed = placed_frames(self.parameters, self.parameters.tools)
+            self._broadcast.fix(self.get_clock().now().nanoseconds, placed)
+        self.recorder.organ_pose(self.parameters["organ_pose"])
+
+    def _register(self) -> None:
+        """Take poses and wrenches to and from the organ where it is now."""
+        for port in self.ports:
+            port.renew_frames(frames_of(self.parameters, port.name, self._lookup))
+        self._place_frames()
+        self._registrations += 1
+
+    def _on_parameters(self, names: set[str]) -> None:
+        if "organ_pose" in names:
+            self._register()
         self.contacts.rate = self.parameters["contact_rate"]
         for port in self.ports:
             port.output.device.most = self.parameters[f"{port.name}.passivity_damping"]
@@ -299,6 +315,7 @@ class TissueNode(GuardedNode):
         if self.parameters["coupling_stiffness"] > 0.0:
             self.live.update()  # poses may come at another rate now
         report = Report()
+        report.values["registrations"] = self._registrations
         for part in self._parts:
             part.report(report)
         self.diagnostics.publish(report)

@@ -56,6 +56,11 @@ class ToolOutput:
             tick, wrench = self._newest()
             self._send(tick, wrench, self.device.felt(pose.pose[:3], wrench))
 
+    def renew(self, pose: NewestPose) -> None:
+        """Take the frames of the newest pose anew."""
+        with self._lock:
+            self._pose = pose
+
     def keep_publishing(self, silence: float) -> bool:
         """Publish the newest wrench if nothing went out for `silence` s and the last one wasn't zero.
 

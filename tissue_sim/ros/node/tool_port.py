@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from contextlib import suppress
 
 from rclpy.node import Node
 
@@ -16,7 +17,7 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_input import ToolInput
 from tissue_sim.ros.node.tool_output import ToolOutput
-from tissue_sim.ros.shared.frames import Placed
+from tissue_sim.ros.shared.frames import Frames, Placed, UnknownFrame
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
 
@@ -64,6 +65,17 @@ class ToolPort:
     def newest(self) -> NewestPose:
         """The newest pose that was taken up."""
         return self.input.newest
+
+    def renew_frames(self, frames: Frames) -> None:
+        """Lead poses to the organ as other frames do, from the next one on, and wrenches at once.
+
+        To be called by the executor's thread, which takes the poses.
+        """
+        self._tool.frames.become(frames)
+        with suppress(UnknownFrame):  # one that tf no longer has: the next pose is refused
+            newest = self.input.newest
+            self.input.newest = newest._replace(to_organ=frames.to_organ(newest.frame_id))
+            self.output.renew(self.input.newest)
 
     def moving_frames(self, pose: NewestPose) -> Placed:
         """The frames that a pose of the tool places."""
@@ -118,24 +130,23 @@ class ToolPort:
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""
-        refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
-        state = self.state()
-        if state == "held_off":
-            report.warnings.append(
-                f"tool '{self.name}' is held off: it is inside, and feels nothing until it was outside"
-            )
+        own = report.part(f"tool {self.name}", f"{self.name}.")
+        own.state = self.state()
+        if own.state == "held_off":
+            own.warnings.append(f"tool '{self.name}' is held off: it is inside, and feels nothing until it was outside")
         if line := self._too_slow():
-            report.warnings.append(line)
-        report.values |= {
-            f"{self.name}.state": state,
-            f"{self.name}.force_n": self.output.force,
-            f"{self.name}.poses": self.input.poses,
-            f"{self.name}.passed_over": self.input.passed_over,
-            f"{self.name}.damped_forces": self.output.device.damped,
-            "force_n": report.values.get("force_n", 0.0) + self.output.force,  # of all tools
+            own.warnings.append(line)
+        own.values |= {
+            "state": own.state,
+            "force_n": self.output.force,
+            "poses": self.input.poses,
+            "passed_over": self.input.passed_over,
+            "damped_forces": self.output.device.damped,
         }
-        report.problems[f"{self.name}.held_off"] = self.held_off
-        report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(refused.items())}
+        refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
+        own.problems["held_off"] = self.held_off
+        own.problems |= {f"refused.{why}": count for why, count in sorted(refused.items())}
+        report.values["force_n"] = report.values.get("force_n", 0.0) + self.output.force  # of all tools
 
     def answer(self, taken: int) -> None:
         """Publish the newest wrench, unless it answers no new pose; taken: number of the one that a tick took up."""

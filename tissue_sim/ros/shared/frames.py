@@ -97,6 +97,10 @@ class Frames:
         self._known = {frame_id: transform.scaled(scale) for frame_id, transform in known.items()}
         self._scale, self._lookup = scale, lookup
 
+    def become(self, other: Frames) -> None:
+        """Lead as other frames do from now on."""
+        self._known, self._scale, self._lookup = other._known, other._scale, other._lookup
+
     def to_organ(self, frame_id: str) -> Transform:
         """The transform from a frame to the organ's; raises UnknownFrame."""
         transform = self._known.get(frame_id)

@@ -6,6 +6,7 @@ import array
 import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -59,7 +60,13 @@ NODE_SPECS = (
     Spec("scene_file", "", "scene (.yaml) of several organs, instead of organ_file; empty: an organ alone"),
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
-    Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
+    Spec(
+        "organ_pose",
+        list(IDENTITY),
+        "organ in base_frame, its registration: x, y, z (m), quaternion x, y, z, w",
+        live=True,
+        check=_check_pose,
+    ),
     Spec("broadcast_tf", True, "tell tf where organ, tools' frames and tips are; needs tf2_ros"),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
     Spec(
@@ -177,8 +184,8 @@ def usual_topics(tool: str) -> dict[str, str]:
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
     """How the bridge of a tool speaks."""
-    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable")
-    words += ("allow_empty_frame", "allow_zero_stamp")
+    words = ["pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable"]
+    words += ["allow_empty_frame", "allow_zero_stamp"]
     return ToolTopics(
         names={topic: values[f"{tool}.{topic}"] or usual for topic, usual in usual_topics(tool).items()},
         frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
@@ -207,13 +214,19 @@ def _frame_of(values: Values, tool: str) -> str:
     return values[f"{tool}.frame_id"] or values["frame_id"]
 
 
-def check_frames(values: Values, tools: Sequence[str]) -> None:
-    """Raise UserError where parameters give a frame two places, so that what a header says would not be where it is."""
+def check_organ_pose(values: Values, pose: Sequence[float]) -> None:
+    """Raise UserError for a pose (7,) of the organ where there is no other frame that it could be in."""
     organ_id, base_id = _organ_and_base(values)
-    if base_id == organ_id and not Transform.of_pose(values["organ_pose"]).is_identity:
+    if base_id == organ_id and not Transform.of_pose(pose).is_identity:
         raise UserError(
             f"parameter 'organ_pose' is the pose of '{organ_id}' in base_frame, which names no other frame: name one"
         )
+
+
+def check_frames(values: Values, tools: Sequence[str]) -> None:
+    """Raise UserError where parameters give a frame two places, so that what a header says would not be where it is."""
+    organ_id, base_id = _organ_and_base(values)
+    check_organ_pose(values, values["organ_pose"])
     placed: dict[str, tuple[str, Transform]] = {}  # by frame: the tool that places it, and where
     for tool in tools:
         frame_id, pose = _frame_of(values, tool), Transform.of_pose(values[f"{tool}.base_pose"])
@@ -255,7 +268,8 @@ class Parameters:
         self._node = node
         self._specs: dict[str, Spec] = {}
         self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
-        self.checks: dict[str, Callable[[Any], object]] = {}  # of live changes, by name; they raise UserError
+        # Of live changes, by name; they raise UserError.
+        self.checks: dict[str, Callable[[Any], object]] = {"organ_pose": partial(check_organ_pose, self)}
         for spec in NODE_SPECS:
             self._declare(spec.name, spec)
         self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))
@@ -295,7 +309,7 @@ class Parameters:
         """Say what a scene's organs are called; none for one alone. Nobody sets that."""
         text = "names of a scene's organs, which their topics begin with; empty: an organ alone"
         # Dynamic: rclpy takes an empty list for one of bytes.
-        descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
+        descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
         self._node.declare_parameter(TOLD, list(names), descriptor, ignore_override=True)
         self._specs[TOLD] = Spec(TOLD, list(names), text)
 
@@ -305,9 +319,10 @@ class Parameters:
 
     # inside ------------------------------------------------------------------------------------
     def _declare(self, name: str, spec: Spec) -> None:
-        descriptor = ParameterDescriptor(description=spec.text)
-        if spec.choices:
-            descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
+        descriptor = ParameterDescriptor(description=spec.text, read_only=not spec.live)
+        told = ["one of " + ", ".join(spec.choices)] if spec.choices else []
+        told.append("may change while the node runs" if spec.live else "fixed when the node starts")
+        descriptor.additional_constraints = "; ".join(told)
         if spec.low is not None and spec.high is not None:
             if isinstance(spec.default, int):
                 bounds = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
@@ -366,19 +381,27 @@ class Parameters:
             return Parameter(parameter.name, value=[float(value) for value in parameter.value])
         return parameter
 
+    def decided(self, parameter: Parameter) -> SetParametersResult | None:
+        """Return what comes of setting a parameter that is fixed; None for one that isn't.
+
+        The value that it has is taken, as in a dump of the node's own that is loaded again; rclpy would refuse it.
+        """
+        spec = self._specs.get(parameter.name)
+        if spec is None or spec.live:
+            return None
+        if _plain(self._as_meant(parameter).value) == _plain(self[parameter.name]):
+            return SetParametersResult(successful=True)
+        reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
+        if parameter.name == TOLD:
+            reason = f"'{TOLD}' tells what the node serves, and can't be set"
+        return SetParametersResult(successful=False, reason=reason)
+
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept live parameters in range; refuse others with the reason."""
         for parameter in parameters:
             spec = self._specs.get(parameter.name)
             if spec is None:
                 continue
-            if not spec.live and _plain(parameter.value) == _plain(self[parameter.name]):
-                continue  # as in a dump of the node's own that is loaded again
-            if not spec.live:
-                reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
-                if parameter.name == TOLD:
-                    reason = f"'{TOLD}' tells what the node serves, and can't be set"
-                return SetParametersResult(successful=False, reason=reason)
             if problem := _problem(parameter.name, spec, parameter.value):
                 return SetParametersResult(successful=False, reason=problem)
             try:
