@@ -81,7 +81,8 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
             own,
             [own],
             # tf where it is installed, and the clock with use_sim_time.
-            [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools")]
+            [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools", "ready")]
+            + _below(own, *(f"{tool}/{topic}" for tool in values["tools"] for topic in ("contacts", "wrench")))
             + ["/diagnostics", "/rosout", "/tf", "/tf_static"],
             [
                 *poses,
@@ -90,6 +91,7 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
                 "/tf",
                 "/tf_static",
                 *_below(own, *(["respiration"] if values["organs"] else [])),
+                *_below(own, *(f"{tool}/enable" for tool in values["tools"])),
             ],
             _below(own, "record", "reset", *PARAMETER_SERVICES),
         ),

@@ -162,10 +162,10 @@ class Recorder:
     def _poll(self) -> None:
         now = time.monotonic()
         if not self._has_state and now - self._started > SETTLE_TIME:
-            self._organs.loop.take_snapshots()
-            tick = min([one.state() for one in self.of_organ])
-            if self.joined is not None:
-                self.joined.state(tick)
+            with self._organs.loop.snapshots():
+                tick = min([one.state() for one in self.of_organ])
+                if self.joined is not None:
+                    self.joined.state(tick)
             self._has_state, self._journal_at, self._hurry = True, 0.0, True
         if now - self._journal_at < JOURNAL_EVERY:
             return

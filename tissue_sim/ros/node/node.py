@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 import tissue_sim
@@ -30,6 +31,7 @@ from tissue_sim.ros.bags.writer import Split
 from tissue_sim.ros.node.answers import Answers
 from tissue_sim.ros.node.backlog import Backlog, executor_of
 from tissue_sim.ros.node.contact_kernels import compile_beside
+from tissue_sim.ros.node.contact_points import ContactPoints, warm_up
 from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
@@ -52,6 +54,7 @@ from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.priority import below, prefer
+from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports
 
 NAME = "tissue_sim"
@@ -117,6 +120,10 @@ class TissueNode(GuardedNode):
         if self.scene.is_scene:
             self.presenters.append(ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, values))
         self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
+        self.contact_points = ContactPoints(self, self.frame_id, self.organs, tools)
+        self._warm_up.append(partial(warm_up, tools.shapes))
+        self._ready = self.create_publisher(Bool, "~/ready", LATCHED)
+        self._ready.publish(Bool(data=False))
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
@@ -135,16 +142,18 @@ class TissueNode(GuardedNode):
         self.live.update()
         self._start_loop()
         self.answers.start()
-        for warm_up in self._warm_up:  # after the tick, beside which its kernels were compiled
-            warm_up()
+        for compile_kernels in self._warm_up:  # after the tick, beside which they were compiled
+            compile_kernels()
         self._prefer(self.parameters["realtime_priority"])
         tools = self.tool_presenter
-        show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips, self.recorder.poll]
+        show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips]
+        show += [self.contact_points.present, self.recorder.poll]
         outlet = self._outlet = Outlet(
             self.organs, self.ports, show, self.live, self.sim_clock, self.backlog, self._report, self.get_logger()
         )
         self._parts = [
             *self.ports,
+            self.contact_points,
             LoopReport(self.organs, self.scene.names, [one.name or one.organ.name for one in self.served]),
             self.sim_clock,
             self.backlog,
@@ -170,6 +179,8 @@ class TissueNode(GuardedNode):
             f"{told(self.scene.names, self.scene.organs)}; model {simulations[0].variant}, {simulations[0].rate:g} Hz,"
             f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {told_reach()}"
         )
+
+        self._ready.publish(Bool(data=True))
 
     def _warn_of_fine_tools(self) -> None:
         """Name tools that are finer than the coarsest organ's surface can tell, and what helps."""
@@ -197,6 +208,8 @@ class TissueNode(GuardedNode):
         for port in self.ports:
             with noted():
                 port.output.publish_zero()
+        with noted():
+            self._ready.publish(Bool(data=False))
         for presenter in (*self.presenters, self.tool_presenter):
             with noted():
                 presenter.close()

@@ -12,7 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
@@ -87,6 +87,8 @@ class ToolInput:
             as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
             name = forces.topic_name if as_bagged else ""
             self._bagged_force = recorder.add_topic(tool.name, "external_cf", name, qos)
+        self.enabled = True
+        self._subscriptions.append(node.create_subscription(Bool, f"~/{tool.name}/enable", self._on_enable, RELIABLE))
         if tool.is_gripper:
             self._subscriptions.append(
                 node.create_subscription(JointState, names["measured_js"], self._on_angle, qos),
@@ -109,8 +111,15 @@ class ToolInput:
             found[self._bagged_force] = self._newest_force
         return found
 
+    def _on_enable(self, message: Bool) -> None:
+        """A clutch: while it is false, poses and forces are passed over, and the tool lets go as if these stopped."""
+        if message.data != self.enabled:
+            self.enabled = bool(message.data)
+            name, now = self._tool.name, "enabled" if self.enabled else "disabled: its poses are passed over"
+            self._log.info(f"tool '{name}' is {now} (~/{name}/enable)")
+
     def _on_pose(self, raw: bytes) -> None:
-        if not self._pose_gate.passes():
+        if not self.enabled or not self._pose_gate.passes():
             return
         tool = self._tool
         with self._refusing("pose"):
@@ -145,7 +154,7 @@ class ToolInput:
             self._angle = float(message.position[0])
 
     def _on_force(self, raw: bytes) -> None:
-        if not self._force_gate.passes():
+        if not self.enabled or not self._force_gate.passes():
             return
         with self._refusing("force"):
             message, _, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)

@@ -23,7 +23,7 @@ from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
 
 class ToolOutput:
-    """Publishes a tool's servo_cf, and hands it to the bag as a WrenchStamped in the organ's frame.
+    """Publishes a tool's servo_cf, and what the tissue does to it in the organ's frame, which a bag holds.
 
     A wrench goes out in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
     rate when poses stop, until the wrench is zero.
@@ -40,6 +40,7 @@ class ToolOutput:
         topics = tool.topics
         self._axes, self._template = "", self._template_for("")
         self._bag_wrench = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
+        self._in_organ_frame = node.create_publisher(WrenchStamped, f"~/{tool.name}/wrench", RELIABLE)
         self._lock = threading.Lock()
         self._published = -math.inf  # monotonic s
         qos = RELIABLE if topics.reliable else STREAM
@@ -95,6 +96,8 @@ class ToolOutput:
             self._axes, self._template = axes, self._template_for(axes)
         raw = self._template.message(stamp, self._along_axes(felt))
         self._servo.publish(raw)
+        if self._in_organ_frame.get_subscription_count() > 0:
+            self._in_organ_frame.publish(self._bag_wrench.message(stamp, wrench))
         self.force = math.sqrt(float(felt[:3] @ felt[:3]))
         self._published = time.monotonic()
         if self._recorder.active:

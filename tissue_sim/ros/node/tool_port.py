@@ -86,7 +86,9 @@ class ToolPort:
         return self._tool.wrench(of_bodies, self.newest)
 
     def state(self) -> str:
-        """none, fresh, stale, or held_off (until it leaves the organ)."""
+        """disabled, none, fresh, stale, or held_off (until it leaves the organ)."""
+        if not self.input.enabled:
+            return "disabled"
         if self.input.poses == 0:
             return "none"
         if not self.pose_freshness.is_fresh:
