@@ -72,10 +72,8 @@ class GuardedNode(Node):
     def _tell_of_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
         """Say who isn't heard or doesn't hear, as its QoS doesn't match, and what helps."""
         own = QoSProfile(depth=given) if isinstance(given, int) else given
-        name, policy = (
-            self.resolve_topic_name(topic),
-            event.last_policy_kind.name.lower().removeprefix("rmw_qos_policy_"),
-        )
+        name = self.resolve_topic_name(topic)
+        policy = event.last_policy_kind.name.lower().removeprefix("rmw_qos_policy_")
         ends = (self.get_subscriptions_info_by_topic if publishes else self.get_publishers_info_by_topic)(name)
         pairs = [(own, end.qos_profile) if publishes else (end.qos_profile, own) for end in ends]
         wrong = [
@@ -86,12 +84,13 @@ class GuardedNode(Node):
         who = ", ".join(sorted(set(wrong))) or "another node"  # it may be found before its name
         is_reliable = own.reliability == ReliabilityPolicy.RELIABLE
         mine, theirs = ("reliable", "best effort") if is_reliable else ("best effort", "reliable")
+        remedy = self.remedies.get(name, "")
         if policy != "reliability":
-            mine, theirs = f"one {policy}", "another"
+            mine, theirs, remedy = f"one {policy}", "another", ""
         line = f"this node offers {mine}, and {who} asks for {theirs}: it hears nothing"
         if not publishes:
             line = f"this node asks for {mine}, and {who} offers {theirs}: it is not heard"
-        remedy = self.remedies.get(name, "let the other have the QoS that this node has")
+        remedy = remedy or "let the other have the QoS that this node has"
         self.get_logger().warning(f"the QoS on {name} does not match: {line}; {remedy}")
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **named: Any) -> Any:

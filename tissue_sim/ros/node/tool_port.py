@@ -115,19 +115,17 @@ class ToolPort:
 
     def _too_slow(self) -> str:
         """What is wrong with poses that are stale before the next one comes; logged once when it begins."""
-        gap, stale_time = self.pose_freshness.too_slow, self._organs.stale_time
+        gap, was_slow = self.pose_freshness.too_slow, self._was_slow
+        self._was_slow = gap > 0.0
+        if gap == 0.0:
+            return ""
         line = (
-            ""
-            if gap == 0.0
-            else (
-                f"tool '{self.name}': poses come {1.0 / gap:.0f} times a second, and each counts for stale_time,"
-                f" {stale_time:g} s: its force fades in between, and inside the organ it is held off; send more, or set"
-                f" stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
-            )
+            f"tool '{self.name}': poses come {1.0 / gap:.0f} times a second, and each counts for stale_time,"
+            f" {self._organs.stale_time:g} s: its force fades in between, and inside the organ it is held off;"
+            f" send more, or set stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
         )
-        if line and not self._was_slow:
+        if not was_slow:
             self._log.warning(line)
-        self._was_slow = bool(line)
         return line
 
     def report(self, report: Report) -> None:
