@@ -76,6 +76,8 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
     shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
+    if values["organs"]:
+        shown += _below(own, "ligaments")
     return {
         own: Allowed(
             own,

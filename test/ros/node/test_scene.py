@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from sensor_msgs.msg import JointState, PointCloud2
 from shape_msgs.msg import Mesh
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, Process, running_node, start_node
@@ -108,6 +109,19 @@ def test_breathing_is_shown_and_is_no_displacement(client):
 
     assert client.spin_until(lambda: span("liver/surface") > 0.0035 and clouds["kidney/surface"])
     assert span("kidney/surface") < 0.002, "it only hangs on the other"
+
+
+def test_ligaments_are_lines_between_the_nodes_that_they_join(client):
+    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
+    lines = heard(client, MarkerArray, ["ligaments"], beside.latched_qos())["ligaments"]
+    assert client.spin_until(lambda: lines and all(clouds.values()))
+    (marker,) = lines[-1].markers
+    assert (marker.type, marker.header.frame_id) == (Marker.LINE_LIST, "organ")
+    ends = np.array([(point.x, point.y, point.z) for point in marker.points]).reshape(-1, 2, 3)
+    assert len(ends) > 3
+    rest = [ball(2).surface_positions, ball(2).surface_positions + [0.0592, 0.0, 0.0]]
+    for side, surface in enumerate(rest):  # the breath moves them by at most 5 mm
+        assert cKDTree(surface).query(ends[:, side])[0].max() < 0.006
 
 
 def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):

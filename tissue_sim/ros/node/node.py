@@ -118,7 +118,9 @@ class TissueNode(GuardedNode):
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         if self.scene.is_scene:
-            self.presenters.append(ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, values))
+            self.presenters.append(
+                ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, self.scene.joined, values)
+            )
         self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
         self.contact_points = ContactPoints(self, self.frame_id, self.organs, tools)
         self._warm_up.append(partial(warm_up, tools.shapes))
