@@ -125,9 +125,21 @@ def test_ligaments_are_lines_between_the_nodes_that_they_join(client):
 
 
 def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
+    clouds = heard(client, PointCloud2, ["left/contacts"], 10)["left/contacts"]
     # Again where poses were lost before the node had discovered who sends them.
     assert client.spin_until(lambda: min(press(client, (0.0, 0.0), (0.0592, 0.0))) > 0.05), "N"
     assert client.spin_until(lambda: "liver.region" in client.diagnostics)
+
+    def touched(organ):
+        """The contact points of an organ that were heard."""
+        points = np.concatenate([beside.cloud_array(cloud) for cloud in clouds])
+        return points[points[:, 9] == organ]
+
+    for organ, middle in enumerate((0.0, 0.0592)):
+        assert client.spin_until(lambda organ=organ, x=middle: press(client, (x, 0.0)) and len(touched(organ)) > 0)
+        own = touched(organ)
+        assert np.abs(own[:, 0] - middle).max() < 0.015, "m: where that organ was pressed"
+        assert own[:, 5].mean() > 0.5, "from above"
     assert {"kidney.contact_count", "pair_searches", "skipped.organs_far"} <= client.diagnostics.keys()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.shared.organs import Organs
@@ -11,6 +12,7 @@ FIRST_PERIOD = 1e-3  # s between two messages, until they come
 LONGEST_PERIOD = 0.1  # s between two messages of a stream
 LONGEST_DELAY = 0.1  # s, above which an age tells of clocks that differ
 NEW = 0.02  # weight of the newest message in averages
+LONGEST_GAP, GAPS = 1.0, 8  # s between messages of one stream, however slow; gaps that tell that it is slow
 
 
 class Freshness:
@@ -25,6 +27,7 @@ class Freshness:
         self._clock, self._organs = clock, organs
         self._came, self._stamp = -math.inf, 0  # s, ns
         self._period, self._delay = FIRST_PERIOD, 0.0  # s, on average
+        self._gaps: deque[float] = deque(maxlen=GAPS)  # s
         clock.jumped.append(self._forget)
 
     def came(self, stamp: int) -> None:
@@ -32,6 +35,10 @@ class Freshness:
         now = self._clock.now()
         if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock are one to the ticks
             self._period += NEW * (gap - self._period)
+        if 0.0 < gap < LONGEST_GAP:
+            self._gaps.append(gap)
+        elif gap > 0.0:
+            self._gaps.clear()
         age = self._clock.age_of(stamp) if stamp > 0 else 0.0
         self._delay += NEW * ((age if 0.0 <= age <= LONGEST_DELAY else 0.0) - self._delay)
         self._came, self._stamp = now, stamp
@@ -62,6 +69,13 @@ class Freshness:
         return self._period
 
     @property
+    def too_slow(self) -> float:
+        """Seconds between messages that come on and on, where each is stale before the next; 0 where they don't."""
+        gaps = sorted(self._gaps)
+        gap = gaps[len(gaps) // 2] if len(gaps) == GAPS and self.age < LONGEST_GAP else 0.0
+        return gap if gap > self._organs.stale_time else 0.0
+
+    @property
     def delay(self) -> float:
         """Seconds from a message's stamp until it came, on average.
 
@@ -71,3 +85,4 @@ class Freshness:
 
     def _forget(self) -> None:
         self._came, self._stamp = -math.inf, 0
+        self._gaps.clear()

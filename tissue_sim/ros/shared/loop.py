@@ -6,7 +6,8 @@ import ctypes
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -50,6 +51,7 @@ class Loop:
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
+        self._snapshot_lock = threading.Lock()  # held while somebody reads the states that were asked for
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
         # Settings of their own: those of a simulation change between ticks, when a parameter does.
@@ -178,6 +180,16 @@ class Loop:
         end = time.monotonic_ns() + round(1e9 * longest)
         timespec = (ctypes.c_long * 2)(*divmod(end, 1_000_000_000))
         return bool(_waiting_libc.sem_clockwait(self._answered, rt.CLOCK_MONOTONIC, timespec) == 0)
+
+    @contextmanager
+    def snapshots(self, timeout: float = 1.0) -> Iterator[None]:
+        """The whole state after one tick is in the boxes of all organs in here, whoever else asks for it.
+
+        Raises TimeoutError when the loop doesn't answer.
+        """
+        with self._snapshot_lock:
+            self.take_snapshots(timeout)
+            yield
 
     def take_snapshots(self, timeout: float = 1.0) -> None:
         """Have the whole state after one tick in the boxes of all organs.

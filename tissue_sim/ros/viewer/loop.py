@@ -149,7 +149,10 @@ class Viewer:
         if status is not None:
             if now - self._heard >= SILENT_AFTER:
                 self._parameters.ask()  # it may serve other organs by now
-            self._values, self._heard = {item.key: item.value for item in status.values}, now
+            before, self._heard = self._values.get("registrations"), now
+            self._values = {item.key: item.value for item in status.values}
+            if self._values.get("registrations") != before:
+                self._parameters.ask()  # the organ is elsewhere in the frame of the tools
             level = int.from_bytes(status.level, "little")
             self._headline, self._detail = headline(self._target, level, status.message), detail(level, status.message)
         if now - self._heard < SILENT_AFTER:
