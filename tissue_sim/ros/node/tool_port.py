@@ -118,7 +118,7 @@ class ToolPort:
         times = f" ({len(organs)} times since the last such line)" if len(organs) > 1 else ""
         self._log.warning(
             f"tool '{self.name}' is held off: it appeared inside {organs[-1]} and feels nothing until it has been"
-            f" outside; send a pose outside first, and the next within stale_time ({self._organs.stale_time:g} s){times}"
+            f" outside; send a pose outside first, the next within stale_time ({self._organs.stale_time:g} s){times}"
         )
 
     def _too_slow(self) -> str:
