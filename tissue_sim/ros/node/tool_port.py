@@ -48,7 +48,9 @@ class ToolPort:
         self._answered = 0  # sequence number of the pose
         self._log = node.get_logger()
         self._was_slow = False
-        self.held_off, self._said, self._unsaid = 0, -math.inf, 0  # how often; monotonic s of the last line; since that
+        self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
+        self._unsaid: list[str] = []  # organs that it appeared in since that
+        self._saying = threading.Lock()
         self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
         self.output = ToolOutput(node, tool, organs, recorder)
         freshness = self.pose_freshness, self.force_freshness
@@ -121,16 +123,22 @@ class ToolPort:
         Where that happens many times a second, as with poses that come more seldom than `stale_time`, a line tells of
         all of them.
         """
-        self.held_off += 1
-        self._unsaid += 1
-        now = time.monotonic()
-        if now - self._said < SAY_EVERY:
-            return
-        times = f" ({self._unsaid} times since the last such line)" if self._unsaid > 1 else ""
-        self._said, self._unsaid = now, 0
+        with self._saying:
+            self.held_off += 1
+            self._unsaid.append(organ)
+        self._say_held_off()
+
+    def _say_held_off(self) -> None:
+        """Log that the tool was held off since it was said last, no more than once in SAY_EVERY."""
+        with self._saying:
+            now, organs = time.monotonic(), self._unsaid
+            if not organs or now - self._said < SAY_EVERY:
+                return
+            self._said, self._unsaid = now, []
+        times = f" ({len(organs)} times since the last such line)" if len(organs) > 1 else ""
         self._log.warning(
-            f"tool '{self.name}' is held off: it appeared inside {organ} and feels nothing until it has been outside;"
-            f" send a pose outside first, and the next within stale_time ({self._organs.stale_time:g} s){times}"
+            f"tool '{self.name}' is held off: it appeared inside {organs[-1]} and feels nothing until it has been"
+            f" outside; send a pose outside first, the next within stale_time ({self._organs.stale_time:g} s){times}"
         )
 
     def _too_slow(self) -> str:
@@ -150,6 +158,7 @@ class ToolPort:
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""
+        self._say_held_off()
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
         if own.state == "held_off":
