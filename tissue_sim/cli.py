@@ -6,8 +6,10 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import tissue_sim
+from tissue_sim import progress
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
 from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
@@ -51,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
-        code = _run(words, chosen)
+        with nullcontext() if chosen in UNTIL_ASKED else progress.task(_title(words)):
+            code = _run(words, chosen)
         sys.stdout.flush()  # what fails there is to be told here
         return code
     except UserError as error:
@@ -70,6 +73,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, OSError):  # a full disk, perhaps, and what is still to be printed would fail once more
             give_up_output()
         return 1
+
+
+def _title(words: Sequence[str]) -> str:
+    """The command, with its benchmark."""
+    named = [word for word in words if not word.startswith("-")]
+    return " ".join(named[: 2 if named[:1] == ["bench"] else 1]) or "tissue_sim"
 
 
 def _run(words: Sequence[str], chosen: str | None) -> int:

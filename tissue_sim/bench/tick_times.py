@@ -124,7 +124,7 @@ def bounds(measured: Figures) -> list[Bound]:
     def ratio(one: str, other: str) -> float | None:
         return median[one] / median[other] if one in median and other in median else None
 
-    first, last = measured.grown[0].points, measured.grown[-1].points
+    first, last = growth.SIZES[0], (measured.grown[-1].points if measured.grown else growth.SIZES[-1])
     return [
         Bound("whole hybrid tick", us(WHOLE), 300.0, "us"),
         Bound("whole tick of cells", us(CELLS), 100.0, "us"),
@@ -213,6 +213,11 @@ def _growth_lines(found: dict[str, Any]) -> list[str]:
         table.append([*row, f"{size['modes']} by {size['modes_by']}", f"{size['modes_s']:.1f}"])
     return [
         *aligned(table, left=0),
-        f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
-        " shorter edges ask for more substeps; the same pressure on 19 nodes at every size",
-    ]
+    ] + (
+        []
+        if found["substep_exponent"] is None
+        else [
+            f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
+            " shorter edges ask for more substeps; the same pressure on 19 nodes at every size",
+        ]
+    )

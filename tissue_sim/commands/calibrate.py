@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import tissue_sim
-from tissue_sim.bars import Bars
+from tissue_sim import progress
 from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.stiffness import INTERIOR_SHARE, METHODS, Settings
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     if checkpoint.found:
         print(f"going on from {folder}")
     try:
-        found = calibrate(organ, settings, checkpoint, Bars())
+        found = calibrate(organ, settings, checkpoint, progress.Stages())
     except KeyboardInterrupt:
         sys.stderr.write(f"stopped; the same command goes on from {folder}\n")
         raise
