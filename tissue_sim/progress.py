@@ -107,7 +107,7 @@ def name_of_all() -> str:
 
 
 class Stages:
-    """The stages of a long calculation: each is a task, and prints a line when it is done."""
+    """The stages of a long calculation: each is a task, and tells in a line what came of it."""
 
     @contextmanager
     def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
@@ -115,7 +115,7 @@ class Stages:
         with task(name, total) as one:
             yield lambda remark="": one.advance(1, remark)
         seconds = time.monotonic() - one.started
-        print(f"{name}: {one.remark + ', ' if one.remark else ''}{seconds:.1f} s", flush=True)
+        say(f"{name}: {one.remark + ', ' if one.remark else ''}{seconds:.1f} s")
 
 
 class _Above:
@@ -308,7 +308,7 @@ class _Teller:
         seconds = now - one.started
         if one.counted and one.total is not None:
             path = self._path().removesuffix(one.text) + one.name
-            told = "" if one.unit == "%" else " {n_fmt}/{total_fmt}"
+            told = "" if one.unit == "%" else f" {one.done:g}/{one.total:g}"
             shape = "{l_bar}{bar}|" + told + " [{elapsed}<{remaining}{postfix}]"
             line = tqdm.format_meter(
                 one.done, one.total, seconds, ncols=columns, prefix=path, postfix=one.remark, bar_format=shape
