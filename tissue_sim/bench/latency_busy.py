@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ PRIORITY = 20  # where none is asked for
 PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
 SHORTEST = 4.0  # s of a phase
 WARMING_UP = 3.0  # s of poking that don't count
+BARE_TURN = 5.0  # s that the bare loop runs at once
 BARE_SHARE = 0.25  # of a phase's time, that the bare loop has after it
 LONGEST_BACK = 90.0  # s for the node to take back what it gave up
 MOST_FELT = 10.0  # %, by how much the highest force of a poke may differ from the undisturbed ones'
@@ -65,7 +66,8 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
     priority, phases = node["realtime_priority"], node["phases"]
 
     def phase(name: str) -> None:
-        phases[name] = _phase(hand, seconds, priority)
+        with progress.task(f"{name}, s", seconds) as poking:
+            phases[name] = _phase(hand, seconds, priority, poking.advance)
         told = phases[name]
         rows.tell(
             f"{_whose(node)}, {name}", f"{told['ticks_per_second']:.1f} ticks/s", f"{told['late_percent']:.2f} % late"
@@ -90,7 +92,8 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
             with spinning():
                 phase(BUSY)
             under_way.advance()
-            node["seconds_until_back"] = hand.poke_until_whole(LONGEST_BACK)
+            with progress.task("until nothing is given up") as poking:
+                node["seconds_until_back"] = hand.poke_until_whole(LONGEST_BACK, poking.advance)
             phase(AFTER)
 
 
@@ -106,9 +109,14 @@ def spinning() -> Iterator[None]:
             program.stop()
 
 
-def _phase(hand: Pokes, seconds: float, priority: int) -> dict[str, Any]:
-    found = hand.poke(seconds)
-    bare_late = late_percent(bare(BARE_SHARE * seconds, found.told[-1].busy, priority))
+def _phase(hand: Pokes, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
+    found = hand.poke(seconds, watch)
+    turns = max(1, round(BARE_SHARE * seconds / BARE_TURN))
+    late = []
+    for _ in range(turns):
+        late.append(bare(BARE_SHARE * seconds / turns, found.told[-1].busy, priority))
+        watch()
+    bare_late = late_percent(np.concatenate(late))
     return phase_json(found, bare_late)
 
 
