@@ -6,7 +6,6 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 
 import tissue_sim
 from tissue_sim import progress
@@ -14,7 +13,7 @@ from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
 from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
 
-UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should
+UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should; they tell no progress once they run
 
 
 def _with_signs(words: Sequence[str]) -> list[str]:
@@ -53,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
-        with nullcontext() if chosen in UNTIL_ASKED else progress.task(_title(words)):
+        with progress.task(_title(words)):
             code = _run(words, chosen)
         sys.stdout.flush()  # what fails there is to be told here
         return code

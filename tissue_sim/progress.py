@@ -130,8 +130,7 @@ class _Above:
             count = self._stream.write(text)
             if text:
                 self._teller.inside_line = not text.endswith("\n")
-            if self._stream is not self._teller.terminal:
-                self._stream.flush()  # before the bar is there again
+            self._stream.flush()  # before the bar is there again
             return count
 
     def __getattr__(self, name: str) -> Any:
