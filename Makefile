@@ -35,7 +35,8 @@ PYTEST_ON = OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist
 # would all do it.
 test: style ## checks and tests in five minutes; PYTEST="-k node" for some of them
 	@$(PY) -m mypy > .mypy.log & mypy=$$!; $(PY) .ci/compile; \
-	$(PYTEST_ON) $(PYTEST); tests=$$?; wait $$mypy; types=$$?; cat .mypy.log; rm -f .mypy.log; \
+	$(PYTEST_ON) $(PYTEST); tests=$$?; .ci/alive mypy tail --pid=$$mypy -f /dev/null; \
+	wait $$mypy; types=$$?; cat .mypy.log; rm -f .mypy.log; \
 	[ $$types = 0 ] && { [ $$tests = 0 ] || [ $$tests = 5 ]; }
 
 test-all: lint ## the same and the extended tests: hostile input, clusters, other processors, packaging, the browser
@@ -59,7 +60,7 @@ bags: .venv/.installed ## records the scenes in bags/ anew; SCENES="poke nip" fo
 	@$(PY) -m tissue_sim.ros.bags.suite $(SCENES)
 
 lint: style ## ruff and mypy
-	@$(PY) -m mypy
+	@.ci/alive mypy $(PY) -m mypy
 
 style: .venv/.installed
 	@$(PY) -m ruff check --output-format concise
@@ -83,11 +84,11 @@ colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels,
 
 # Neither brings .venv up to date: pins that no longer fit setup.py would stand in the way of those that do.
 pins: $(AUDITED) ## the newest versions that setup.py allows into constraints.txt, then make audit
-	@$(PY) .ci/pins
-	@$(PY) .ci/audit $(SERVICE)
+	@.ci/alive 'resolving the pins' $(PY) .ci/pins
+	@.ci/alive 'asking about the pins' $(PY) .ci/audit $(SERVICE)
 
 audit: $(AUDITED) ## known holes of the versions in constraints.txt, as OSV knows them; SERVICE=pypi for PyPI
-	@$(PY) .ci/audit $(SERVICE)
+	@.ci/alive 'asking about the pins' $(PY) .ci/audit $(SERVICE)
 
 clean: ## removes .venv, caches and builds
 	@rm -rf .venv .venv-least .colcon .mypy_cache .pytest_cache .ruff_cache build install log dist *.egg-info
@@ -116,7 +117,7 @@ NO_PYTHON = tissue_sim needs CPython 3.12 and found none: install it \
 # The pages: with what only they need, which nobody else waits for.
 .PHONY: docs
 docs: .venv/.installed-docs ## the pages, in build/docs; a warning is an error
-	@$(PY) -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/docs
+	@.ci/alive 'making the pages' $(PY) -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/docs
 	@echo 'build/docs/index.html'
 
 .venv/.installed-docs: .venv/.installed

@@ -22,6 +22,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import tissue_sim
+from helpers.patience import LIMIT
 from tissue_sim.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -222,7 +223,8 @@ def test_wrong_use_takes_one_line(arguments, capsys):
 @pytest.fixture
 def checkout(tmp_path):
     """What make needs of a checkout, without an environment."""
-    for name in ("Makefile", "constraints.txt", "setup.cfg", "setup.py", ".ci/venv", "tissue_sim/__init__.py"):
+    scripts = (".ci/alive", ".ci/venv")
+    for name in ("Makefile", "constraints.txt", "setup.cfg", "setup.py", *scripts, "tissue_sim/__init__.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     return tmp_path
@@ -242,6 +244,23 @@ def test_make_says_in_one_line_that_python_is_missing(checkout, target):
     assert make.returncode != 0
     assert re.fullmatch(r".*needs CPython 3\.12.*install it.*\n", make.stdout + make.stderr)
     assert not (checkout / ".venv").exists()
+
+
+def test_what_make_runs_is_not_silent(tmp_path):
+    """The first line comes after three seconds, the others ten apart; and the command's exit code is its own."""
+    sleep = tmp_path / "sleep"
+    log, real = tmp_path / "slept", shutil.which("sleep")
+    sleep.write_text(f'#!/bin/sh\necho "$1" >> {log}\n[ "$(wc -l < {log})" -le 3 ] || exec {real} 10\n')
+    sleep.chmod(0o755)
+    command = [str(ROOT / ".ci/alive"), "mypy", "sh", "-c", "read line; exit 7"]
+    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "ALIVE": "echo 3 packages"}
+    streams = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=environment, text=True, **streams) as process:
+        lines = [process.stderr.readline() for _ in range(3)]
+        process.communicate("go on\n", timeout=LIMIT)
+    assert process.returncode == 7
+    assert all(re.fullmatch(r"mypy: \d+ s, 3 packages\n", line) for line in lines)
+    assert log.read_text().split()[:3] == ["3", "10", "10"]
 
 
 def test_continuous_integration_runs_make_test():

@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 import tissue_sim
+from tissue_sim import progress
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
 from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
 
-UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should
+UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should; they tell no progress once they run
 
 
 def _with_signs(words: Sequence[str]) -> list[str]:
@@ -62,7 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = _with_signs(sys.argv[1:] if arguments is None else arguments)
     chosen = next((word for word in words if not word.startswith("-")), None)
     try:
-        code = _run(words, chosen)
+        with progress.task(_title(words)):
+            code = _run(words, chosen)
         sys.stdout.flush()  # what fails there is to be told here
         return code
     except UserError as error:
@@ -81,6 +83,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, OSError):  # a full disk, perhaps, and what is still to be printed would fail once more
             give_up_output()
         return 1
+
+
+def _title(words: Sequence[str]) -> str:
+    """The command, with its benchmark."""
+    named = [word for word in words if not word.startswith("-")]
+    return " ".join(named[: 2 if named[:1] == ["bench"] else 1]) or "tissue_sim"
 
 
 def _run(words: Sequence[str], chosen: str | None) -> int:

@@ -1,4 +1,4 @@
-"""How every kernel is compiled: without the GIL, strictly IEEE, cached on disk."""
+"""How every kernel is compiled: without the GIL, strictly IEEE, cached on disk; and telling how long that takes."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event as events
 from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import overload
 
+from tissue_sim import progress
 from tissue_sim.store import used_longest_ago, user_cache
 
 VERSIONS = 4  # of a layer's kernels that are kept; those used longest ago go
@@ -160,3 +164,39 @@ def chosen(pick: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[
         return plain
 
     return decorate
+
+
+class _Compiling(events.Listener):
+    """Tells how long the compiler takes for kernels of this package. What is read from the disk is no event."""
+
+    def __init__(self) -> None:
+        self._depth = 0  # of kernels that are compiled for others; one thread compiles at a time
+        self._seconds = 0.0  # of all of them, as one tick has several
+        self._told = ExitStack()
+
+    def on_start(self, event: events.Event) -> None:
+        """A kernel begins."""
+        if not _is_own(event):
+            return
+        self._depth += 1
+        if self._depth == 1:
+            self._began = time.monotonic()
+            task = self._told.enter_context(progress.task("compiling kernels, once for this version"))
+            task.started -= self._seconds
+
+    def on_end(self, event: events.Event) -> None:
+        """It is done, or has failed."""
+        if not _is_own(event):
+            return
+        self._depth -= 1
+        if self._depth == 0:
+            self._seconds += time.monotonic() - self._began
+            self._told.close()
+
+
+def _is_own(event: events.Event) -> bool:
+    """Whether it is about a kernel of this package, and not about one of a program that uses it."""
+    return str(event.data["dispatcher"].py_func.__module__).startswith("tissue_sim.")
+
+
+events.register("numba:compile", _Compiling())

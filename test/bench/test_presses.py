@@ -22,6 +22,7 @@ from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.winding import inside
+from tissue_sim.progress import Task
 from tissue_sim.ros.probes.presser import force_in_the_end
 
 TOOLS = {
@@ -50,19 +51,12 @@ class Ticks:
         return self.scene.wrenches[0, :3].copy()
 
 
-class Bar:
-    """Shows nothing."""
-
-    def update(self, count=1):
-        pass
-
-
 def pressed(name, tried, count=2):
     form = next(one for one in forms() if one.name == name)
     presser = Ticks(TOOLS[name])
     found = []
     for place in places_on(kidney(), count):
-        found += at_place(presser, form, place, tried, Bar())
+        found += at_place(presser, form, place, tried, Task("presses", None))
     return found
 
 

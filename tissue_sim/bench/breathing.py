@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
@@ -62,7 +63,12 @@ def measure(
 ) -> list[Breathed]:
     """A breath at each rate, in each way. Raises UserError for an organ that finite elements can't fill."""
     body = Body(organ)
-    return [_breathed(organ, body, rate, name, np.array(way)) for rate in rates for name, way in ways.items()]
+    found = []
+    with rows.until_stopped():
+        for rate, name in rows.each([(rate, name) for rate in rates for name in ways], "breaths"):
+            found.append(_breathed(organ, body, rate, name, np.array(ways[name])))
+            rows.tell(f"{rate:g} a minute, {name}", f"off {1e3 * found[-1].most_off:.3f} mm at worst")
+    return found
 
 
 def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> Breathed:
@@ -77,9 +83,17 @@ def _breathed(organ: Organ, body: Body, rate: float, name: str, way: Floats) -> 
     rest, damping = np.zeros_like(body.solid.nodes), float(simulation.model.damping_rate)
     ticks = round(period * simulation.rate / LOOKS)
     step = ticks / simulation.rate / STEPS
-    with tqdm(total=STEPS * LOOKS, desc=f"{rate:g} a minute, {name}", disable=None) as bar:
+    with progress.task(f"{rate:g} a minute, {name}", STEPS * LOOKS) as under_way:
         elements = swing(
-            body.solid, rest, LOOKS * STEPS * step, step, damping, surface, linear=True, watch=bar.update, load=weight
+            body.solid,
+            rest,
+            LOOKS * STEPS * step,
+            step,
+            damping,
+            surface,
+            linear=True,
+            watch=under_way.advance,
+            load=weight,
         )
     bent = off = most_off = 0.0
     for look in range(STEPS, len(elements.time), STEPS):
@@ -104,10 +118,10 @@ def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
     """The figures as a table, a row for each breath."""
-    rows = [["breaths a minute", "way", "bends mm", "off mm rms", "off mm worst", "of the way %", "asleep %"]]
+    table = [["breaths a minute", "way", "bends mm", "off mm rms", "off mm worst", "of the way %", "asleep %"]]
     for one in found["breaths"]:
         lengths = [f"{1e3 * one[key]:.3f}" for key in ("bent", "off", "most_off")]
         share = 100.0 * one["most_off"] / found["way_m"]
-        rows.append([f"{one['rate']:g}", one["way"], *lengths, f"{share:.2f}", f"{100.0 * one['asleep']:.0f}"])
+        table.append([f"{one['rate']:g}", one["way"], *lengths, f"{share:.2f}", f"{100.0 * one['asleep']:.0f}"])
     line = f"organ '{organ.name}': its clamp breathes by {1e3 * found['way_m']:g} mm, against implicit finite elements"
-    return "\n".join([line, *aligned(rows), "", *bound_lines(found["bounds"])])
+    return "\n".join([line, *aligned(table), "", *bound_lines(found["bounds"])])

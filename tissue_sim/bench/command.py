@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import sys
 from types import ModuleType
 
+from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
+from tissue_sim.unexpected import INTERRUPTED
 
 BENCHMARKS = {
     "tick": ("tissue_sim.bench.tick_times", "time of a tick beside a C loop, MuJoCo flex and a precomputed compliance"),
@@ -74,9 +77,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run a benchmark; returns its exit code: 0, or 1 when a bound that it states was missed."""
+    """Run a benchmark; returns its exit code: 0, 1 when a bound that it states was missed, 130 when it was stopped."""
+    rows.begin()
     try:
-        return int(_load(BENCHMARKS[args.benchmark][0]).run(args))
+        code = int(_load(BENCHMARKS[args.benchmark][0]).run(args))
+        return INTERRUPTED if rows.stopped() else code
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped before anything was measured\n")
+        raise
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("tissue_sim"):
             raise

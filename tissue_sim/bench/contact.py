@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
@@ -54,17 +54,18 @@ def run(args: argparse.Namespace) -> int:
 def measure(organ: Organ) -> dict[str, Any]:
     """Figures of every pair of tools; meant for a process of one thread."""
     with tempfile.TemporaryDirectory() as folder:
-        measured = [
-            pressed(organ, name, tools)
-            for name, tools in tqdm(pairs(Path(folder)), disable=None, desc="tools", unit="pair")
-        ]
+        measured = []
+        with rows.until_stopped():
+            for name, tools in rows.each(pairs(Path(folder)), "pairs of tools"):
+                measured.append(pressed(organ, name, tools))
+                rows.tell(name, f"p50 {1e6 * float(np.median(measured[-1].seconds)):.0f} us")
     return as_json(measured, noise_burst(2000))
 
 
 def as_json(measured: Sequence[Pressed], bursts: Floats) -> dict[str, Any]:
     """All figures, and the bound that the first pair is held against; bursts: s of a fixed loop, in the same run."""
     loop = float(np.median(bursts))
-    rows: list[dict[str, Any]] = [
+    found: list[dict[str, Any]] = [
         {
             "tools": one.name,
             "p50_us": 1e6 * float(np.percentile(one.seconds, 50)),
@@ -77,9 +78,9 @@ def as_json(measured: Sequence[Pressed], bursts: Floats) -> dict[str, Any]:
         }
         for one in measured
     ]
-    bound = Bound(f"{measured[0].name}, p99", rows[0]["p99_us"], 1e6 * MOST, "us")
+    bound = Bound(f"{measured[0].name}, p99", found[0]["p99_us"], 1e6 * MOST, "us")
     noise = float(np.percentile(bursts, 99)) / loop
-    return {"rows": rows, "bounds": [bound.as_json()], "fixed_loop_us": 1e6 * loop, "noise": noise}
+    return {"rows": found, "bounds": [bound.as_json()], "fixed_loop_us": 1e6 * loop, "noise": noise}
 
 
 def pairs(folder: Path) -> list[tuple[str, list[Tool]]]:

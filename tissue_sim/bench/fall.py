@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.timing import in_one_thread
@@ -69,10 +69,12 @@ def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> li
     cases = cases.scaled(organ.youngs_modulus / tractions(cases.force, organ))
     simulation = Simulation(organ)
     todo = [(share, case) for share in shares for case in range(count)]
-    return [
-        fallen(simulation, share, cases.kind[case], share * cases.force[case])
-        for share, case in tqdm(todo, disable=None, desc="fall", unit="load")
-    ]
+    found = []
+    with rows.until_stopped():
+        for share, case in rows.each(todo, "loads"):
+            found.append(fallen(simulation, share, cases.kind[case], share * cases.force[case]))
+            rows.tell(f"{share:g} E, {cases.kind[case]}", f"off {100.0 * found[-1].off:.2f} %")
+    return found
 
 
 def fallen(simulation: Simulation, share: float, kind: str, force: Floats) -> Fallen:
@@ -109,13 +111,13 @@ def as_json(found: Sequence[Fallen]) -> dict[str, Any]:
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
     """The figures as a table, a row for each traction."""
-    rows = [["traction / E", "loads", "settled", "deepest mm", "off % worst", "inside out", "least volume", "faults"]]
+    table = [["traction / E", "loads", "settled", "deepest mm", "off % worst", "inside out", "least volume", "faults"]]
     for share in dict.fromkeys(one["traction"] for one in found["loads"]):
         some = [one for one in found["loads"] if one["traction"] == share]
         deep, off = 1e3 * max(one["deepest"] for one in some), 100.0 * max(one["off"] for one in some)
         counts = [str(len(some)), str(sum(one["settled"] for one in some))]
         turned, faults = max(one["turned"] for one in some), sum(one["faults"] for one in some)
         least = f"{min(one['least'] for one in some):.2f}"
-        rows.append([f"{share:g}", *counts, f"{deep:.1f}", f"{off:.2f}", str(turned), least, str(faults)])
+        table.append([f"{share:g}", *counts, f"{deep:.1f}", f"{off:.2f}", str(turned), least, str(faults)])
     lines = [f"organ '{organ.name}': loads let fall at once, against the same ones raised within {RAMP:g} s"]
-    return "\n".join([*lines, *aligned(rows), "", *bound_lines(found["bounds"])])
+    return "\n".join([*lines, *aligned(table), "", *bound_lines(found["bounds"])])

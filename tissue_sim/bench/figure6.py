@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats, Pixels
 from tissue_sim.bench.organs import node_normals, press_node
 from tissue_sim.contact.scene import Scene
@@ -110,7 +110,7 @@ def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Pa
     rest = organ.surface_positions
     most = max(float(np.linalg.norm(panel.positions - rest, axis=1).max()) for panel in panels)
     view = _view(organ, panels)
-    drawn = [_shaded(view, organ, panel, most) for panel in tqdm(panels, disable=None, desc="pictures", leave=False)]
+    drawn = [_shaded(view, organ, panel, most) for panel in progress.steps(panels, "pictures")]
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)

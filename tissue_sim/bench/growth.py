@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import eigh
-from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.organs import bean, patch_load
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.model import reduction
@@ -41,25 +41,26 @@ class Grown(NamedTuple):
 
 
 def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
-    """Measure every size in turns with the others, `seconds` for each of its two ticks."""
+    """Measure every size in turns with the others, `seconds` for each of its two ticks; nothing once it was stopped."""
     bursts: dict[str, Ticks] = {}
     made: dict[int, tuple[Simulation, Simulation, Modes, float]] = {}
     coarse: tuple[Organ, Modes] | None = None
-    for points in tqdm(sizes, disable=None, desc="organs", unit="organ", leave=False):
-        organ = bean(points)
-        start = time.perf_counter()
-        if coarse is None:
-            modes = lowest_modes(assemble(organ))
-            coarse = organ, modes
-        else:
-            modes = carried_modes(*coarse, organ, assemble(organ))
-        took = time.perf_counter() - start
-        whole = Simulation(organ)
-        modal = Simulation(organ, local_region="modal") if points == sizes[0] else with_modes(organ, modes)
-        made[points] = whole, modal, modes, took
-        nodes, forces = patch_load(organ, FORCE * sizes[0] / points)
-        bursts[f"whole {points}"] = Ticks(whole, nodes, forces)
-        bursts[f"modal {points}"] = Ticks(modal, nodes, forces)
+    with rows.until_stopped():
+        for points in rows.each(sizes, "growth, organ"):
+            organ = bean(points)
+            start = time.perf_counter()
+            if coarse is None:
+                modes = lowest_modes(assemble(organ))
+                coarse = organ, modes
+            else:
+                modes = carried_modes(*coarse, organ, assemble(organ))
+            took = time.perf_counter() - start
+            whole = Simulation(organ)
+            modal = Simulation(organ, local_region="modal") if points == sizes[0] else with_modes(organ, modes)
+            made[points] = whole, modal, modes, took
+            nodes, forces = patch_load(organ, FORCE * sizes[0] / points)
+            bursts[f"whole {points}"] = Ticks(whole, nodes, forces)
+            bursts[f"modal {points}"] = Ticks(modal, nodes, forces)
     timings = interleave(Phase(bursts, seconds, "growth"))
     return [
         Grown(
@@ -74,11 +75,14 @@ def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
             points != sizes[0],
         )
         for points, (whole, modal, modes, took) in made.items()
+        if f"modal {points}" in timings
     ]
 
 
-def exponent(points: list[int], times: list[float]) -> float:
-    """The p of time = c n^p that fits best."""
+def exponent(points: list[int], times: list[float]) -> float | None:
+    """The p of time = c n^p that fits best; None without two sizes."""
+    if len(points) < 2:
+        return None
     return float(np.polyfit(np.log(points), np.log(times), 1)[0])
 
 
@@ -137,5 +141,5 @@ def as_json(grown: list[Grown]) -> dict[str, Any]:
         ],
         "substep_exponent": exponent(points, [size.whole.median / size.whole_substeps for size in grown]),
         "tick_exponent": exponent(points, [size.whole.median for size in grown]),
-        "modal_ratio": grown[-1].modal.median / grown[0].modal.median,
+        "modal_ratio": grown[-1].modal.median / grown[0].modal.median if grown else None,
     }

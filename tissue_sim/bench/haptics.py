@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.device_loop import (
@@ -35,6 +34,7 @@ from tissue_sim.bench.device_loop import (
 )
 from tissue_sim.bench.devices import DEVICES, GRIP, NO_HAND, Device
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.rows import each, stopped, tell, until_stopped
 from tissue_sim.model.coupling import passive_stiffness
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     Organ.load(organ)
     found = as_json(*measure(cells_of(organ, observed=args.observer)))
     emit(found, text(found), args.json)
-    if args.out:
+    if args.out and not stopped():
         from tissue_sim.bench.haptics_plot import write_plot
 
         told([write_plot(found, Path(args.out))])
@@ -129,11 +129,15 @@ def measure(cells: Sequence[Cell]) -> tuple[list[Row], list[Bare]]:
     """Work out all cells, on all processors."""
     rows: list[Row] = []
     bare: list[Bare] = []
-    for found in tqdm(_worked_out(cells), total=len(cells), disable=None, unit="search"):
-        if isinstance(found, Row):
-            rows.append(found)
-        else:
-            bare.append(found)
+    with until_stopped():
+        for found in each(_worked_out(cells), "searches", len(cells)):
+            at = f"{found.device}, {found.rate:g} Hz"
+            if isinstance(found, Row):
+                rows.append(found)
+                tell(f"{at}, {1e3 * found.delay:g} ms", f"{_found(found.found)} N/m", f"{found.ratio:.2f} of theory")
+            else:
+                bare.append(found)
+                tell(f"{at}, uncoupled", "none" if found.delay is None else f"{1e3 * found.delay:g} ms")
     return rows, bare
 
 
@@ -191,7 +195,13 @@ def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
     """Return all figures, and the bounds that they are held against."""
     textbook = [row.ratio for row in rows if row.device == DEVICES[-1].name]
     bounds = [
-        Bound("found, of what theory allows, least", min(row.ratio for row in rows), LEAST_RATIO, "", least=True),
+        Bound(
+            "found, of what theory allows, least",
+            min((row.ratio for row in rows), default=None),
+            LEAST_RATIO,
+            "",
+            least=True,
+        ),
         Bound("the textbook device, found, of theory, most", max(textbook, default=None), MOST_RATIO, ""),
     ]
     if gains := [row.observed / row.found for row in rows if row.observed is not None and row.found > 0.0]:

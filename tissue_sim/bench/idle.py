@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.shares import processor_seconds, shares_during
@@ -65,10 +66,11 @@ def measure(organ_file: str, seconds: float) -> dict[str, Any]:
             graph.enter_context(Viewer(own, "/sender/surface")).wait()
             graph.enter_context(Viewer(own, "/diagnostics", "/left/servo_cf"))
             spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
-            turns = [
-                shares_during(spent, partial(viewer.look, TURN))
-                for _ in tqdm(range(max(1, round(seconds / TURN))), disable=None, desc="turns", unit="turn")
-            ]
+            turns = []
+            with progress.still(), rows.until_stopped():
+                for turn in rows.each(range(max(1, round(seconds / TURN))), "turns"):
+                    turns.append(shares_during(spent, partial(viewer.look, TURN)))
+                    rows.tell(f"turn {turn + 1}", *(f"{name} {share:.2f} %" for name, share in turns[-1].items()))
     return as_json(turns, seen_after)
 
 
@@ -94,8 +96,8 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str
 def text(found: Mapping[str, Any]) -> str:
     """The figures as tables."""
     shares = found["shares_percent"]
-    rows = [["% of a core", "least", "median", "most", "node's median to this"]]
+    table = [["% of a core", "least", "median", "most", "node's median to this"]]
     for name, of in shares.items():
         ratio = figure(shares[SERVED]["median"] / of["median"]) if of["median"] else "-"
-        rows.append([name, *(f"{of[key]:.2f}" for key in ("least", "median", "most")), f"{ratio} x"])
-    return "\n".join([*aligned(rows), "", *bound_lines(found["bounds"])])
+        table.append([name, *(f"{of[key]:.2f}" for key in ("least", "median", "most")), f"{ratio} x"])
+    return "\n".join([*aligned(table), "", *bound_lines(found["bounds"])])

@@ -14,10 +14,10 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
-from tissue_sim.bench import latency_busy, smoothing
+from tissue_sim.bench import latency_busy, rows, smoothing
 from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
@@ -85,25 +85,35 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
         probe.meet()
         turns = max(1, round(seconds / TURN))
         trips: dict[str, list[Trip]] = {name: [] for name in names()}
-        done, late = 0.0, 0.0
+        done, late, busy = 0.0, 0.0, 0.0
         bare_late: list[Floats] = []
-        for _ in tqdm(range(turns), disable=None, desc="turns", unit="turn"):
-            probe.approach()
-            before = probe.report()
-            for rate in RATES:
-                trips[felt_at(rate)].append(probe.changes(seconds / turns, rate))
-            after = probe.report()
-            done += after["tick"] - before["tick"]
-            late += after["overruns"] - before["overruns"]
-            busy = after["tick_p50_us"]
-            for rate in RATES:
-                trips[echo_at(rate)].append(probe.echoes(seconds / turns / len(RATES), rate))
-            for name, trip in zip(WOKEN, probe.wakes(0.2 * seconds / turns), strict=True):
-                trips[name].append(trip)
-            bare_late.append(bare(seconds / turns, 1e-6 * busy, priority))
+        with progress.still(), rows.until_stopped():
+            for number in rows.each(range(turns), "turns"):
+                turn: dict[str, Trip] = {}
+                with progress.task("measurements", 2 * len(RATES) + 2) as under_way:
+                    probe.approach()
+                    before = probe.report()
+                    for rate in RATES:
+                        turn[felt_at(rate)] = probe.changes(seconds / turns, rate)
+                        under_way.advance()
+                    after = probe.report()
+                    busy = after["tick_p50_us"]
+                    for rate in RATES:
+                        turn[echo_at(rate)] = probe.echoes(seconds / turns / len(RATES), rate)
+                        under_way.advance()
+                    turn |= zip(WOKEN, probe.wakes(0.2 * seconds / turns), strict=True)
+                    under_way.advance()
+                    bare_late.append(bare(seconds / turns, 1e-6 * busy, priority))
+                # A turn counts as a whole.
+                done += after["tick"] - before["tick"]
+                late += after["overruns"] - before["overruns"]
+                for name, trip in turn.items():
+                    trips[name].append(trip)
+                p50 = turn[felt_at(RATES[0])].as_json()["p50_us"]
+                rows.tell(f"turn {number + 1}", f"{felt_at(RATES[0])}: p50 {p50:.0f} us")
         told = {name: together(parts).as_json() for name, parts in trips.items()}
         found = as_json(seconds, told, (done, late), np.concatenate(bare_late), busy)
-        smoothed = smoothing.as_json(smoothing.measure(organ))
+        smoothed = [] if rows.stopped() else smoothing.as_json(smoothing.measure(organ))
         return {"realtime_priority": priority, **found, "smoothing": smoothed}
 
 
@@ -159,15 +169,15 @@ def as_json(
 
 def text(found: dict[str, Any]) -> str:
     """The figures as tables."""
-    rows = [["from a pose, us", "p50", "p99", "p99.9", "trips", "lost"]]
+    table = [["from a pose, us", "p50", "p99", "p99.9", "trips", "lost"]]
     for name, trip in found["round_trips"].items():
-        rows.append([name, *(f"{trip[key]:.0f}" for key in ("p50_us", "p99_us", "p99_9_us", "trips", "lost"))])
+        table.append([name, *(f"{trip[key]:.0f}" for key in ("p50_us", "p99_us", "p99_9_us", "trips", "lost"))])
     late, priority = found["late"], found["realtime_priority"]
     urgent = f"; with real-time priority {priority} and {below(priority)}" if priority else ""
     lines = [
         f"{found['seconds']:g} s each in turns; a tool in contact, ticks at {found['rate_hz']:g} Hz, one subscriber of"
         f" markers at 60 Hz{urgent}; felt: the first wrench that was computed with the pose",
-        *aligned(rows),
+        *aligned(table),
         "",
         "by ticks, smoothing between poses:",
         *aligned(smoothing.table(found["smoothing"])),

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
+from tissue_sim.bench import rows
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.errors import UserError
@@ -32,6 +33,7 @@ PRIORITY = 20  # where none is asked for
 PHASES = QUIET, BUSY, AFTER = "quiet", "busy", "quiet again"
 SHORTEST = 4.0  # s of a phase
 WARMING_UP = 3.0  # s of poking that don't count
+BARE_TURN = 5.0  # s that the bare loop runs at once
 BARE_SHARE = 0.25  # of a phase's time, that the bare loop has after it
 LONGEST_BACK = 90.0  # s for the node to take back what it gave up
 MOST_FELT = 10.0  # %, by how much the highest force of a poke may differ from the undisturbed ones'
@@ -50,13 +52,27 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
     priority = priority or PRIORITY
     path = organ_file or str(shipped_organ())
     wanted = [0, priority] if is_allowed(priority) else [0]
-    with tqdm(total=len(wanted) * len(PHASES), disable=None, unit="phase") as bar:
-        nodes = [_node(path, seconds, one, bar) for one in wanted]
+    nodes: list[dict[str, Any]] = []
+    with rows.until_stopped():
+        for one in rows.each(wanted, "nodes"):
+            nodes.append({"realtime_priority": one, "seconds_until_back": None, "phases": {}})
+            _measure_node(path, seconds, nodes[-1])
+    nodes = [node for node in nodes if node["phases"]]
     return as_json(seconds, priority, nodes)
 
 
-def _node(path: str, seconds: float, priority: int, bar: tqdm[Any]) -> dict[str, Any]:
-    """The phases of one node."""
+def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
+    """Fill in the phases of one node, each when it is over."""
+    priority, phases = node["realtime_priority"], node["phases"]
+
+    def phase(name: str) -> None:
+        with progress.task(f"{name}, s", seconds) as poking:
+            phases[name] = _phase(hand, seconds, priority, poking.advance)
+        told = phases[name]
+        rows.tell(
+            f"{_whose(node)}, {name}", f"{told['ticks_per_second']:.1f} ticks/s", f"{told['late_percent']:.2f} % late"
+        )
+
     with Graph() as graph:
         from tissue_sim.ros.probes.hand import RADIUS
         from tissue_sim.ros.probes.pokes import Pokes
@@ -70,12 +86,15 @@ def _node(path: str, seconds: float, priority: int, bar: tqdm[Any]) -> dict[str,
         hand = Pokes(own, NODE, Organ.load(path), rate=RATE, priority=below(below(priority)))
         hand.meet()
         hand.poke(WARMING_UP)
-        phases = {QUIET: _phase(hand, seconds, priority, bar)}
-        with spinning():
-            phases[BUSY] = _phase(hand, seconds, priority, bar)
-        back = hand.poke_until_whole(LONGEST_BACK)
-        phases[AFTER] = _phase(hand, seconds, priority, bar)
-    return {"realtime_priority": priority, "seconds_until_back": back, "phases": phases}
+        with progress.still(), progress.task("phases", len(PHASES)) as under_way:
+            phase(QUIET)
+            under_way.advance()
+            with spinning():
+                phase(BUSY)
+            under_way.advance()
+            with progress.task("until nothing is given up") as poking:
+                node["seconds_until_back"] = hand.poke_until_whole(LONGEST_BACK, poking.advance)
+            phase(AFTER)
 
 
 @contextmanager
@@ -90,10 +109,14 @@ def spinning() -> Iterator[None]:
             program.stop()
 
 
-def _phase(hand: Pokes, seconds: float, priority: int, bar: tqdm[Any]) -> dict[str, Any]:
-    found = hand.poke(seconds)
-    bare_late = late_percent(bare(BARE_SHARE * seconds, found.told[-1].busy, priority))
-    bar.update()
+def _phase(hand: Pokes, seconds: float, priority: int, watch: Callable[[], object]) -> dict[str, Any]:
+    found = hand.poke(seconds, watch)
+    turns = max(1, round(BARE_SHARE * seconds / BARE_TURN))
+    late = []
+    for _ in range(turns):
+        late.append(bare(BARE_SHARE * seconds / turns, found.told[-1].busy, priority))
+        watch()
+    bare_late = late_percent(np.concatenate(late))
     return phase_json(found, bare_late)
 
 
@@ -130,18 +153,21 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
         for phase in phases.values():
             off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / undisturbed
             phase["felt_off_percent"] = 100.0 * float(off.max())
-        busy, after = phases[BUSY], phases[AFTER]
-        bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))
+        busy, after = phases.get(BUSY), phases.get(AFTER)  # none where it was stopped before
+        if busy:
+            bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))
         bounds += [
             Bound(
                 f"{whose}: ticks lacking, {name}", 100.0 * (1.0 - phase["ticks_per_second"] / RATE), MOST_LACKING, "%"
             )
             for name, phase in ((BUSY, busy), (AFTER, after))
-            if name == AFTER or node["realtime_priority"]
+            if phase and (name == AFTER or node["realtime_priority"])
         ]
         bounds.append(Bound(f"{whose}: until nothing is given up", node["seconds_until_back"], LONGEST_BACK, "s"))
-        bounds.append(late_bound(f"{whose}: late ticks, {AFTER}", after["late_percent"], phases[QUIET]["late_percent"]))
-        if node["realtime_priority"]:
+        if after:
+            usual = phases[QUIET]["late_percent"]
+            bounds.append(late_bound(f"{whose}: late ticks, {AFTER}", after["late_percent"], usual))
+        if busy and node["realtime_priority"]:
             bounds.append(late_bound(f"{whose}: late ticks, {BUSY}", busy["late_percent"], busy["bare_late_percent"]))
     if not any(node["realtime_priority"] for node in nodes):
         bounds.append(
@@ -179,7 +205,8 @@ def text(found: dict[str, Any]) -> str:
         given_up = sorted({what for phase in node["phases"].values() for what in phase["degraded"]})
         if given_up:
             back = node["seconds_until_back"]
-            remarks.append(f"{_whose(node)}: gave up {', '.join(given_up)}; all back {back:.0f} s after the load")
+            after = "" if back is None else f"; all back {back:.0f} s after the load"
+            remarks.append(f"{_whose(node)}: gave up {', '.join(given_up)}{after}")
     if not any(node["realtime_priority"] for node in found["nodes"]):
         remarks.append(f"priority {found['realtime_priority']} was not measured: this user may not ask for it, see"
                        " 'ulimit -r'")  # fmt: skip

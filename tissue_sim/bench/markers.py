@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tqdm import tqdm
 
-from tissue_sim.bench import arriving
+from tissue_sim import progress
+from tissue_sim.bench import arriving, rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.shares import processor_seconds, shares_during
@@ -66,10 +66,20 @@ def run(args: argparse.Namespace) -> int:
         found = arriving.of_large_organ(args.points, args.seconds)
         told = arriving.text(found)
     else:
-        found = as_json({name: measure(path, colour, args.seconds) for name, colour in COLOURS.items()})
+        found = as_json(measure_colours(path, args.seconds))
         told = text(found)
     emit(found, told, args.json)
     return exit_code(found, check=args.check)
+
+
+def measure_colours(organ_file: str, seconds: float) -> dict[str, list[dict[str, dict[str, float]]]]:
+    """The turns of each colouring, as `measure` has them; only those that there are any of."""
+    found = {}
+    with rows.until_stopped():
+        for name, colour in rows.each(COLOURS.items(), "colourings"):
+            if turns := measure(organ_file, colour, seconds):
+                found[name] = turns
+    return found
 
 
 def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict[str, float]]]:
@@ -112,7 +122,13 @@ def measure(organ_file: str, colour: str, seconds: float) -> list[dict[str, dict
             SENDING: partial(processor_seconds, sender.pid),
         }
         turns = range(max(1, round(0.5 * seconds / TURN)))
-        return [turn(spent, both) for _ in tqdm(turns, disable=None, desc=f"turns, {colour}", unit="turn")]
+        found = []
+        with progress.still(), rows.until_stopped():
+            for number in rows.each(turns, f"turns, {colour}"):
+                found.append(turn(spent, both))
+                shares = (f"{name} {one['percent']:.2f} % at {one['hz']:.0f} Hz" for name, one in found[-1].items())
+                rows.tell(f"turn {number + 1}, {colour}", *shares)
+        return found
 
 
 def turn(spent: Mapping[str, Callable[[], float]], both: Viewer) -> dict[str, dict[str, float]]:
@@ -133,19 +149,19 @@ def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) ->
 
     A node that falls behind rightly slows its markers: what one costs is told, and as many as are asked for.
     """
-    rows, bounds = [], []
+    table, bounds = [], []
     for colouring, measured in turns.items():
         row: dict[str, Any] = {"colouring": colouring, "turns": len(measured)}
         for name in MARKERS:
             percent, hz = (float(np.median([one[name][key] for one in measured])) for key in ("percent", "hz"))
             each = 0.01 * percent / max(hz, 1.0)
             row[name] = {"percent": percent, "hz": hz, "us_each": 1e6 * each, "percent_at_rate": 100.0 * each * RATE}
-        rows.append(row)
+        table.append(row)
         bounds += [
             Bound(f"{colouring} markers at {RATE:g} Hz", row[SERVED]["percent_at_rate"], MOST, "% of a core"),
             Bound(f"{colouring} markers that come", row[SERVED]["hz"], LEAST_RATE, "Hz", least=True),
         ]
-    return {"rows": rows, "bounds": [bound.as_json() for bound in bounds]}
+    return {"rows": table, "bounds": [bound.as_json() for bound in bounds]}
 
 
 def text(found: Mapping[str, Any]) -> str:

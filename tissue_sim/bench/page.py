@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim import progress
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.bench.shares import processor_seconds, shares_during
@@ -95,9 +96,12 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
         sent: list[float] = []
 
         def note() -> None:
-            while watcher.exit_code is None:
-                viewer.look(LOOK)
-                sent.extend([time.monotonic()] * viewer.count[topic])
+            began = time.monotonic()
+            with progress.still(), progress.task("pictures, s", seconds) as under_way:
+                while watcher.exit_code is None:
+                    viewer.look(LOOK)
+                    sent.extend([time.monotonic()] * viewer.count[topic])
+                    under_way.reach(min(round(time.monotonic() - began), seconds))
 
         spent = {name: partial(processor_seconds, child.pid) for name, child in children.items()}
         shares = shares_during(spent, note)

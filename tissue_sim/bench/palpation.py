@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
@@ -115,10 +116,10 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("--radii and --slab belong to --places N")
     organ = Organ.load(args.organ or shipped_organ(DEFAULT))
     felt = measure(organ)
-    maps = [mapped(organ, one.press) for one in tqdm(felt, disable=None, desc="map")]
+    maps = measure_maps(organ, felt)
     found = as_json(felt, maps)
     emit(found, text(organ, found), args.json)
-    if args.out:
+    if args.out and not rows.stopped():
         from tissue_sim.bench.palpation_plot import write_plots
 
         told(write_plots(organ, felt, maps, args.out))
@@ -134,12 +135,24 @@ def measure(organ: Organ) -> list[Felt]:
     if not inclusions:
         raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
     found = []
-    for inclusion in tqdm(inclusions, disable=None, desc="palpation"):
-        press = over(organ, inclusion)
-        scene = finger(organ)
-        reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
-        found.append(Felt(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
+    with rows.until_stopped():
+        for inclusion in rows.each(inclusions, "inclusions"):
+            press = over(organ, inclusion)
+            scene = finger(organ)
+            reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
+            found.append(Felt(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
+            rows.tell(f"node {press.node}", f"off {found[-1].off.max():.2f} % at worst")
     return found
+
+
+def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
+    """A map around each place that was felt; an empty one for those that Ctrl-C has left out."""
+    found: list[Map] = []
+    with rows.until_stopped():
+        for one in rows.each(felt, "maps"):
+            found.append(mapped(organ, one.press))
+            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} places")
+    return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(felt) - len(found))
 
 
 def press_at(surface: Surface, node: int) -> Press:
@@ -213,7 +226,9 @@ def mapped(organ: Organ, press: Press) -> Map:
         near &= cKDTree(surface.positions[organ.fixed]).query(surface.positions)[0] > CLEARANCE
     nodes = np.flatnonzero(near)
     depth = np.array([MAP_DEPTH])
-    felt = [forces(scene, press_at(surface, int(node)), depth)[0] / MAP_DEPTH for node in nodes]
+    felt = [
+        forces(scene, press_at(surface, int(node)), depth)[0] / MAP_DEPTH for node in progress.steps(nodes, "places")
+    ]
     return Map(nodes, np.array(felt))
 
 
@@ -222,7 +237,7 @@ def mapped(organ: Organ, press: Press) -> Map:
 
 def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
     """All figures and bounds: of each curve the error, and by how much the inclusion is told apart."""
-    rows, bounds = [], []
+    table, bounds = [], []
     for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
         settled = bool(np.isfinite(one.reference).all() and np.isfinite(one.plain).all())
         off = float(one.off.max()) if settled else None
@@ -232,7 +247,7 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
             Bound(f"{name}force against finite elements, worst depth", off, MOST_OFF, "%"),
             Bound(f"{name}stiffer for its inclusion, over that error", apart and off and apart / off, 1.0, "", True),
         ]
-        rows.append(
+        table.append(
             {
                 "times_as_stiff": one.inclusion.stiffness,
                 "node": one.press.node,
@@ -248,7 +263,7 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
                 },
             }
         )
-    return {"finger_m": FINGER, "inclusions": rows, "bounds": [one.as_json() for one in bounds]}
+    return {"finger_m": FINGER, "inclusions": table, "bounds": [one.as_json() for one in bounds]}
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
@@ -266,7 +281,10 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
             "",
             f"over the inclusion that is {row['times_as_stiff']:g} times as stiff, node {row['node']}:",
             *aligned(table),
-            f"map of {len(stiffness)} places around, {1e3 * MAP_DEPTH:g} mm deep: {stiffness.min():.0f} to"
-            f" {stiffness.max():.0f} N/m, median {np.median(stiffness):.0f}, over the inclusion {here:.0f}",
         ]
+        if len(stiffness):
+            lines.append(
+                f"map of {len(stiffness)} places around, {1e3 * MAP_DEPTH:g} mm deep: {stiffness.min():.0f} to"
+                f" {stiffness.max():.0f} N/m, median {np.median(stiffness):.0f}, over the inclusion {here:.0f}"
+            )
     return "\n".join([*lines, "", *bound_lines(found["bounds"])])

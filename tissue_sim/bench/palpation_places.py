@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from tqdm import tqdm
 
 import tissue_sim
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.palpation import FRICTION, Press, forces
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.calibration.cases import surface_of
@@ -104,8 +105,16 @@ def run(args: argparse.Namespace) -> int:
     organ = slab() if args.slab else Organ.load(args.organ or shipped_organ())
     edge = mean_edge(organ)
     places = flat_places(organ, args.places)
-    pressed = list(presses(organ, radii, places))
-    slid = list(slides(organ, radii, places))
+    pressed: list[Pressed] = []
+    slid: list[Slid] = []
+    with rows.until_stopped():
+        for press in presses(organ, radii, places):
+            pressed.append(press)
+            worst = np.nanmax(np.abs(press.off), initial=0.0)
+            rows.tell(f"{press.radius:g} edges, place {press.place}, {press.kind}", f"off {worst:.1f} % at worst")
+        for slide in slides(organ, radii, places):
+            slid.append(slide)
+            rows.tell(f"{slide.radius:g} edges, place {slide.place}, slid", f"ripple {slide.ripple:.1f} %")
     found = as_json(pressed, slid) | {"organ": organ.name, "edge_m": edge, "places": len(places)}
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)
@@ -180,7 +189,6 @@ def slab() -> Organ:
 
     It is kept in the user's cache.
     """
-    from tissue_sim.bars import Bars
     from tissue_sim.bench.measured.body import calibrated
     from tissue_sim.store import user_cache
 
@@ -188,7 +196,7 @@ def slab() -> Organ:
     path = folder / "slab.npz"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        calibrated(slab_as_built(), folder, Bars())
+        calibrated(slab_as_built(), folder, progress.Stages())
     print(f"organ: {path}", file=sys.stderr)
     return Organ.load(path)
 
@@ -218,7 +226,7 @@ def presses(
     radii: mean edges. Raises UserError as Body does.
     """
     edge, reference = mean_edge(organ), reference or by_elements
-    with tqdm(total=len(radii) * sum(map(len, places)), disable=None, desc="presses") as bar:
+    with progress.task("presses", len(radii) * sum(map(len, places))) as under_way:
         for radius in radii:
             scene = ball(organ, radius * edge, FRICTION)
             for spots in places:
@@ -229,7 +237,7 @@ def presses(
                     press = Press(-1, spot.point - radius * edge * spot.way, spot.way)
                     ours = forces(scene, press, radius * edge * depths)
                     yield Pressed(radius, spot.place, spot.kind, depths, ours, one)
-                    bar.update()
+                    under_way.advance()
 
 
 def ball(organ: Organ, radius: float, friction: float) -> Scene:
@@ -317,14 +325,14 @@ def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
 def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]]) -> Iterable[Slid]:
     """Yield what balls feel that slide over the middle of each place, with every friction; radii: mean edges."""
     edge = mean_edge(organ)
-    with tqdm(total=len(radii) * len(FRICTIONS) * len(places), disable=None, desc="slides") as bar:
+    with progress.task("slides", len(radii) * len(FRICTIONS) * len(places)) as under_way:
         for radius in radii:
             for friction in FRICTIONS:
                 scene = ball(organ, radius * edge, friction)
                 for spots in places:
                     force = slid_force(scene, track_over(organ, spots[-1], radius * edge))
                     yield Slid(radius, spots[-1].place, friction, float(force.mean()), ripple(force))
-                    bar.update()
+                    under_way.advance()
 
 
 def slid_force(scene: Scene, track: Track) -> Floats:
@@ -364,7 +372,7 @@ def ripple(force: Floats) -> float:
 def as_json(pressed: Sequence[Pressed], slid: Sequence[Slid]) -> dict[str, Any]:
     """Return all figures: of each radius, each press and each slide, and the bounds."""
     radii = list(dict.fromkeys(one.radius for one in pressed))
-    rows = [
+    table = [
         {
             "radius_edges": radius,
             **{kind: _figures([one for one in pressed if (one.radius, one.kind) == (radius, kind)]) for kind in KINDS},
@@ -381,7 +389,7 @@ def as_json(pressed: Sequence[Pressed], slid: Sequence[Slid]) -> dict[str, Any]:
         ),
     ]
     return {
-        "radii": rows,
+        "radii": table,
         "presses": [
             {
                 "radius_edges": one.radius,

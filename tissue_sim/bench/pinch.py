@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
-from tissue_sim.bench import pinch_reference
+from tissue_sim.bench import pinch_reference, rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
 from tissue_sim.bench.timing import in_one_thread, noise_burst
@@ -49,12 +48,17 @@ def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
     """Every pair of tools on every axis by every share; and seconds of a fixed loop. For a process of one thread."""
     with tempfile.TemporaryDirectory() as folder:
         todo = [(*pair, axis, share) for pair in pairs(Path(folder)) for axis in range(3) for share in SHARES]
-        return [pinched(organ, *one) for one in tqdm(todo, disable=None, desc="pinch")], noise_burst(2000)
+        found = []
+        with rows.until_stopped():
+            for one in rows.each(todo, "pinches"):
+                found.append(pinched(organ, *one))
+                rows.tell(f"{one[0]}, {'xyz'[one[2]]}, {100.0 * one[3]:g} %", f"{found[-1].force:.2f} N")
+        return found, noise_burst(2000)
 
 
 def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] | None = None) -> dict[str, Any]:
     """All figures and bounds; bursts: s of a fixed loop, in the same run; reference: pinch_reference.as_json."""
-    rows: list[dict[str, Any]] = [
+    table: list[dict[str, Any]] = [
         {
             "tools": one.tools,
             "axis": "xyz"[one.axis],
@@ -73,17 +77,22 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] 
         }
         for one in pinches
     ]
-    gentle = [row for row in rows if row["share_percent"] < 50.0]
+    gentle = [row for row in table if row["share_percent"] < 50.0]
     bounds = [
-        Bound("cells inside out, held at 20 and 40 %", max(row["held_turned"] for row in gentle), 0.0, "cells"),
-        Bound("cells inside out long after", max(row["left_turned"] for row in rows), 0.0, "cells"),
-        Bound("what stays of the shape", max(row["left_mm"] for row in rows), MOST_LEFT, "mm"),
-        Bound("tick, p99 of the worst", max(row["p99_us"] for row in rows), MOST_TICK, "us"),
+        Bound(
+            "cells inside out, held at 20 and 40 %",
+            max((row["held_turned"] for row in gentle), default=None),
+            0.0,
+            "cells",
+        ),
+        Bound("cells inside out long after", max((row["left_turned"] for row in table), default=None), 0.0, "cells"),
+        Bound("what stays of the shape", max((row["left_mm"] for row in table), default=None), MOST_LEFT, "mm"),
+        Bound("tick, p99 of the worst", max((row["p99_us"] for row in table), default=None), MOST_TICK, "us"),
     ]
     stated = [bound.as_json() for bound in bounds]
     loop = float(np.median(bursts))
     noise = float(np.percentile(bursts, 99)) / loop
-    found = {"rows": rows, "bounds": stated, "fixed_loop_us": 1e6 * loop, "noise": noise}
+    found = {"rows": table, "bounds": stated, "fixed_loop_us": 1e6 * loop, "noise": noise}
     if reference is not None:
         stated.append(reference["bound"])
         found["reference"] = reference["rows"]

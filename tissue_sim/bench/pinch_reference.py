@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.printing import Bound, aligned
 from tissue_sim.bench.two_tools import SPHERE, Place, both, pinched, place
 from tissue_sim.calibration.squeeze import squeezed, touchable
@@ -41,7 +41,14 @@ class Compared(NamedTuple):
 
 def measure(organ: Organ) -> list[Compared]:
     """Every axis by every share. Raises UserError as Body does."""
-    return [one for axis in tqdm(range(3), disable=None, desc="reference") for one in compared(organ, axis)]
+    found: list[Compared] = []
+    with rows.until_stopped():
+        for axis in rows.each(range(3), "finite elements, axes"):
+            for one in compared(organ, axis):
+                found.append(one)
+                off = "not settled" if one.off is None else f"off {one.off:.1f} %"
+                rows.tell(f"{'xyz'[axis]}, {100.0 * one.share:g} %", off)
+    return found
 
 
 def compared(organ: Organ, axis: int) -> list[Compared]:
@@ -71,7 +78,7 @@ def by_elements(organ: Organ, where: Place, axis: int) -> list[tuple[Floats, flo
 
 def as_json(found: list[Compared]) -> dict[str, Any]:
     """All figures, and the bound."""
-    rows = [
+    table = [
         {
             "axis": "xyz"[one.axis],
             "share_percent": 100.0 * one.share,
@@ -84,9 +91,9 @@ def as_json(found: list[Compared]) -> dict[str, Any]:
         for one in found
     ]
     off = [one.off for one in found if one.off is not None]
-    worst = max(off) if len(off) == len(found) else None
+    worst = max(off, default=None) if len(off) == len(found) else None
     return {
-        "rows": rows,
+        "rows": table,
         "bound": Bound("force of the spheres against finite elements", worst, MOST_OFF, "%").as_json(),
     }
 

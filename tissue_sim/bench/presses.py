@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.errors import UserError
@@ -188,32 +189,37 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
 
     found: list[Pressed] = []
     each = list(product(files, forms()))
-    with tqdm(total=len(each) * n_places * (len(motions()) + 1), disable=None, unit="press") as bar:
+    with rows.until_stopped(), progress.task("presses", len(each) * n_places * (len(motions()) + 1)) as under_way:
         for file, form in each:
             organ = Organ.load(file)
             settings = (*form.parameters, *([] if friction is None else [f"friction:={friction}"]))
-            with pressing(file, organ, settings) as presser:
-                for place in places_on(organ, n_places):
-                    found += at_place(presser, form, place, motions(), bar, organ.name)
+            with pressing(file, organ, settings) as presser, progress.still():
+                for number, place in enumerate(places_on(organ, n_places)):
+                    pressed = at_place(presser, form, place, motions(), under_way, organ.name)
+                    found += pressed
+                    if pressed:
+                        lost = sum(one.is_lost for one in pressed)
+                        name = f"{organ.name}, {form.name}, place {number + 1}"
+                        rows.tell(name, f"{len(pressed)} presses", f"{lost} lost")
     return found
 
 
 def at_place(
-    presser: Any, form: Form, place: Place, tried: Sequence[Motion], bar: Any, organ: str = ""
+    presser: Any, form: Form, place: Place, tried: Sequence[Motion], under_way: progress.Task, organ: str = ""
 ) -> list[Pressed]:
     """Press slowly, and by each motion; nothing where a slow press is hardly felt.
 
-    presser: has `press`, as `presser.Presser`; bar: counts presses.
+    presser: has `press`, as `presser.Presser`; under_way: counts presses.
     """
 
     def felt(motion: Motion) -> Floats:
-        bar.update()
+        under_way.advance()
         poses = (place.pose(form, depth) for depth in motion.depths(form.depth))
         return np.asarray(presser.press(poses, motion.rate))
 
     slow = felt(SLOWLY)
     if np.linalg.norm(slow) < LEAST_FORCE:
-        bar.update(len(tried))
+        under_way.advance(len(tried))
         return []
     return [Pressed(organ, form.name, motion.name, slow, felt(motion), presser.gap) for motion in tried]
 
@@ -263,14 +269,14 @@ def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
 
 def text(found: dict[str, Any]) -> str:
     """Return the figures as tables."""
-    rows = [["", "presses", "lost", f"within {MOST_OFF:g} %", "median off", "p95", "worst"]]
+    table = [["", "presses", "lost", f"within {MOST_OFF:g} %", "median off", "p95", "worst"]]
     for name, one in (("all", found["all"]), *found["organs"].items(), *found["tools"].items()):
-        rows.append(_row(name, one))
-    rows += [_row(name, one) for name, one in found["motions"].items()]
+        table.append(_row(name, one))
+    table += [_row(name, one) for name, one in found["motions"].items()]
     lines = [
         f"force {HELD:g} s after a press, beside a press at {SLOW:g} m/s to the same place",
         "",
-        *aligned(rows),
+        *aligned(table),
         "",
         *(
             f"lost: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['felt']):.3f} N instead of"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tissue_sim.bench.timing import NOISY
+from tissue_sim.bench import rows
 from tissue_sim.errors import UserError
 
 
@@ -31,6 +31,10 @@ def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
     return [f"{line.ljust(width)}  {remark}".rstrip() for line, remark in zip(lines, remarks, strict=True)]
 
 
+NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
+STOPPED = "stopped by Ctrl-C: this is what was measured so far"
+
+
 class Bound(NamedTuple):
     """A bound's name, the figure held against it (None: not measured), its limit, its unit; least: a lower limit."""
 
@@ -42,10 +46,11 @@ class Bound(NamedTuple):
 
     @property
     def met(self) -> bool | None:
-        """True or False; None when the figure is missing."""
+        """True or False; None when the figure is missing, or only holds so far as the measuring was stopped."""
         if self.value is None:
             return None
-        return bool(self.value >= self.limit if self.least else self.value <= self.limit)
+        held = bool(self.value >= self.limit if self.least else self.value <= self.limit)
+        return None if held and rows.stopped() else held
 
     def as_json(self) -> dict[str, Any]:
         """Its fields, and whether it is met."""
@@ -58,7 +63,8 @@ def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
     for bound in bounds:
         sign = ">=" if bound["least"] else "<="
         value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
-        verdict = {True: "held", False: "missed", None: "not measured"}[bound["met"]]
+        unknown = "not measured" if bound["value"] is None else "held so far"
+        verdict = {True: "held", False: "missed", None: unknown}[bound["met"]]
         table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
     return with_remarks(table)
 
@@ -89,18 +95,20 @@ def made_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exce
         return None, f"skipped: {error.name} is not installed: pip install 'tissue_sim[bench]'"
 
 
-def noise_lines(noise: float) -> list[str]:
-    """A remark on noise, the p99 of a fixed loop over its median, where it is high; else nothing."""
-    if noise < NOISY:
+def noise_lines(noise: float | None) -> list[str]:
+    """A remark on noise, the p99 of a fixed loop over its median, where it is high; nothing where it is not known."""
+    if noise is None or noise < NOISY:
         return []
     return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
 
 
-def emit(found: Any, text: str, json_to: str | None) -> None:
-    """Print the text and write JSON to a file, or with - print the JSON instead.
+def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
+    """Print the text and write JSON to a file, or with - print the JSON instead; both say when it was stopped.
 
     Raises UserError when the file can't be written.
     """
+    if rows.stopped():
+        found, text = {**found, "stopped": True}, f"{STOPPED}\n\n{text}"
     if json_to == "-":
         print(json.dumps(found, indent=2))
         return

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse.linalg import splu
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, bean, node_normals, patch, patch_load
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
@@ -94,31 +95,37 @@ def measure(organ: Organ, count: int) -> list[PlaceErrors]:
     tangent = stiffness_matrix(whole.model)[free][:, free].tocsc()
     linear = splu(tangent, permc_spec="MMD_AT_PLUS_A")
     cases = []
-    for place in tqdm(places(whole, count), disable=None, desc="region", unit="place"):
-        unit = unit_load(organ, place)
-        for force, answer, whole_settled in answers(whole, unit, place):
-            load = np.zeros(3 * organ.n_nodes)
-            load[: 3 * organ.n_surface] = force * unit.ravel()
-            straight = np.zeros_like(load)
-            straight[free] = linear.solve(load[free])
-            surface = straight[: 3 * organ.n_surface].reshape(-1, 3)
-            by_modes, _ = modal.settle(force * unit, TOLERANCE, LONGEST)
-            by_choice, choice_settled = auto.settle(force * unit, TOLERANCE, LONGEST)
-            by_freezing = None if frozen is None else frozen.settle(force * unit, TOLERANCE, LONGEST)[0]
-            cases.append(
-                PlaceErrors(
-                    place,
-                    force,
-                    float(np.linalg.norm(answer[place])),
-                    bool(whole_settled and choice_settled),
-                    off(by_modes, surface),
-                    off(by_modes, answer),
-                    off(by_choice, answer),
-                    bool(auto.state.status.region == Region.WHOLE),
-                    None if by_freezing is None else off(by_freezing, answer),
-                    off(surface, answer),
+    with rows.until_stopped():
+        for place in rows.each(places(whole, count), "places"):
+            unit = unit_load(organ, place)
+            for force, answer, whole_settled in answers(whole, unit, place):
+                load = np.zeros(3 * organ.n_nodes)
+                load[: 3 * organ.n_surface] = force * unit.ravel()
+                straight = np.zeros_like(load)
+                straight[free] = linear.solve(load[free])
+                surface = straight[: 3 * organ.n_surface].reshape(-1, 3)
+                by_modes, _ = modal.settle(force * unit, TOLERANCE, LONGEST)
+                by_choice, choice_settled = auto.settle(force * unit, TOLERANCE, LONGEST)
+                by_freezing = None if frozen is None else frozen.settle(force * unit, TOLERANCE, LONGEST)[0]
+                cases.append(
+                    PlaceErrors(
+                        place,
+                        force,
+                        float(np.linalg.norm(answer[place])),
+                        bool(whole_settled and choice_settled),
+                        off(by_modes, surface),
+                        off(by_modes, answer),
+                        off(by_choice, answer),
+                        bool(auto.state.status.region == Region.WHOLE),
+                        None if by_freezing is None else off(by_freezing, answer),
+                        off(surface, answer),
+                    )
                 )
-            )
+                rows.tell(
+                    f"place {place}, {force:.2f} N",
+                    f"modal off {cases[-1].modal:.1f} %",
+                    f"auto {cases[-1].auto:.1f} %",
+                )
     return cases
 
 
@@ -165,9 +172,10 @@ def answers(whole: Simulation, unit: Floats, place: int) -> Iterator[tuple[float
 def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
     """Beans of cells as they are before a calibration: ticks, each timed for some seconds, and errors of a region."""
     made = {}
-    for count in tqdm(points, disable=None, desc="sizes", unit="organ"):
-        organ = prepared(bean(count), Settings())
-        made[count] = organ, Simulation(organ), regional(organ, "modal")
+    with rows.until_stopped():
+        for count in rows.each(points, "organs"):
+            organ = prepared(bean(count), Settings())
+            made[count] = organ, Simulation(organ), regional(organ, "modal")
     bursts: dict[str, Ticks] = {}
     for count, (organ, whole, modal) in made.items():
         nodes, forces = patch_load(organ, PRESS * min(points) / count)
@@ -175,8 +183,13 @@ def measure_sizes(points: Sequence[int], seconds: float) -> list[SizeErrors]:
     timings = interleave(Phase(bursts, seconds, "sizes")) if bursts else {}
     found = []
     for count, (organ, whole, modal) in made.items():
+        if f"modal {count}" not in timings:
+            break
         taken, cells = not moves_whole(organ), len(organ.cell_nodes)
-        errors = _errors_handing_over(whole, modal, count) if count <= MOST_JUDGED else (None, None)
+        errors: tuple[float | None, float | None] = (None, None)
+        with rows.until_stopped():
+            if count <= MOST_JUDGED and not rows.stopped():
+                errors = _errors_handing_over(whole, modal, count)
         found.append(SizeErrors(count, cells, timings[f"whole {count}"], timings[f"modal {count}"], taken, *errors))
     return found
 
@@ -185,7 +198,7 @@ def _errors_handing_over(whole: Simulation, modal: Simulation, count: int) -> tu
     """Worst errors at the outermost places, %, of a region that hands over from here on: under SMALL, and dented."""
     modal.settings.local_region = LocalRegion.AUTO
     errors = []
-    for place in tqdm(places(whole, 0), disable=None, desc=f"{count} points", unit="place"):
+    for place in progress.steps(places(whole, 0), f"{count} points, place"):
         unit = unit_load(whole.organ, place)
         cases = [(force, answer) for force, answer, _ in islice(answers(whole, unit, place), 2)]
         errors.append([off(modal.settle(force * unit, TOLERANCE, LONGEST)[0], answer) for force, answer in cases])
@@ -202,7 +215,12 @@ def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]
     """The bounds on the worst errors of the modal region and of `auto`, every case and every size."""
     small = [case for case in cases if case.force == SMALL]
     bounds = [
-        Bound("modal against linear, small forces", max(case.modal_linear for case in small), WHOLE_LINEAR, "%"),
+        Bound(
+            "modal against linear, small forces",
+            max((case.modal_linear for case in small), default=None),
+            WHOLE_LINEAR,
+            "%",
+        ),
         Bound("auto against the whole model, all forces", max(case.auto for case in cases), WHOLE_NONLINEAR, "%"),
         Bound("cases that settle", 100.0 * float(np.mean([case.settled for case in cases])), 100.0, "%", least=True),
     ]

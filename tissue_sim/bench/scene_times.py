@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.organs import PATCH_NODES, patch_load
@@ -88,12 +89,13 @@ def run(args: argparse.Namespace) -> int:
 
 def measure(organ: Organ, scene: SceneFile | None, seconds: float) -> Figures:
     """Time every row; meant for a process of one thread."""
-    bursts: dict[str, Any] = {
-        ALONE: Ticks(Simulation(organ), *patch_load(organ, FORCE)),
-        BESIDE: JoinedTicks(apart(organ, 2), poked=1),
-        ASLEEP: JoinedTicks(apart(organ, ORGANS), poked=0),
-        AWAKE: JoinedTicks(apart(organ, ORGANS), poked=ORGANS),
-    }
+    with progress.task("preparing"):
+        bursts: dict[str, Any] = {
+            ALONE: Ticks(Simulation(organ), *patch_load(organ, FORCE)),
+            BESIDE: JoinedTicks(apart(organ, 2), poked=1),
+            ASLEEP: JoinedTicks(apart(organ, ORGANS), poked=0),
+            AWAKE: JoinedTicks(apart(organ, ORGANS), poked=ORGANS),
+        }
     organs = {ALONE: 1, BESIDE: 2, ASLEEP: ORGANS, AWAKE: ORGANS}
     if scene is not None:
         joined = scene.scene([]).joined

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_priority, add_shared, check_priority, check_shared
 from tissue_sim.bench.bare_loop import RATE, bare, late_bound, late_percent
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
@@ -35,6 +36,7 @@ from tissue_sim.ros.shared.children import Child
 SHORTEST, LONGEST = 0.1, 1440.0  # min
 WINDOW = 60.0  # s at the beginning and the end whose memory is compared; the first begins after one of warming up
 TURN, PAUSE = 4.0, 16.0  # s that the bare loop runs, and rests
+LEAST_SAMPLES = 2  # between which anything can be told
 MOST_DRIFT, MOST_GROWTH = 1e-6, 1.0  # m, MB
 
 
@@ -58,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         bag_folder = Path(args.bag_folder or folder).absolute()
         found = measure(args.organ, args.minutes, bag_folder, args.realtime_priority, replays=args.replay)
     emit(found, text(found), args.json)
-    if args.out:
+    if args.out and not rows.stopped():
         from tissue_sim.bench.soak_plot import write_plot
 
         told([write_plot(found, Path(args.out))])
@@ -104,7 +106,7 @@ def measure(
             raise UserError(f"the node did not end as it should: {served.last_words()}")
     return as_json(
         organ=organ.name,
-        minutes=minutes,
+        minutes=round((samples[-1].seconds - samples[0].seconds) / 60.0, 2) if rows.stopped() else minutes,
         priority=priority,
         samples=samples,
         turns=turns,
@@ -113,7 +115,7 @@ def measure(
         bag=read_bag(bag),
         problems=problems,
         failures=failures,
-        repeats=_repeats(bag) if replays else None,
+        repeats=_repeats(bag) if replays and not rows.stopped() else None,
     )
 
 
@@ -125,7 +127,12 @@ def _soak(
     turns: list[tuple[float, Future[Floats]]] = []
     turn, pause = min(TURN, 0.25 * seconds), min(PAUSE, 0.25 * seconds)
     began = next_turn = time.monotonic()
-    with ThreadPoolExecutor(1, "bare") as bare_loop, tqdm(total=round(seconds), disable=None, unit="s") as bar:
+    with (
+        ThreadPoolExecutor(1, "bare") as bare_loop,
+        progress.still(),
+        rows.until_stopped(),
+        progress.task("seconds", round(seconds)) as under_way,
+    ):
         for second in range(1, max(2, round(seconds)) + 1):
             time.sleep(max(0.0, began + second - time.monotonic()))
             _check_alive(served, bridge)
@@ -135,7 +142,11 @@ def _soak(
                 busy = 1e-6 * float(watch.values["tick_p50_us"])
                 turns.append((samples[-1].seconds, bare_loop.submit(bare, turn, busy, priority)))
                 next_turn = now + turn + pause
-            bar.update()
+            if len(samples) == LEAST_SAMPLES:
+                rows.keep()
+            if second % 60 == 0:
+                rows.tell(f"minute {second // 60}", f"{samples[-1].megabytes:.2f} MB", f"{samples[-1].late} late ticks")
+            under_way.advance()
     return samples, [(at, made.result()) for at, made in turns]
 
 
@@ -269,13 +280,13 @@ def text(found: dict[str, Any]) -> str:
     priority = found["realtime_priority"]
     preferred = f", real-time priority {priority}" if priority else ""
     keys = ("first_mb", "last_mb", "growth_mb", "slope_mb_per_hour", "most_mb")
-    rows = [["memory, MB", "minute 2", "last minute", "growth", "an hour", "most"]]
+    table = [["memory, MB", "minute 2", "last minute", "growth", "an hour", "most"]]
     for name, memory in (("the node's own", found["memory"]), ("shared with others", found["shared_memory"])):
-        rows.append([name, *(shown(memory[key], lambda value: f"{value:.2f}") for key in keys)])
+        table.append([name, *(shown(memory[key], lambda value: f"{value:.2f}") for key in keys)])
     lines = [
         f"{found['minutes']:g} min at {found['rate_hz']:g} Hz{preferred}: two tools played, one subscriber of"
         " markers at 60 Hz, a bag",
-        *aligned(rows),
+        *aligned(table),
         "",
         f"ticks late by more than a period: node {late['node_percent']:.2f} % of {late['ticks']}, a bare loop beside it"
         f" {shown(late['bare_percent'], lambda value: f'{value:.2f}')} %",

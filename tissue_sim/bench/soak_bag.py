@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.errors import UserError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def read_bag(path: Path) -> BagFound:
         with Reader(path) as reader:
             reading = _Reading(reader.connections)
             total = reader.message_count
-            for connection, _, raw in tqdm(reader.messages(), total=total, disable=None, desc="bag", unit="message"):
+            for connection, _, raw in progress.steps(reader.messages(), "reading the bag, message", total):
                 reading.take(connection, bytes(raw))
     except recovery.OF_RUBBISH as error:
         raise UserError(f"bag {path} can't be read: {error}") from None

@@ -11,13 +11,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from tissue_sim import progress
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import emit, told, write_json
 from tissue_sim.bench.sweeps.cells import AXES, QUICK_AXES, SMALL_ORGAN, Cell, axes_named, cells_of
 from tissue_sim.bench.sweeps.trial import Record, made_for, organ_of, run_cell, simulation_of
 from tissue_sim.calibration.cohort import on_cluster
 from tissue_sim.errors import UserError
-from tissue_sim.jit import is_compiled
 from tissue_sim.model.settings import LOCAL_REGIONS
 from tissue_sim.model.simulation import moves_whole
 from tissue_sim.organ.organ import Organ
@@ -77,18 +78,22 @@ def regions_of(organ: Organ) -> tuple[str, ...]:
 
 
 def sweep(cells: Sequence[Cell], jobs: int, scheduler: str | None = None) -> list[Record]:
-    """Run the cells on `jobs` processes or a cluster, with a progress bar; the records in the order of the cells.
+    """Run the cells on `jobs` processes or a cluster, and tell how far that is; the records in the order of the cells.
 
     Raises UserError when the cluster's scheduler doesn't answer, and what the first simulation raises.
     """
-    from tqdm import tqdm
-
     _compile(cells)
     found: dict[tuple[str, float, str, str], Record] = {}
     order = sorted(cells, key=made_for)  # those that use the same simulation after each other
-    for record in tqdm(_records(order, jobs, scheduler), total=len(cells), disable=None, desc="cells", unit="cell"):
-        found[record.axis, record.value, record.integrator, record.local_region] = record
-    return [found[cell.axis, cell.value, cell.integrator, cell.local_region] for cell in cells]
+    outcomes: Counter[str] = Counter()
+    with rows.until_stopped(), progress.task("cells", len(cells)) as under_way:
+        for record in _records(order, jobs, scheduler):
+            found[record.axis, record.value, record.integrator, record.local_region] = record
+            rows.keep()
+            outcomes[record.outcome] += 1
+            under_way.advance(1, ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items())))
+    keys = [(cell.axis, cell.value, cell.integrator, cell.local_region) for cell in cells]
+    return [found[key] for key in keys if key in found]
 
 
 def _records(cells: Sequence[Cell], jobs: int, scheduler: str | None) -> Iterator[Record]:
@@ -116,12 +121,12 @@ def summary(records: Sequence[Record], seconds: float) -> str:
         f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'led back':>9} {'violations':>11}"
     ]
     for axis in dict.fromkeys(record.axis for record in records):
-        rows = [record for record in records if record.axis == axis]
-        outcome = Counter(record.outcome for record in rows)
-        led = sum(record.snaps > 0 for record in rows)
+        some = [record for record in records if record.axis == axis]
+        outcome = Counter(record.outcome for record in some)
+        led = sum(record.snaps > 0 for record in some)
         lines.append(
-            f"{axis:12} {len(rows):6} {outcome['stable']:7} {outcome['guarded']:8} {outcome['diverged']:9}"
-            f" {led:9} {len(violations(rows)):11}"
+            f"{axis:12} {len(some):6} {outcome['stable']:7} {outcome['guarded']:8} {outcome['diverged']:9}"
+            f" {led:9} {len(violations(some)):11}"
         )
     broken = violations(records)
     judged = sum(record.judged for record in records)
@@ -155,7 +160,5 @@ def _report(records: Sequence[Record], organ: str, quick: bool, seconds: float) 
 
 def _compile(cells: Sequence[Cell]) -> None:
     """Compile here, once, what every worker then reads from the disk."""
-    if not is_compiled():
-        print("compiling the kernels, about half a minute, once", file=sys.stderr)
     for integrator in dict.fromkeys(cell.integrator for cell in cells):
         simulation_of(next(cell for cell in cells if cell.integrator == integrator)).step()

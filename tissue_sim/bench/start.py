@@ -20,6 +20,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tissue_sim import progress
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, made_or_skipped
 from tissue_sim.errors import UserError
@@ -98,20 +100,22 @@ def measure(organ: Path, wanted: Sequence[str]) -> dict[str, Any]:
     nodes: dict[str, dict[str, float] | None] = {}
     peers: dict[str, list[Start]] = {name: [] for name in PEERS}
     remark = ""
-    for kernels in wanted:
-        tries = []
-        # The first one, which may have to compile what is to be on disk, does not count.
-        for turn in range(1 if kernels == TO_COMPILE else 1 + TIMES):
-            with _cache(kernels) as environment:
-                tries.append(first_start(organ, environment))
-                if turn:
-                    for name, code in PEERS.items():
-                        peers[name].append(peer_start(code, environment))
-        starts[kernels] = min(tries[-TIMES:], key=lambda start: start["wall"])
-        for _ in range(1 if kernels == TO_COMPILE else 2):
-            with _cache(kernels) as environment:
-                nodes[kernels], remark = made_or_skipped(partial(node_start, organ, environment))
-    return as_json(starts, nodes, {name: min(found) for name, found in peers.items()}, remark)
+    with rows.until_stopped():
+        for kernels in rows.each(wanted, "starts"):
+            tries = []
+            # The first one, which may have to compile what is to be on disk, does not count.
+            for turn in progress.steps(range(1 if kernels == TO_COMPILE else 1 + TIMES), kernels):
+                with _cache(kernels) as environment:
+                    tries.append(first_start(organ, environment))
+                    if turn:
+                        for name, code in PEERS.items():
+                            peers[name].append(peer_start(code, environment))
+            starts[kernels] = min(tries[-TIMES:], key=lambda start: start["wall"])
+            rows.tell(f"a new process, {kernels}", f"{starts[kernels]['wall']:.2f} s to its first tick")
+            for _ in range(1 if kernels == TO_COMPILE else 2):
+                with _cache(kernels) as environment, progress.task("a node"):
+                    nodes[kernels], remark = made_or_skipped(partial(node_start, organ, environment))
+    return as_json(starts, nodes, {name: min(found) for name, found in peers.items() if found}, remark)
 
 
 @contextmanager
@@ -221,7 +225,7 @@ def text(found: Mapping[str, Any]) -> str:
     node_rows = {"to_first_tick": "node, to its first tick", "to_first_answer": "node, to its first answered pose"}
     node_rows |= {"to_end": "node, from SIGINT to its end", "to_find": "node, until a plain ROS program finds it"}
     for key, name in node_rows.items():
-        table.append([name, *(f"{node[key]:.2f}" if node else "-" for node in found["nodes"].values())])
+        table.append([name, *(_seconds(found["nodes"].get(kernels), key) for kernels in starts)])
     lines = aligned(table)
     compiled = next(iter(starts.values()))["compiled"]
     if compiled:
@@ -237,3 +241,7 @@ def text(found: Mapping[str, Any]) -> str:
     if found["remark"]:
         lines += ["", f"node: {found['remark']}"]
     return "\n".join([*lines, "", *bound_lines(found["bounds"])])
+
+
+def _seconds(node: Mapping[str, float] | None, key: str) -> str:
+    return f"{node[key]:.2f}" if node else "-"

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
 from tissue_sim.bench.organs import node_normals, spread_nodes
 from tissue_sim.bench.printing import aligned, emit, noise_lines, told
@@ -83,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     cells, noise = in_one_thread(measure, organ, unit, args.quick)
     found = as_json(organ, unit, cells, noise)
     emit(found, text(found), args.json)
-    if args.out:
+    if args.out and not rows.stopped():
         from tissue_sim.bench.figure6 import write_figure
 
         told(write_figure(organ, panels(organ, unit, cells), Path(args.out)))
@@ -110,7 +111,7 @@ def measure(organ: Organ, unit: float, quick: bool) -> tuple[dict[str, dict[str,
         for force in FORCES
         for variant, simulation in zip(VARIANTS, simulations, strict=True)
     ]
-    for force, variant, simulation in tqdm(jobs, disable=None, desc="settle", leave=False):
+    for force, variant, simulation in progress.steps(jobs, "settling"):
         nodes, forces = load(organ, force, unit)
         whole = np.zeros((organ.n_surface, 3))
         whole[nodes] = forces

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.c_loop import NATIVE, PLAIN, CLoop, CLoopError
 from tissue_sim.bench.compliance import Product, surface_compliance
@@ -47,7 +48,7 @@ def make_bursts(makers: Mapping[str, Maker]) -> tuple[dict[str, Burst], dict[str
     """Bursts of the rows that can be measured here, and for every row a remark: what it is or why it is skipped."""
     bursts: dict[str, Burst] = {}
     remarks: dict[str, str] = {}
-    for name, make in makers.items():
+    for name, make in progress.steps(makers.items(), "preparing"):
         burst, remarks[name] = made_or_skipped(make, CLoopError)
         if burst is not None:
             bursts[name] = burst

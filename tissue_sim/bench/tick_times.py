@@ -124,7 +124,8 @@ def bounds(measured: Figures) -> list[Bound]:
     def ratio(one: str, other: str) -> float | None:
         return median[one] / median[other] if one in median and other in median else None
 
-    first, last = measured.grown[0].points, measured.grown[-1].points
+    points = [size.points for size in measured.grown] or growth.SIZES
+    first, last = points[0], points[-1]
     return [
         Bound("whole hybrid tick", us(WHOLE), 300.0, "us"),
         Bound("whole tick of cells", us(CELLS), 100.0, "us"),
@@ -211,8 +212,10 @@ def _growth_lines(found: dict[str, Any]) -> list[str]:
         row = [str(size["points"]), figure(size["whole_us"]), str(size["substeps"]), figure(size["substep_us"])]
         row += [figure(size["modal_us"]), str(size["modal_substeps"]), str(size["modal_nodes"])]
         table.append([*row, f"{size['modes']} by {size['modes_by']}", f"{size['modes_s']:.1f}"])
-    return [
-        *aligned(table, left=0),
-        f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
-        " shorter edges ask for more substeps; the same pressure on 19 nodes at every size",
-    ]
+    lines = aligned(table, left=0)
+    if found["substep_exponent"] is not None:
+        lines.append(
+            f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
+            " shorter edges ask for more substeps; the same pressure on 19 nodes at every size"
+        )
+    return lines

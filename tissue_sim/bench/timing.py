@@ -7,20 +7,25 @@ program interrupts takes no longer for it.
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from functools import cache
+from types import FrameType
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
+from tissue_sim.bench import rows
 from tissue_sim.child import end_with_parent
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
@@ -32,7 +37,7 @@ from tissue_sim.model.world import tick_world
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
+LONG = 1.0  # s of a burst beside which progress may move: it weighs nothing there
 BURST = 0.02  # s, that one piece of work is measured for before it is the next one's turn
 LEAST_SAMPLES = 3
 _LOAD_PERIOD = 200  # ticks in which a load goes from nothing to all and back
@@ -65,34 +70,86 @@ def describe(samples: Floats) -> Timing:
 
 
 def interleave(phase: Phase) -> dict[str, Timing]:
-    """Measure every burst of a phase in turns, each for `seconds` in all (but at least three times)."""
+    """Measure every burst of a phase in turns, each for `seconds` in all (but at least three times).
+
+    Ctrl-C ends it with what was measured so far: nothing, where not every one has been looked at.
+    """
     rounds = max(LEAST_SAMPLES, round(phase.seconds / BURST))
-    counts = {name: max(1, int(BURST / max(float(burst(2).min()), 1e-9))) for name, burst in phase.bursts.items()}
-    samples: dict[str, list[Floats]] = {name: [] for name in phase.bursts}
-    for turn in tqdm(range(rounds), disable=None, desc=phase.label, unit="round", leave=False):
-        for name, burst in phase.bursts.items():
-            spent = float(sum(part.sum() for part in samples[name]))
-            # What takes long comes less often, spread over the run.
-            due = len(samples[name]) < LEAST_SAMPLES * (turn + 1) / rounds
-            if due or spent <= phase.seconds * turn / rounds:
-                samples[name].append(burst(counts[name]))
-    return {name: describe(np.concatenate(parts)) for name, parts in samples.items()}
+    samples: dict[str, list[Floats]] = {}
+    with rows.until_stopped():
+        first = {}
+        for name in rows.each(phase.bursts, f"{phase.label}, a first look"):
+            first[name] = phase.bursts[name](2)
+            progress.say(f"{name}: about {1e6 * first[name].min():.3g} us")
+        samples = {name: [] for name in first}
+        rows.keep()
+        quickest = {name: max(float(seconds.min()), 1e-9) for name, seconds in first.items()}
+        counts = {name: max(1, int(BURST / seconds)) for name, seconds in quickest.items()}
+        with progress.still(), progress.task(phase.label, rounds) as under_way:
+            for turn in range(0 if rows.stopped() else rounds):
+                for name, burst in phase.bursts.items():
+                    spent = float(sum(part.sum() for part in samples[name]))
+                    # What takes long comes less often, spread over the run.
+                    due = len(samples[name]) < LEAST_SAMPLES * (turn + 1) / rounds
+                    if due or spent <= phase.seconds * turn / rounds:
+                        with progress.moving() if counts[name] * quickest[name] > LONG else nullcontext():
+                            samples[name].append(burst(counts[name]))
+                    under_way.advance(0)
+                under_way.advance()
+    return {name: describe(np.concatenate(parts or [first[name]])) for name, parts in samples.items()}
 
 
 def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> Result:
     """Call a function of a module in a fresh process whose numerical libraries use one thread.
 
-    They read their number of threads when they are loaded, so it takes a process of its own.
+    They read their number of threads when they are loaded, so it takes a process of its own; that tells its progress,
+    and Ctrl-C ends it with what it has measured.
     """
     context = multiprocessing.get_context("spawn")
     try:
         with (
             environment(dict.fromkeys(ONE_THREAD, "1")),
-            ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool,
+            progress.still(),
+            ProcessPoolExecutor(1, mp_context=context, initializer=_begin) as pool,
         ):
-            return pool.submit(function, *arguments).result()
+            under_way = pool.submit(_measured, progress.name_of_all(), function, arguments)
+            try:
+                found, stopped = under_way.result()
+            except KeyboardInterrupt:
+                _signal_children(signal.SIGINT)  # where it was not the terminal that sent it to all
+                try:
+                    found, stopped = under_way.result()
+                except KeyboardInterrupt:  # nothing was measured, or Ctrl-C came once more
+                    _signal_children(signal.SIGKILL)
+                    raise
     except BrokenProcessPool:
         raise UserError("the process that measures was ended from outside; was there enough memory?") from None
+    if stopped:
+        rows.stop()
+    return found
+
+
+def _begin() -> None:
+    """Have Ctrl-C interrupt this process once, whoever sends it: what is measured then has to be handed over."""
+
+    def interrupt(_: int, __: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    end_with_parent()
+    signal.signal(signal.SIGINT, interrupt)
+
+
+def _measured[Result](name: str, function: Callable[..., Result], arguments: tuple[Any, ...]) -> tuple[Result, bool]:
+    """What a function returns, and whether it was stopped before its end."""
+    with progress.task(name or "measuring"):
+        return function(*arguments), rows.stopped()
+
+
+def _signal_children(number: signal.Signals) -> None:
+    for child in multiprocessing.active_children():
+        if child.pid is not None:
+            os.kill(child.pid, number)
 
 
 # the clock ---------------------------------------------------------------------------------------

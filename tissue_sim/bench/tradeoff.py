@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
 from tissue_sim.bench.growth import exponent
 from tissue_sim.bench.peers.engine import Engine, Load
 from tissue_sim.bench.peers.rows import CALIBRATED, Row, rows_of
 from tissue_sim.bench.printing import emit, figure, made_or_skipped, noise_lines, told, with_remarks
+from tissue_sim.bench.rows import each, stopped, tell, until_stopped
 from tissue_sim.bench.sizes import Sized, sized
 from tissue_sim.bench.timing import Burst, Phase, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.bench.variants import fit_on_cluster, variants_of
@@ -81,7 +82,7 @@ class Found(NamedTuple):
     cases: list[Case]
     nodes: int  # of the reference
     accuracy: str  # of the reference itself, one line
-    noise: float
+    noise: float | None  # None: not measured
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     found = in_one_thread(measure, organ, points, args.quick)
     figures = as_json(organ, found, time.perf_counter() - start)
     emit(figures, text(figures), args.json)
-    if args.out:
+    if args.out and not stopped():
         from tissue_sim.bench.tradeoff_plot import write_plot
 
         told([write_plot(figures, Path(args.out))])
@@ -144,28 +145,30 @@ def measure(organ: Organ, points: Sequence[int], quick: bool) -> Found:
             (row, size) for row in rows_of(variants, [load_of(case, size) for case in tuning], own=own, quick=quick)
         ]
     measured, noise = measure_rows(rows, cases, 0.2 if quick else 1.0)
-    return Found(measured, cases, body.n_nodes, str(accuracy), noise.p99 / noise.median)
+    return Found(measured, cases, body.n_nodes, str(accuracy), noise.p99 / noise.median if noise else None)
 
 
 def measure_rows(
     rows: Sequence[tuple[Row, Sized]], cases: Sequence[Case], seconds: float
-) -> tuple[list[Judged], Timing]:
+) -> tuple[list[Judged], Timing | None]:
     """Settle every row under every load, then time the updates of all in turns, `seconds` each; a fixed loop's time.
 
-    What can't be made is skipped, and the remark says why.
+    What can't be made is skipped, and the remark says why. When it was stopped before that, no time is known.
     """
     bursts: dict[str, Burst] = {NOISE: noise_burst}
     measured: list[Judged] = []
-    for number, (row, size) in enumerate(tqdm(rows, disable=None, desc="rows", unit="row")):
-        engine, remark = made_or_skipped(row.make)
-        if engine is None:
-            measured.append(Judged(row.name, row.ours, row.points, remark, [], None, 1.0))
-            continue
-        errors = [error_of(engine, case, size) for case in cases]
-        measured.append(Judged(row.name, row.ours, row.points, remark, errors, None, engine.update))
-        bursts[str(number)] = engine.burst(load_of(cases[0], size))
+    with until_stopped():
+        for number, (asked, size) in enumerate(each(rows, "rows")):
+            engine, remark = made_or_skipped(asked.make)
+            if engine is None:
+                measured.append(Judged(asked.name, asked.ours, asked.points, remark, [], None, 1.0))
+                continue
+            errors = [error_of(engine, case, size) for case in progress.steps(cases, asked.name)]
+            measured.append(Judged(asked.name, asked.ours, asked.points, remark, errors, None, engine.update))
+            bursts[str(number)] = engine.burst(load_of(cases[0], size))
+            tell(f"{asked.name}, {asked.points} points", f"off {_mean([100.0 * one.relative for one in errors]):.1f} %")
     timings = interleave(Phase(bursts, seconds, "updates"))
-    return [row._replace(update=timings.get(str(number))) for number, row in enumerate(measured)], timings[NOISE]
+    return [one._replace(update=timings.get(str(number))) for number, one in enumerate(measured)], timings.get(NOISE)
 
 
 def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], list[Case], Refined]:
@@ -190,7 +193,7 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
     for (kind, force), lacking, answer in zip(
         drawn,
         finer_linear - linear,
-        tqdm(answers, disable=None, desc="reference", total=len(drawn), unit="load"),
+        progress.steps(answers, "reference", len(drawn)),
         strict=True,
     ):
         if not answer.converged:
@@ -250,7 +253,7 @@ def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
             }
             for case in found.cases
         ],
-        "growth": _growth([row for row in rows if row["name"] == CALIBRATED and row["errors"]]),
+        "growth": _growth([one for one in rows if one["name"] == CALIBRATED and one["ms_per_ms"] is not None]),
         "rows": rows,
     }
 
@@ -329,7 +332,8 @@ def text(found: dict[str, Any]) -> str:
     for row in found["rows"]:
         if not row["errors"]:
             continue
-        figures = [f"{row['points']}", figure(row["ms_per_ms"]), figure(row["settle_ms"])]
+        time_a_ms = "-" if row["ms_per_ms"] is None else figure(row["ms_per_ms"])
+        figures = [f"{row['points']}", time_a_ms, figure(row["settle_ms"])]
         figures += [f"{row[key]:.1f}" for key in ("mean_percent", "worst_percent", "sharp_percent")]
         figures += [f"{row['rms_mm']:.2f}", f"{row['rms_over_max_percent']:.1f}", f"{row['volume_change_percent']:.2f}"]
         figures += [f"{row['settled']}/{len(row['errors'])}"]

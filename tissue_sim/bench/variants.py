@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.sizes import Sized, at_size, sized
 from tissue_sim.bench.surface_field import answers
@@ -186,11 +186,11 @@ def fitted(body: Body, organ: Organ, kind: str, effort: Effort) -> dict[str, NDA
     model = assemble(organ)
     elastic, start = Elastic(model), first_stiffness(organ, model)
     misfit = _misfit(elastic, body, size, pushes)
-    with tqdm(total=effort.steps, disable=None, desc=f"fit of {organ.n_surface} points, {kind}", leave=False) as bar:
+    with progress.task(f"fit of {organ.n_surface} points, {kind}", effort.steps) as under_way:
         if kind == GROUPS:
-            stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: bar.update())
+            stiffness = search(start, group_of(organ, model), misfit, effort.steps, lambda *_: under_way.advance())
         else:
-            stiffness = fit(misfit, start, effort.steps, lambda *_: bar.update(), bounds=CELL_BOUNDS)
+            stiffness = fit(misfit, start, effort.steps, lambda *_: under_way.advance(), bounds=CELL_BOUNDS)
     known = _frequencies(body)
     frequencies = known[:MODES]
     rate = damping_rate(frequencies)

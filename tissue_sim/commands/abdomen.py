@@ -18,6 +18,7 @@ from tissue_sim.contact.scene_file import FORMAT, SceneFile
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.organ import Organ
+from tissue_sim.progress import steps
 
 NAME = "abdomen"
 BREATHS, WAY = 15.0, (0.0, 0.0, -0.015)  # a minute; m that the liver goes down: z leads to the head
@@ -86,7 +87,7 @@ def _run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="tissue_sim-") as spare:
         built = folder if args.as_built else Path(spare)
         files = [built / f"{part.name}.npz" for part in PARTS]
-        for part, file in zip(PARTS, files, strict=True):
+        for part, file in steps(zip(PARTS, files, strict=True), "organs", len(PARTS)):
             request = Request(
                 name=part.name,
                 points=args.points,

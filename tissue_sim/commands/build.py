@@ -6,9 +6,13 @@ import argparse
 import dataclasses
 import hashlib
 import importlib.util
+import itertools
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,14 +24,13 @@ from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_image, organ_from_mask, organ_from_mesh
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+from tissue_sim.progress import task
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
-
     from tissue_sim.organ.organ import Organ
 
 
-# Parts of a hundred that a stage takes of a usual build: only the bar's pace depends on them.
+# What stages take of a usual build, beside each other: only the bar's pace depends on it.
 _SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
 _UNITS = ("mm", "cm", "m", "um", "in")
 _EXTRA = "install the extra: pip install 'tissue_sim[image]'"
@@ -154,8 +157,7 @@ def _run(args: argparse.Namespace) -> int:
             **({"inclusions": list(args.inclusion)} if args.inclusion else {}),
         },
     )
-    with _Bar(_stages_of(args)) as bar:
-        progress = Progress(bar.tell, bar.watch)
+    with _under_way(_stages_of(args)) as progress:
         organ = _build(args, request, progress)
         organ.save(out)
         if report:
@@ -337,45 +339,18 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
     return organ_from_image(ct, seed, request, parameters, progress=progress)
 
 
-class _Bar:
-    """A bar over the stages on a terminal, with the lines above it; in a pipe the lines alone."""
+@contextmanager
+def _under_way(stages: list[str]) -> Iterator[Progress]:
+    """What the stages tell: lines on the standard output, and how far they are as shares of one task."""
+    start = dict(zip(stages, itertools.accumulate((_SHARE[stage] for stage in stages), initial=0.0), strict=False))
+    with task(stages[0], sum(_SHARE[stage] for stage in stages), "%") as whole:
 
-    def __init__(self, stages: list[str]) -> None:
-        self._start: dict[str, float] = {}
-        total = 0.0
-        for stage in stages:
-            self._start[stage] = total
-            total += _SHARE[stage]
-        self._total = total
-        self._bar: tqdm[Any] | None = None
+        def watch(stage: str, done: float) -> None:
+            if stage in start:
+                whole.name = stage
+                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never back
 
-    def __enter__(self) -> _Bar:
-        from tqdm import tqdm
-
-        shape = "{desc:<9} {percentage:3.0f}% |{bar}| {elapsed}"
-        # disable=None: tqdm stays silent where standard error is no terminal.
-        self._bar = tqdm(total=self._total, bar_format=shape, disable=None, leave=False, dynamic_ncols=True)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def tell(self, line: str) -> None:
-        """Print a line to standard output, above the bar."""
-        from tqdm import tqdm
-
-        tqdm.write(line)
-
-    def watch(self, stage: str, done: float) -> None:
-        """Move the bar to a share of a stage; never back."""
-        if self._bar is None or stage not in self._start:
-            return
-        self._bar.set_description_str(stage, refresh=False)
-        reached = self._start[stage] + done * _SHARE[stage]
-        self._bar.update(max(reached - self._bar.n, 0.0))
-        if done == 0.0:
-            self._bar.refresh()
+        yield Progress(partial(print, flush=True), watch)
 
 
 def digest_of(source: Path) -> str:

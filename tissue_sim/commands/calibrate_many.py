@@ -13,9 +13,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tqdm import tqdm
-
 import tissue_sim
+from tissue_sim import progress
 from tissue_sim.calibration.calibrate import Calibrated, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.cohort import spread
@@ -81,11 +80,12 @@ def calibrate_many(
     Raises UserError when the scheduler doesn't answer.
     """
     found: dict[str, dict[str, Any] | str] = {}
-    with tqdm(total=len(organs), disable=None, desc="organs", unit="organ", dynamic_ncols=True) as bar:
+    with progress.task("organs", len(organs)) as under_way:
 
         def tell(name: str, cells: Sequence[str]) -> None:
-            bar.write("  ".join(cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(_row(name, cells))))
-            bar.update(name != _HEAD[0])
+            row = (cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(_row(name, cells)))
+            print("  ".join(row), flush=True)
+            under_way.advance(name != _HEAD[0])
 
         tell(_HEAD[0], _HEAD[1:])
         todo: list[tuple[Path, Path]] = []

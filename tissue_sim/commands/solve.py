@@ -7,8 +7,8 @@ import time
 import zipfile
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import MODEL_NAMES
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     displacements = np.zeros_like(forces)
     seconds = np.zeros(len(forces))
     converged = np.zeros(len(forces), dtype=bool)
-    for load in tqdm(range(len(forces)), disable=None, desc="solve", unit="load"):
+    for load in progress.steps(range(len(forces)), "loads"):
         start = time.perf_counter()
         displacements[load], converged[load] = simulation.settle(forces[load], args.tolerance, args.longest)
         seconds[load] = time.perf_counter() - start

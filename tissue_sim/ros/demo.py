@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from datetime import datetime
 from pathlib import Path
 
+from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client, dds
 from tissue_sim.ros.shared.children import Child, stop_all, wait_a_little
@@ -76,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
         words = _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}")
         children.append(Child("bridge", words, os.environ))
         print("bridge: strokes, pokes, nips, lifts and releases; Ctrl-C ends", flush=True)
+        progress.tell_by(None)  # from here on a line a second
         try:
             dead = watch.run(children, stop)
             last_words = dead.last_words() if dead else ""

@@ -10,13 +10,12 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from tqdm import tqdm
-
+from tissue_sim import progress
+from tissue_sim.bench import rows
 from tissue_sim.bench.fuzz.cases import FILES, KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.pool import run_cases
 from tissue_sim.bench.printing import aligned, emit
 from tissue_sim.errors import UserError
-from tissue_sim.unexpected import INTERRUPTED
 
 MOST = 10_000_000  # cases of a kind
 USUAL = 200
@@ -54,22 +53,18 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     outcomes = []
     counted: Counter[str] = Counter()
-    stopped = False
-    with tqdm(total=len(cases), disable=None, desc="fuzz", unit="case", dynamic_ncols=True) as bar:
-        try:
-            for outcome in run_cases(cases, args.jobs):
-                outcomes.append(outcome)
-                counted[outcome.verdict] += 1
-                if outcome.verdict == "failed":
-                    tqdm.write("\n".join(failure(outcome)), file=sys.stderr if args.json == "-" else sys.stdout)
-                bar.set_postfix_str(", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
-                bar.update(1)
-        except KeyboardInterrupt:  # a long run tells what it has found so far
-            stopped = True
+    rows.keep()  # a run that is stopped tells with which case the next one may begin
+    with rows.until_stopped(), progress.task("cases", len(cases)) as under_way:
+        for outcome in run_cases(cases, args.jobs):
+            outcomes.append(outcome)
+            counted[outcome.verdict] += 1
+            if outcome.verdict == "failed":
+                print("\n".join(failure(outcome)), file=sys.stderr if args.json == "-" else sys.stdout, flush=True)
+            under_way.advance(1, ", ".join(f"{count} {verdict}" for verdict, count in sorted(counted.items())))
     outcomes.sort(key=lambda outcome: (list(KINDS).index(outcome.case.kind), outcome.case.number))
     found = report(outcomes, args.seed, time.perf_counter() - started)
     emit(found, summary(outcomes, args, found["seconds"]), args.json)
-    return INTERRUPTED if stopped else int(bool(args.check and counted["failed"]))
+    return int(bool(args.check and counted["failed"]))
 
 
 def cases_of(args: argparse.Namespace) -> list[Case]:

@@ -6,13 +6,10 @@ import multiprocessing
 import os
 import signal
 import tempfile
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-
-from tqdm import tqdm
 
 from tissue_sim.bench.fuzz.cases import KINDS, Case, Outcome
 from tissue_sim.bench.fuzz.trial import Trial, remains_of
@@ -27,7 +24,6 @@ _CONTEXT = multiprocessing.get_context("spawn")  # a fork would begin with this 
 def _serve(pipe: Connection, folder: str) -> None:
     """A worker: a case comes in; None goes out when its input is ready, and then its outcome."""
     end_with_parent()
-    tqdm.set_lock(threading.RLock())  # its own holds a semaphore, which a process that is killed would leave behind
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the command, which ends the workers
     trial = Trial(Path(folder))
     while True:

@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench.measured.body import Material, Rate, built, calibrated, timed
 from tissue_sim.bench.measured.lattice import places, rigid_motion, shell
+from tissue_sim.bench.rows import tell, until_stopped
 from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.dynamics import SMOOTHED, swing
 from tissue_sim.calibration.elastic import Elastic
@@ -303,9 +304,10 @@ def measure(data: Path, folder: Path, progress: Progress) -> tuple[Fitted, list[
             rests[weight] = Elements(plain(at_rest), weight).rest(), beam.rest(weight)
             done()
     bent = []
-    with progress.stage("beam in motion", len(runs)) as done:
+    with until_stopped(), progress.stage("beam in motion", len(runs)) as done:
         for run in runs:
             bent.append(predicted(beam, run, found, rests[run.weight]))
+            tell(f"beam, {run.name}", f"{bent[-1].off['model']:+.1f} % off at rest")
             done()
     return found, bent
 

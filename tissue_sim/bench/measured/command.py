@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.bars import Bars
+from tissue_sim import progress
+from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import check_shared
 from tissue_sim.bench.measured import beam, truth_cube
 from tissue_sim.bench.measured.plots import write_pictures
@@ -47,30 +48,36 @@ def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str
     """Figures, bounds, and pictures. Raises UserError as the bodies do."""
     found: dict[str, Any] = {}
     bounds: list[Bound] = []
-    cube, bent = None, None
-    if "cube" in bodies:
-        cube = truth_cube.measure(data, folder, Bars())
+    cube: list[truth_cube.Compressed] | None = None
+    bent: list[beam.Bent] | None = None
+    with rows.until_stopped():
+        if "cube" in bodies:
+            cube = truth_cube.measure(data, folder, progress.Stages())
+    if cube:
         found["truth_cube"] = truth_cube.as_json(cube)
         last = found["truth_cube"][-1]
         behind = last["model_mean_mm"] - last["elements_mean_mm"]
-        at = f"at {truth_cube.STRAINS[-1]:g} %"
+        at = f"at {last['strain_percent']:g} %"
         bounds += [
             Bound(f"truth cube: inner beads {at}, mean", last["model_mean_mm"], truth_cube.MOST_OFF, "mm"),
             Bound(f"truth cube: behind finite elements {at}", behind, truth_cube.MOST_BEHIND, "mm"),
         ]
-    if "beam" in bodies:
-        fit, bent = beam.measure(data, folder, Bars())
+    fit: beam.Fitted | None = None
+    with rows.until_stopped():
+        if "beam" in bodies and not rows.stopped():
+            fit, bent = beam.measure(data, folder, progress.Stages())
+    if fit is not None and bent:
         found["beam"] = beam.as_json(fit, bent)
         for weight in (load for load in beam.WEIGHTS if beam.WEIGHTS[load] > 0.0):
             some = [one for one in bent if one.run.startswith(weight)]
-            still = max(abs(one.off["model"]) for one in some)
-            moving = max(one.off_moving["model"] for one in some)
+            still = max((abs(one.off["model"]) for one in some), default=None)
+            moving = max((one.off_moving["model"] for one in some), default=None)
             bounds += [
                 Bound(f"beam, {weight}: travel at rest, the worse run", still, beam.MOST_OFF, "%"),
                 Bound(f"beam, {weight}: motion, the worse run", moving, beam.MOST_OFF_MOVING, "%"),
             ]
     found["bounds"] = [bound.as_json() for bound in bounds]
-    return found, write_pictures(cube, bent, folder)
+    return found, [] if rows.stopped() else write_pictures(cube, bent, folder)
 
 
 def text(found: dict[str, Any]) -> str:

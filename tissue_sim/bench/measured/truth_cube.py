@@ -17,6 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.measured.body import Material, Rate, built, calibrated, settle_led, timed
 from tissue_sim.bench.measured.lattice import places, shell
+from tissue_sim.bench.rows import tell, until_stopped
 from tissue_sim.calibration.calibrate import Progress
 from tissue_sim.calibration.fe_mesh import FeMesh, coordinates
 from tissue_sim.calibration.fem import Body
@@ -99,7 +100,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
     in_cells = places(at_rest, organ.rest_positions, organ.cell_nodes)
     simulation = Simulation(organ)
     found = []
-    with progress.stage("truth cube", len(STRAINS)) as done:
+    with until_stopped(), progress.stage("truth cube", len(STRAINS)) as done:
         for number, strain in enumerate(STRAINS):
             began = time.perf_counter()
             moved = settle_led(body.solid, on_facets(body.filling, surface[triangles], led[triangles, number]))
@@ -117,6 +118,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
                     seconds,
                 )
             )
+            tell(f"truth cube, {strain:g} %", f"{found[-1].off['model'].mean():.3f} mm off")
             done()
     return found
 

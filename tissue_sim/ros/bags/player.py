@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from tqdm import tqdm
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
@@ -87,7 +87,7 @@ class Player:
         result = Replayed(wanted, shown)
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):
             one.begin(take_settings)
-        for tick in tqdm(range(self.tick + 1, last + 1), disable=None, desc="replay", unit="tick", mininterval=0.5):
+        for tick in progress.steps(range(self.tick + 1, last + 1), "ticks"):
             self._take(tick, result)
             result.ticks += 1
             if watch is not None:

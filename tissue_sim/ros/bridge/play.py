@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.script import ACTIONS, check
 from tissue_sim.ros.shared import client
@@ -56,12 +57,14 @@ def run(args: argparse.Namespace) -> int:
 
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
         parameters = NodeParameters(node, args.node)
-        values = client.wait_until(parameters.poll, args.wait, stop)
+        with progress.task(f"waiting for /{args.node}"):
+            values = client.wait_until(parameters.poll, args.wait, stop)
         if values is None:
             return 0 if stop else _not_there(args, f"answer from /{args.node}/get_parameters")
         topic = f"/{args.node}/{_organ_of(values, args)}mesh"
         meshes = client.Inbox(node, Mesh, topic, client.latched_qos())
-        mesh = client.wait_until(meshes.take, args.wait, stop)
+        with progress.task(f"waiting for {topic}"):
+            mesh = client.wait_until(meshes.take, args.wait, stop)
         if mesh is None:
             return 0 if stop else _not_there(args, f"mesh on {topic}")
         links, script, jaws, radius = cast(values, args)
@@ -77,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
                 f" at {args.rate:g} Hz",
                 flush=True,
             )
+            progress.tell_by(None)  # nothing of it runs beside the poses
             organ = player.play(path, stop, meshes, vertices)
             if organ is not None:
                 print("the node has another organ", flush=True)

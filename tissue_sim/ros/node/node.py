@@ -78,7 +78,7 @@ class TissueNode(GuardedNode):
         self.frame_id: str = values["frame_id"]
         tools = ToolSet([tool_of(values, name) for name in values.tools])
         if not is_compiled():
-            self.get_logger().info("compiling the kernels, once for this machine: half a minute")
+            self.get_logger().info("compiling the kernels, once for this version")
             any_organ = Path(values["organ_file"] or shipped_organ())
             self._beside = compile_beside(any_organ) if any_organ.is_file() else None
         self.scene = ServedScene.of_parameters(values, tools.shapes)
@@ -149,7 +149,7 @@ class TissueNode(GuardedNode):
     def start(self) -> None:
         """Start the threads; returns when the loop runs. To be called by the thread that spins the node."""
         self.live.update()
-        self._start_loop()
+        self.loop.start()
         self.answers.start()
         for compile_kernels in self._warm_up:  # after the tick, beside which they were compiled
             compile_kernels()
@@ -199,15 +199,6 @@ class TissueNode(GuardedNode):
             why = too_coarse(coarsest, tool.radius) if tool.is_round else None
             if why is not None:
                 self.get_logger().warning(f"tool '{tool.name}': {why}")
-
-    def _start_loop(self) -> None:
-        """A scene's loop is compiled for its number of organs."""
-        line = f"compiling the loop of {len(self.served)} organs, once for this machine"
-        slow = threading.Timer(3.0, lambda: self.get_logger().info(line))
-        if self.scene.is_scene:
-            slow.start()
-        self.loop.start()
-        slow.cancel()
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""

@@ -8,12 +8,14 @@ import threading
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 import tissue_sim
+from tissue_sim import progress
 from tissue_sim.errors import UserError, give_up_output, shown
-from tissue_sim.ros.node.node import TissueNode
+from tissue_sim.ros.node.node import NAME, TissueNode
 from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.ending import Ending, Interrupted
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
@@ -50,12 +52,15 @@ def serve(arguments: list[str], ending: Ending) -> int:
         dds.prepare()
         _start_rclpy(arguments)
         _check_own(arguments)
-        node = TissueNode()
-        executor = make_executor()
-        if isinstance(executor, SingleThreadedExecutor):
-            node.get_logger().warning(OLD_RCLPY)
-        executor.add_node(node)
-        node.start()
+        progress.tell_by(get_logger(NAME).info)
+        with progress.task("starting"):
+            node = TissueNode()
+            executor = make_executor()
+            if isinstance(executor, SingleThreadedExecutor):
+                node.get_logger().warning(OLD_RCLPY)
+            executor.add_node(node)
+            node.start()
+        progress.tell_by(None)  # nothing of it runs beside the loop
         ending.started()
         _go_on(node, executor, ending)
         return 0

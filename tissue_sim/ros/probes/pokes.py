@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,25 +59,28 @@ class Pokes(Hand):
         self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", 10)  # type: ignore[arg-type]
 
-    def poke(self, seconds: float) -> Poked:
-        """Poke for so many s, SHORTEST at least. Raises UserError when the node tells nothing meanwhile."""
+    def poke(self, seconds: float, watch: Callable[[], object] = lambda: None) -> Poked:
+        """Poke for so many s, SHORTEST at least; watch is called after each poke.
+
+        Raises UserError when the node tells nothing meanwhile.
+        """
         self._wrenches.take()
         self._reports.take_all()
-        found = with_priority(lambda: self._poke(int(seconds * POKES)), self._priority)
+        found = with_priority(lambda: self._poke(int(seconds * POKES), watch), self._priority)
         if len(found.told) < 2:
             raise UserError(f"the node sent no diagnostics for {seconds:g} s")
         return found
 
-    def poke_until_whole(self, seconds: float) -> float:
+    def poke_until_whole(self, seconds: float, watch: Callable[[], object] = lambda: None) -> float:
         """Poke until the node gives nothing up, but not much longer than `seconds`; returns how long that took, s."""
         began = time.monotonic()
         while (took := time.monotonic() - began) < seconds:
-            if self.poke(SHORTEST).told[-1].degraded == "none":
+            if self.poke(SHORTEST, watch).told[-1].degraded == "none":
                 break
         return took
 
-    def _poke(self, pokes: int) -> Poked:
-        peaks, told, gap = np.zeros(pokes + 1), [], 0.0
+    def _poke(self, pokes: int, watch: Callable[[], object]) -> Poked:
+        peaks, told, gap, watched = np.zeros(pokes + 1), [], 0.0, 0
         began = sent = time.monotonic()
         while (elapsed := time.monotonic() - began) < pokes / POKES:
             gap = max(gap, began + elapsed - sent)
@@ -88,6 +92,9 @@ class Pokes(Hand):
                 poke = int(elapsed * POKES)
                 peaks[poke] = max(peaks[poke], float(np.hypot(np.hypot(force.x, force.y), force.z)))
             told += self._told()
+            if int(elapsed * POKES) > watched:
+                watched = int(elapsed * POKES)
+                watch()
             time.sleep(self._period * (1.0 - (time.monotonic() - began) / self._period % 1.0))
         return Poked(peaks[:pokes], gap, told)
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE, chosen_token
@@ -73,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         from tissue_sim.ros.viewer.loop import Viewer
 
+        progress.tell_by(None)  # nothing of it runs beside the pictures
         print(f"open {address(args.host, args.port, token)}", flush=True)
         viewer = Viewer(server, node, args.node, args.tools, args.patience)
         # Short turns at the GIL: the poses of a held tool must not wait for a picture.
