@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 MOST_ATOMS = 48
 SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
-_NOTED, _WRONG = 0.05, 0.2  # of the volume that was read: how far the one that is built may be off
+_NOTED, _WRONG = 0.05, 0.4  # of the volume that was read: how far the one that is built may be off
 _LARGEST_IMAGE = 3.0  # m, longest side: a whole body
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 
@@ -104,8 +104,8 @@ def organ_from_image(
 def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = None) -> Organ:
     """Build an organ from a bool mask: wall, balloon, skeleton, springs.
 
-    Raises UserError as the stages do, for a mask that is no organ in size, and where the organ's volume is more than a
-    fifth off the mask's.
+    Raises UserError as the stages do, for a mask that is no organ in size, and where the organ's volume is more than
+    two fifths off the mask's.
     """
     _check_mask_size(mask)
     volume = float(np.count_nonzero(mask.array)) * mask.voxel_volume
@@ -208,7 +208,7 @@ def _voxels(image: Volume) -> str:
 def _compared(volume: float, positions: Floats, triangles: Ints, request: Request, progress: Progress) -> Request:
     """The request with both volumes in its provenance, which are told: mL of what was read, and of the surface.
 
-    Raises UserError where they differ by more than a fifth, and that isn't accepted.
+    Raises UserError where they differ by more than two fifths, and that isn't accepted.
     """
     from tissue_sim.organ.organ import signed_volume
 
@@ -217,10 +217,10 @@ def _compared(volume: float, positions: Floats, triangles: Ints, request: Reques
     told = f"{volume:.1f} mL read, {built:.1f} mL built ({100.0 * off:+.1f} %)"
     if abs(off) > _WRONG and not request.accept:
         raise UserError(
-            f"{request.name} differs from what it is made from: {told}; use more --points, close what the mask leaves"
-            " open, or pass it on with --accept"
+            f"{request.name} differs from what it is made from: {told}; resample a thin mask finer, close what it"
+            " leaves open, or pass it on with --accept"
         )
-    progress.say(f"warning: {told}" if abs(off) > _NOTED else told)
+    progress.say(f"warning: {told}; a finer mask, or more --points, comes closer" if abs(off) > _NOTED else told)
     return _with(request, {"volume_read_ml": round(volume, 3), "volume_built_ml": round(built, 3)})
 
 

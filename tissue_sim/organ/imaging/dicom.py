@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -278,7 +279,7 @@ class FrameGrid(NamedTuple):
     """Where the frames of a DICOM file lie.
 
     image: what highdicom reads of the file; size: voxels along x, y, z; spacing, origin (3,) mm and direction (3, 3) in
-    LPS; place: the slice of each frame.
+    LPS; place: the slice of each frame; rescales: different rescale slopes and intercepts of frames.
     """
 
     image: Any
@@ -287,6 +288,7 @@ class FrameGrid(NamedTuple):
     origin: Floats
     direction: Floats
     place: list[int]
+    rescales: int
 
 
 def is_dicom(file: Path) -> bool:
@@ -295,6 +297,14 @@ def is_dicom(file: Path) -> bool:
         return False
     with file.open("rb") as opened:
         return opened.read(132)[128:] == b"DICM"
+
+
+@contextmanager
+def decoding(file: Path, voxels: int = 0) -> Iterator[None]:
+    """While entered, nothing is printed or warned of, and there is as much room as a DICOM file can need."""
+    with silenced(), warnings.catch_warnings(), limited(_room(str(file), voxels)):
+        warnings.simplefilter("ignore")
+        yield
 
 
 def functional_group(image: Any, frame: int, name: str) -> Any:
@@ -317,14 +327,13 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
     import highdicom
 
     try:
-        with silenced(), warnings.catch_warnings(), limited(_room(str(file))):
-            warnings.simplefilter("ignore")
+        with decoding(file):
             image = highdicom.Image.from_file(file)
             geometry = image.get_volume_geometry(allow_missing_positions=not whole, allow_duplicate_positions=not whole)
-            positions = [
-                functional_group(image, frame, "PlanePositionSequence").ImagePositionPatient
-                for frame in range(int(image.NumberOfFrames))
-            ]
+            count = int(image.NumberOfFrames)
+            groups = [functional_group(image, frame, "PlanePositionSequence") for frame in range(count)]
+            positions = np.array([list(map(float, group.ImagePositionPatient)) for group in groups]).reshape(count, 3)
+            rescales = {_rescale(image, frame) for frame in range(count)}
     except Exception as error:  # highdicom and pydicom raise anything on damaged files
         raise UserError(
             f"DICOM file {file} doesn't say where its frames lie ({shown(str(error) or type(error).__name__)});"
@@ -341,10 +350,10 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
     if np.linalg.det(matrix[:3, :3]) < 0.0:  # along the normal of rows and columns, as slices of a folder
         matrix[:3, 3] += (nz - 1) * matrix[:3, 2]
         matrix[:3, 2] *= -1.0
-    at = (np.array(positions, dtype=np.float64) - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
+    at = (positions - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
     spacing = np.linalg.norm(matrix[:3, :3], axis=0)
     place = [int(slot) for slot in np.round(at[:, 2])]
-    return FrameGrid(image, (nx, ny, nz), spacing, matrix[:3, 3], matrix[:3, :3] / spacing, place)
+    return FrameGrid(image, (nx, ny, nz), spacing, matrix[:3, 3], matrix[:3, :3] / spacing, place, len(rescales))
 
 
 def _rescale(image: Any, frame: int) -> tuple[str, str]:
@@ -371,7 +380,7 @@ def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
     if header.storage in SEGMENTATIONS:
         raise UserError(f"DICOM file {file} is a segmentation, not a CT; give it to --mask")
     grid = read_frame_grid(file, whole=True)
-    if len({_rescale(grid.image, frame) for frame in range(len(grid.place))}) > 1:  # GDCM takes the first for all
+    if grid.rescales > 1:  # GDCM takes the first for all
         raise UserError(f"DICOM file {file} has frames of several rescale slopes or intercepts; export them as slices")
     frames = sitk.GetArrayFromImage(_decoded(str(file), math.prod(header.size)))
     if frames.shape[::-1] != grid.size:

@@ -30,6 +30,7 @@ from tissue_sim.organ.imaging.voxel_files import Header, check_count, check_room
 
 MM = 1e-3  # metres in a millimetre
 AIR = -1024.0  # HU, for voxels without a value
+_LARGEST_AXIS = 1e9  # mm, of a step between voxels
 _LARGEST_SKEW = 1e-3  # cosine between two axes
 _PAIR = re.compile(r"\.(hdr|img)(\.gz)?$", re.IGNORECASE)  # NIfTI in two files
 _PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"  # how skewed a NIfTI is, is checked here
@@ -228,7 +229,9 @@ def _place(path: Path, image: sitk.Image, header: Header) -> None:
 
 
 def _check_axes(path: Path, axes: Floats) -> Floats:
-    """The lengths (3,) of the columns of axes (3, 3); raises UserError where they are not at right angles."""
+    """The lengths (3,) of the columns of axes (3, 3); raises UserError where they are huge, or not at right angles."""
+    if not np.all(np.abs(axes) <= _LARGEST_AXIS):
+        raise UserError(f"{path} has a damaged header: its axes hold numbers that are not finite, or huge")
     length = np.linalg.norm(axes, axis=0)
     unit = axes / np.maximum(length, 1e-300)
     if length.min() <= 0.0 or np.abs(np.triu(unit.T @ unit, 1)).max() > _LARGEST_SKEW:

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Mask, Pixels
-from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.dicom import SEGMENTATIONS, functional_group, is_dicom, read_frame_grid
+from tissue_sim.errors import UserError, shown
+from tissue_sim.organ.imaging.dicom import SEGMENTATIONS, decoding, functional_group, is_dicom, read_frame_grid
 from tissue_sim.organ.imaging.image import Volume
 
 
@@ -40,7 +40,8 @@ def _class_of(file: Path) -> str:
     from pydicom import dcmread
 
     try:
-        return str(dcmread(file, stop_before_pixels=True, specific_tags=["SOPClassUID"]).get("SOPClassUID", ""))
+        with decoding(file):
+            return str(dcmread(file, stop_before_pixels=True, specific_tags=["SOPClassUID"]).get("SOPClassUID", ""))
     except Exception:  # pydicom raises anything on damaged files
         return ""
 
@@ -55,14 +56,16 @@ def read_segments(file: Path) -> tuple[Volume, list[Segment]]:
     nx, ny, nz = grid.size
     image = grid.image
     try:
-        frames: Pixels = np.reshape(image.pixel_array, (len(grid.place), ny, nx))
+        with decoding(file, len(grid.place) * ny * nx):
+            frames: Pixels = np.reshape(image.pixel_array, (len(grid.place), ny, nx))
         names = {int(one.SegmentNumber): str(one.get("SegmentLabel", "")) for one in image.SegmentSequence}
         numbers = (
             [] if image.SegmentationType == "LABELMAP" else [_number(image, frame) for frame in range(len(frames))]
         )
         least = 0.5 * float(image.MaximumFractionalValue) if image.SegmentationType == "FRACTIONAL" else 1.0
     except Exception as error:  # pydicom raises anything on damaged files
-        raise UserError(f"{file} can't be read as a DICOM segmentation ({error}); export it again") from None
+        reason = shown(str(error) or type(error).__name__)
+        raise UserError(f"{file} can't be read as a DICOM segmentation ({reason}); export it again") from None
     names.pop(0, None)  # the background of a label map
 
     def voxels(wanted: int) -> Mask:

@@ -194,8 +194,11 @@ def _read_gmsh(source: Path) -> MeshFile:
     else:
         from meshio import gmsh
 
-        with silenced(), np.errstate(all="ignore"), limited(_ROOM + _ROOM_PER_BYTE * len(text)):
-            mesh = gmsh.read(source)
+        try:
+            with silenced(), np.errstate(all="ignore"), limited(_ROOM + _ROOM_PER_BYTE * len(text)):
+                mesh = gmsh.read(source)
+        except MemoryError:
+            raise ValueError("a count that is more than the file can hold") from None
         positions, cells = np.asarray(mesh.points, dtype=np.float64), mesh.cells_dict
     corners = [cells.get(kind) for kind in _GMSH_KINDS.values()]
     return _surface_of_cells(positions, *(None if one is None else _checked(one, len(positions)) for one in corners))
