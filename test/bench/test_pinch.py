@@ -1,12 +1,13 @@
 """Two tools that squeeze the organ: what is measured of it, and what the bounds say."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from helpers.scenes import ball
-from tissue_sim.bench import pinch, two_tools
+from helpers.scenes import ball, ball_of_cells
+from tissue_sim.bench import pinch, pinch_reference, two_tools
 from tissue_sim.contact.tools import Tool
 from tissue_sim.organ.cell_mesh import with_cells
 from tissue_sim.organ.topology import assemble_like
@@ -49,3 +50,35 @@ def test_every_pair_is_of_two_tools(tmp_path):
     found = two_tools.pairs(tmp_path)
     assert len(found) == 3
     assert all(len(tools) == 2 for _, tools in found)
+
+
+# finite elements -----------------------------------------------------------------------------------
+@pytest.fixture
+def quick(monkeypatch):
+    """One shallow pinch along each axis."""
+    monkeypatch.setattr(pinch_reference, "SHARES", (0.1,))
+    monkeypatch.setattr(pinch_reference, "SPEED", 0.1)
+    monkeypatch.setattr(pinch_reference, "CLEAR", 0.001)
+
+
+def table_of(organ, rows):
+    return {"organ": organ.name, "fits": pinch_reference.fits(organ), "rows": rows}
+
+
+def row_of(axis, force, share=10.0):
+    return {"axis": axis, "share_percent": share, "force_n": force, "least_volume": 0.8}
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_stiffer_cell_law_and_a_wrong_force_move_the_figure():
+    organ = ball_of_cells()
+    own = [row_of("xyz"[axis], pinch_reference.slowly(organ, axis)[0][0].tolist()) for axis in range(3)]
+
+    def off(organ):
+        return [one.off for one in pinch_reference.measure(organ, table_of(organ, own))]
+
+    assert off(organ) == [0.0] * 3, "the same twice"
+    stiffer = replace(organ, cell_mu=1.1 * organ.cell_mu, cell_lambda=1.1 * organ.cell_lambda)
+    assert min(off(stiffer)) > 3.0
+    own = [row | {"force_n": (np.array(row["force_n"]) / 1.1).tolist()} for row in own]
+    assert off(organ) == pytest.approx([10.0] * 3, rel=1e-6)

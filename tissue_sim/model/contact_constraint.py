@@ -75,7 +75,7 @@ def gather_contacts(
         for c in range(3):
             held[c] = last_held[c] - along * plane[c]
         scratch.near_normal[found] = along if given else pressed
-        copy(held, scratch.near_began[found])
+        begin_across(state, scratch, found)
         found += 1
     return found
 
@@ -92,6 +92,19 @@ def soften(state: Any, scratch: Any, near: int, scale: float) -> None:
         give = compliance[which] / scale if scale > 0.0 else 0.0
         whole = scratch.near_plane[near, 7] + give
         soft[2 * which], soft[2 * which + 1] = give, 1.0 / whole if whole > 0.0 else 0.0
+
+
+@kernel
+def begin_across(state: Any, scratch: Any, near: int) -> None:
+    """Note in scratch.near_began (N, 3) what the tissue between nodes gives way by across the normal, m, as it begins.
+
+    By scratch.near_tangent, which is the last substep's.
+    """
+    began, held, soft = scratch.near_began[near], scratch.near_tangent[near], scratch.near_soft[near, 2]
+    most = state.contacts.most_give[scratch.near_entry[near]]
+    size = soft * math.sqrt(held[0] * held[0] + held[1] * held[1] + held[2] * held[2])
+    back = soft if size <= most else soft * most / size
+    began[0], began[1], began[2] = back * held[0], back * held[1], back * held[2]
 
 
 @kernel
@@ -174,7 +187,7 @@ def look_again(state: Any, shapes: Any, scratch: Any, near: int, step: float) ->
     pressed = max(0.0, px * plane[0] + py * plane[1] + pz * plane[2])
     scratch.near_normal[near] = pressed
     held[0], held[1], held[2] = px - pressed * plane[0], py - pressed * plane[1], pz - pressed * plane[2]
-    copy(held, scratch.near_began[near])
+    begin_across(state, scratch, near)
 
 
 @kernel
@@ -303,19 +316,18 @@ def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: 
     along = sx * nx + sy * ny + sz * nz
     sx, sy, sz = sx - along * nx, sy - along * ny, sz - along * nz
     # What the tissue between nodes had given way by when the substep began comes off it.
-    size = soft_across * math.sqrt(began[0] * began[0] + began[1] * began[1] + began[2] * began[2])
-    back = soft_across if size <= most else soft_across * most / size
-    sx, sy, sz = sx - back * began[0], sy - back * began[1], sz - back * began[2]
+    sx, sy, sz = sx - began[0], sy - began[1], sz - began[2]
     tx = held[0] - (sx + soft_across * held[0]) * stiffness_across
     ty = held[1] - (sy + soft_across * held[1]) * stiffness_across
     tz = held[2] - (sz + soft_across * held[2]) * stiffness_across
-    size = soft_across * math.sqrt(tx * tx + ty * ty + tz * tz)
-    if size > most and plane[7] > 0.0:
-        forth = soft_across * most / size
+    size = math.sqrt(tx * tx + ty * ty + tz * tz)
+    given = soft_across * size
+    if given > most and plane[7] > 0.0:
+        forth = soft_across * most / given
         tx = held[0] - (sx + forth * tx) / plane[7]
         ty = held[1] - (sy + forth * ty) / plane[7]
         tz = held[2] - (sz + forth * tz) / plane[7]
-    size = math.sqrt(tx * tx + ty * ty + tz * tz)
+        size = math.sqrt(tx * tx + ty * ty + tz * tz)
     share = 1.0 if size <= friction * normal else friction * normal / size
     px = (normal - pressed) * nx + share * tx - held[0]
     py = (normal - pressed) * ny + share * ty - held[1]
