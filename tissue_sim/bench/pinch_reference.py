@@ -31,11 +31,11 @@ from tissue_sim.organ.shipped import shipped_file
 
 STORED = "config/references/pinch.json"  # of the kidney that ships
 SHARES = (0.2, 0.4)  # of the organ's width
-STEPS = 4  # of finite elements for each share
+STEP = 0.0014  # m at the most, of finite elements: no longer than those where they are touched
 UNDER = 0.012  # m from the axis, where a sphere may touch
 MESHES = (Grading(clamp=0), Grading(clamp=0, near=1, growth=1.6))  # the second is twice as fine where they touch
 FRICTION = 10.0  # at which nothing slips
-SPEED = 0.01  # m/s: so slow that the organ isn't swung
+SPEED = 0.005  # m/s: so slow that the organ isn't swung
 HOLDING, LONGEST = 0.2, 3.0  # s between two looks at the force, and at the most
 STILL = 1e-3  # of the force, by which it has changed since the last look
 MOST_OFF = 10.0  # %
@@ -106,10 +106,12 @@ def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Sque
     """Return what finite elements come to at every share; None where they don't settle."""
     beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
     solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
-    deep = np.interp(np.arange(1, STEPS * len(SHARES) + 1) / STEPS, np.arange(len(SHARES) + 1), [0.0, *SHARES])
-    steps = squeezed(solid, nodes, np.array([where.at(0.5 * share * where.width) for share in deep]), SPHERE)
-    settled = [step if step.settled else None for step in steps]
-    return [*settled, *[None] * (len(deep) - len(settled))][STEPS - 1 :: STEPS]
+    ends = 0.5 * np.array([0.0, *SHARES]) * where.width
+    counts = np.ceil(np.diff(ends) / STEP).astype(np.int64)
+    parts = [np.linspace(*pair, count + 1)[1:] for *pair, count in zip(ends, ends[1:], counts, strict=False)]
+    steps = squeezed(solid, nodes, np.array([where.at(deep) for deep in np.concatenate(parts)]), SPHERE)
+    last = [count - 1 for count in np.cumsum(counts).tolist()]
+    return [steps[number] if number < len(steps) and steps[number].settled else None for number in last]
 
 
 def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:

@@ -15,14 +15,15 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.contact_gap import INNER_SIDE, gap_and_normal, point_in_body
-from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, hold_squeezed
+from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, has_stiff_cells, hold_squeezed
 from tissue_sim.model.state import Region
 from tissue_sim.model.watched import FAST, tissue_speed
 
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep, and
-PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found
+PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found, but
+LEAST_PASSES = 6
 RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
@@ -250,8 +251,8 @@ def resolve_contacts(
         if scratch.near_normal[near] > 0.0:
             px, py, pz = whole_impulse(scratch, near)
             give_impulse(state, shapes, scratch, near, px, py, pz, 0.0 if spread else step)
-    most = min(MOST_PASSES, max(SQUEEZED_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
-    for turn in range(most if squeezed == 0 else SQUEEZED_PASSES):
+    most = min(MOST_PASSES, max(LEAST_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
+    for turn in range(SQUEEZED_PASSES if squeezed > 0 or has_stiff_cells(model) else most):
         held = hold_squeezed(state, mobility, scratch, squeezed, step)
         change = total = 0.0
         for near in range(found):

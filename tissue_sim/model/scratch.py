@@ -69,7 +69,7 @@ class Scratch(NamedTuple):
     watched_gap: Any  # (C,) m, from the tools at the least
     watched_speed: Any  # (C,) m/s, at which that may shrink by the tool's motion
     watching: Any  # (1,) how many
-    wall: Any  # (C,) contact points of held nodes alone
+    wall: Any  # (C,) contact points that are held for the most part
     walls: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any

@@ -14,6 +14,8 @@ ROUNDING = 1e-6  # share of a tick that is none
 # Where tissue is near, a body moves in a step by no more than this fraction of the finest thing about it: points that
 # lie before it end in its front half, and are pushed on, not past it.
 STEP = 0.25
+WALL = 0.5  # of the finest thing about a body, that it goes into held tissue at the most: then its middle stays outside
+MOVES = 0.5  # of a contact point's weights, that nodes which move have at the least, or it is held
 WALL_ROUNDS = 4  # in which a tool is brought out of held tissue in a step: a corner has three walls
 FASTEST = 1.0  # m/s, at which a body catches up there: well below the speed of sound in tissue
 
@@ -103,13 +105,14 @@ def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
 
 @kernel
 def find_walls(model: Any, state: Any, scratch: Any) -> None:
-    """List the contact points of held nodes alone in scratch.wall: however hard a tool presses there, they stay."""
+    """List the contact points that are held for the most part in scratch.wall: they hardly give way to a tool."""
     count, contacts = 0, state.contacts
     for entry in range(contacts.header.points):
-        moves = False
+        moves = 0.0
         for c in range(3):
-            moves = moves or model.inverse_mass[contacts.node[entry, c]] > 0.0
-        if not moves and state.bodies[contacts.body[entry]].engaged:
+            if model.inverse_mass[contacts.node[entry, c]] > 0.0:
+                moves += contacts.weight[entry, c]
+        if moves < MOVES and state.bodies[contacts.body[entry]].engaged:
             scratch.wall[count] = entry
             count += 1
     scratch.walls[0] = count
@@ -117,7 +120,7 @@ def find_walls(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
-    """Move a tool out of the held point that lies deepest in it; False where none is deeper than tissue gives way.
+    """Move a tool out of the held point that lies deepest in it; False where none lies deeper than WALL.
 
     Tissue that moves is pushed on by the tool; in what is held it would go on until it has slipped inside.
     """
@@ -130,7 +133,7 @@ def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
             set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
         _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
         gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
-        normal, deep = state.contacts.normal[entry], -gap - state.contacts.most_give[entry]
+        normal, deep = state.contacts.normal[entry], -gap - WALL * shapes.finest[body]
         if deep > deepest and normal[0] * nx + normal[1] * ny + normal[2] * nz < INNER_SIDE:
             deepest, chosen, x, y, z = deep, body, nx, ny, nz
     if chosen < 0:
