@@ -22,6 +22,9 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 SHARES = (0.2, 0.4, 0.6)  # of the organ's width, that the tools squeeze it by
+NOT_COMPARED = (
+    "forces are not compared: this organ has no table of finite elements; --reference FILE --remake makes one"
+)
 MOST_TICK, MOST_LEFT = 400.0, 0.1  # us, p99; mm, of what stays of the shape
 
 
@@ -126,7 +129,8 @@ def text(found: dict[str, Any]) -> str:
         "",
         *aligned(table, 2),
         "",
-        *([*pinch_reference.lines(found["reference"]), ""] if "reference" in found else []),
+        *(pinch_reference.lines(found["reference"]) if "reference" in found else [NOT_COMPARED]),
+        "",
         *bound_lines(found["bounds"]),
         *noise_lines(found["noise"]),
     ]

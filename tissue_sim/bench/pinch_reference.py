@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +33,7 @@ from tissue_sim.organ.shipped import shipped_file
 STORED = "config/references/pinch.json"  # of the kidney that ships
 SHARES = (0.2, 0.4)  # of the organ's width
 STEP = 0.0014  # m at the most, of finite elements: no longer than those where they are touched
-UNDER = 0.012  # m from the axis, where a sphere may touch
+UNDER = 0.012  # m from the axis, where a sphere may touch: up to 7 mm do
 MESHES = (Grading(clamp=0), Grading(clamp=0, near=1, growth=1.6))  # the second is twice as fine where they touch
 FRICTION = 10.0  # at which nothing slips
 SPEED = 0.005  # m/s: so slow that the organ isn't swung
@@ -106,11 +107,12 @@ def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Sque
     """Return what finite elements come to at every share; None where they don't settle."""
     beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
     solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
-    ends = 0.5 * np.array([0.0, *SHARES]) * where.width
-    counts = np.ceil(np.diff(ends) / STEP).astype(np.int64)
-    parts = [np.linspace(*pair, count + 1)[1:] for *pair, count in zip(ends, ends[1:], counts, strict=False)]
-    steps = squeezed(solid, nodes, np.array([where.at(deep) for deep in np.concatenate(parts)]), SPHERE)
-    last = [count - 1 for count in np.cumsum(counts).tolist()]
+    deep, last = [0.0], []
+    for share in SHARES:
+        end = 0.5 * share * where.width
+        deep += np.linspace(deep[-1], end, math.ceil((end - deep[-1]) / STEP) + 1)[1:].tolist()
+        last.append(len(deep) - 2)
+    steps = squeezed(solid, nodes, np.array([where.at(one) for one in deep[1:]]), SPHERE)
     return [steps[number] if number < len(steps) and steps[number].settled else None for number in last]
 
 

@@ -314,7 +314,7 @@ class Solid:
         if size == 0.0:
             return np.zeros_like(moved), 0, 0, True, factor
         energy, inner, _ = self.energy(moved)
-        potential = energy - np.vdot(load, moved)
+        potential = float(energy - np.vdot(load, moved))
         before: float | None = None
         for step in range(MOST_STEPS):
             residual = np.where(held, 0.0, load - inner)

@@ -92,6 +92,8 @@ class Tied:
 
     def retie(self) -> None:
         """Take up the solid's ties."""
+        assert self._solid.ties is not None
+        assert self._ties is not None
         change = self._solid.ties - self._ties
         self._changed = np.flatnonzero(change)
         new = [node for node in self._changed.tolist() if node not in self._gives]
