@@ -44,6 +44,7 @@ from tissue_sim.model.tool_motion import (
     add_tip_forces,
     advance_held,
     couple_bodies,
+    find_walls,
     follow_untouched,
     has_tip_force,
     keep_bodies,
@@ -74,6 +75,7 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
     status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
     advance_held(state, settings, scratch)
+    find_walls(model, state, scratch)
     plan.handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
     plan.forced = plan.handled or status.loaded > 0 or is_out_of_balance(model, settings)
     status.touching = 0
