@@ -176,15 +176,19 @@ class Scene:
     def step(self) -> None:
         """Find the contacts when it is time, and advance by one tick."""
         if self._ticks % self._ticks_a_set == 0:
-            self._sequence += 1
-            for one in self.organs:
-                one.find(self._sequence)
-            self._find_pairs()
+            self.find()
         self._ticks += 1
         if self.joined is None:
             self.simulation.step()
         else:
             self.joined.step()
+
+    def find(self) -> None:
+        """Find what tools and organs may touch where they are now, and take it up."""
+        self._sequence += 1
+        for one in self.organs:
+            one.find(self._sequence)
+        self._find_pairs()
 
     def _find_pairs(self) -> None:
         """Where organs touch each other, unless all of them sleep."""

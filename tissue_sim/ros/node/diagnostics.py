@@ -71,8 +71,12 @@ class LoopReport:
             "behind_ms": 1e3 * timing.behind,
             "load": timing.load,
         }
-        for name, one in zip(self._names, results, strict=True):
-            _add_organ(report, f"{name}." if name else "", one)
+        joined = self._organs.loop.joined
+        for number, (name, one) in enumerate(zip(self._names, results, strict=True)):
+            before = f"{name}." if name else ""
+            _add_organ(report, before, one)
+            if joined is not None:
+                report.values[f"{before}skipped.unfelt"] = int(joined.unfelt.ticks[number])
         if len(results) > 1:
             _add_all(report, results)
         report.problems["dropped_ticks"] = timing.dropped
