@@ -11,6 +11,7 @@ from tissue_sim.bench.timing import Timing
 from tissue_sim.cli import main
 from tissue_sim.contact.attachments import Attachment
 from tissue_sim.contact.scene_file import SceneFile
+from tissue_sim.model.unfelt import UNFELT, UNFELT_FORCE
 from tissue_sim.organ.placing import placed
 
 COPIES = {bench.ALONE: 100.0, bench.BESIDE: 104.0, bench.ASLEEP: 2.0, bench.AWAKE: 420.0}
@@ -106,6 +107,16 @@ def test_a_scene_is_timed_beside_copies_of_an_organ(monkeypatch, tmp_path):
     assert all(row["median_us"] > 0.0 for row in found["rows"] if row["name"] != bench.ASLEEP)
     assert found["scene"] == ["one", "two"]
     assert found["organs_awake"] < found["organs_awake_where_all_is_felt"] + 1e-9
+
+
+@pytest.mark.extended
+def test_the_abdomen_that_ships_lacks_nothing_that_is_seen_or_felt():
+    """A breath with a tool on the liver: organs sleep for most of it, where without `unfelt` all are awake."""
+    found = bench.lacking(SceneFile.read(bench.shipped_scene()))
+    assert found.moved < UNFELT
+    assert found.felt < UNFELT_FORCE
+    assert found.awake < 2.0
+    assert found.awake_of_all > 3.0
 
 
 def test_what_is_no_scene_is_named(tmp_path, capsys):

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from trimesh.proximity import signed_distance
 
-from helpers.scenes import ball, ball_of_cells, free_ball
+from helpers.scenes import RADIUS, ball, ball_of_cells, free_ball
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.joining import join
 from tissue_sim.contact.scene import Scene
@@ -14,12 +16,13 @@ from tissue_sim.model.gravity import add_weight
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.unfelt import UNBOUNDED, UNFELT, UNFELT_FORCE, bounds_of, rounded_up, share_of
+from tissue_sim.organ.placing import placed
 
 TOP = int(np.argmax(ball().surface_positions[:, 2]))
 UP = (0.0, 0.0, 0.05)  # m, from there to the point that it hangs on
 
 
-def hanging(stiffness, way=0.0, breathes=(0.0,), damping=0.02):
+def hanging(stiffness, way=0.0, breathes=(0.0,), damping=0.001):
     """Balls, of which the first hangs on a point that breathes by `way`, m; the others lie where nothing touches."""
     simulations = [Simulation(ball()) for _ in breathes]
     ligament = Attachment(
@@ -44,7 +47,7 @@ def test_what_is_lacking_is_bounded_and_shrinks_as_loads_grow():
         assert lacking.max() <= 1.0
         assert np.all(np.diff(lacking[sizes > 1.0]) < 0.0)
         assert np.all(felt[sizes < 1.0] == 0.0)
-        assert np.abs(np.diff(felt)).max() < 0.05, "no jump"
+        assert np.abs(np.diff(felt)).max() < 0.06, "no jump"
     assert share_of(1e-9, 0.0, np.zeros(2)) == 1.0
 
 
@@ -103,27 +106,27 @@ def test_an_organ_whose_ligament_hardly_pulls_sleeps_and_is_counted():
 def test_it_wakes_without_a_kick_when_the_ligament_pulls_more_and_sleeps_again():
     few, all_of_it = hanging(3.0, 0.01), feeling_all(hanging(3.0, 0.01))
     organ, other = few.simulations[0], all_of_it.simulations[0]
-    asleep, off, sped, sped_there, pulled = [], 0.0, 0.0, 0.0, 0.0
+    asleep, off, sped, pulled = [], 0.0, 0.0, 0.0
     for _ in range(4000):
-        before, before_there = organ.velocities.copy(), other.velocities.copy()
+        before = organ.velocities.copy()
         few.step()
         all_of_it.step()
         asleep.append(organ.asleep)
-        sped = max(sped, np.abs(organ.velocities - before).max())
-        sped_there = max(sped_there, np.abs(other.velocities - before_there).max())
+        sped = max(sped, np.linalg.norm(organ.velocities - before, axis=1).max())
         off = max(off, np.linalg.norm(organ.positions - other.positions, axis=1).max())
         pulled = max(pulled, few.unfelt.pulled[0])
     assert off < UNFELT
     assert pulled > 5.0 * UNFELT_FORCE
     assert 200 < np.count_nonzero(asleep) < 3500
     assert np.count_nonzero(np.diff(np.array(asleep, dtype=int)) == 1) == 2, "after each of two breaths"
-    assert sped < 1.5 * sped_there
+    kick = UNFELT_FORCE * 1e-3 / organ.organ.mass[TOP]  # m/s, of all that isn't felt at once
+    assert sped < 0.2 * kick
     assert organ.state.count.faults == 0
 
 
 def test_a_breath_that_hardly_bends_it_lets_an_organ_sleep_and_a_fast_one_does_not():
     for rate, sleeps in ((15.0, True), (120.0, False)):
-        soft = replace(ball(), mass=300.0 * ball().mass)
+        soft = replace(ball(), mass=50.0 * ball().mass)
         joined = join([Simulation(soft)], (), Breathing(rate, (0.0, 0.0, 0.015)), (1.0,))
         bent = 0.0
         for _ in range(1000):
@@ -194,3 +197,24 @@ def test_an_organ_falls_asleep_while_a_hand_is_on_another_one():
         joined.step()
     assert first.asleep
     assert not second.asleep
+
+
+def test_organs_that_the_breath_carries_asleep_wake_where_they_touch():
+    """One goes 4 mm towards the other, from 2 mm away, so slowly that neither would wake for it."""
+    first, second = ball(2), placed(ball(2), (2.0 * RADIUS + 0.002, 0.0, 0.0))
+    scene = Scene([first, second], [], breathing=Breathing(6.0, (0.004, 0.0, 0.0)), breathes=[1.0, 0.0], ticks_a_set=4)
+    deepest, asleep = 0.0, 0
+    for tick in range(5000):
+        scene.step()
+        asleep += all(simulation.asleep for simulation in scene.simulations)
+        if tick % 250 == 0:
+            one, other = (
+                simulation.positions[: first.n_surface] + at
+                for simulation, at in zip(scene.simulations, scene.offsets, strict=True)
+            )
+            inside = signed_distance(trimesh.Trimesh(other, second.surface_triangles, process=False), one)
+            deepest = max(deepest, inside.max())
+    assert 500 < asleep < 4000
+    assert deepest < 1e-4
+    moved = [np.abs(one.positions - one.model.rest).max() for one in scene.simulations]
+    assert min(moved) > 2e-4

@@ -76,6 +76,7 @@ class Scene:
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
         self.joined: Joined | None = None  # what joins organs; of one that nothing joins: nothing
         self._pairs: PairFinder | None = None
+        self._found_at = self.offsets  # when they were last looked for
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
             self._own = [self_contact] * len(organs)
@@ -191,9 +192,12 @@ class Scene:
         self._find_pairs()
 
     def _find_pairs(self) -> None:
-        """Where organs touch each other, unless all of them sleep."""
-        if self._pairs is None or self.joined is None or all(one.asleep for one in self.simulations):
+        """Where organs touch each other, unless all of them sleep and the breath has not moved them since."""
+        offsets = self.offsets
+        is_still = np.array_equal(offsets, self._found_at) and all(one.asleep for one in self.simulations)
+        if self._pairs is None or self.joined is None or is_still:
             return
-        there = [one.positions + offset for one, offset in zip(self.simulations, self.offsets, strict=True)]
+        self._found_at = offsets
+        there = [one.positions + offset for one, offset in zip(self.simulations, offsets, strict=True)]
         own = [one and not simulation.asleep for one, simulation in zip(self._own, self.simulations, strict=True)]
         self.joined.take_pairs(self._pairs.find(there, own))

@@ -114,7 +114,12 @@ def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
     # Again where poses were lost before the node had discovered who sends them.
     assert client.spin_until(lambda: min(press(client, (0.0, 0.0), (0.0592, 0.0))) > 0.05), "N"
     assert client.spin_until(lambda: "liver.region" in client.diagnostics)
-    assert {"kidney.contact_count", "pair_searches", "skipped.organs_far"} <= client.diagnostics.keys()
+    assert {
+        "kidney.contact_count",
+        "kidney.skipped.unfelt",
+        "pair_searches",
+        "skipped.organs_far",
+    } <= client.diagnostics.keys()
 
 
 def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):
