@@ -35,7 +35,7 @@ from tissue_sim.model.regions import (
     prepare_region,
     region_forces,
 )
-from tissue_sim.model.rest import find_back, rest_if_quiet
+from tissue_sim.model.rest import find_back, rest_if_quiet, sleep_if_quiet
 from tissue_sim.model.settings import Integrator
 from tissue_sim.model.shiver import begin_look, end_look, is_looked_at
 from tissue_sim.model.squeezed import has_stiff_cells
@@ -153,6 +153,8 @@ def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -
     status.alone = 0 if plan.handled or status.touching > 0 else status.alone + 1
     if status.alone > 0:
         rest_if_quiet(model, state, settings, scratch)
+    elif not plan.forced and status.touching == 0:
+        sleep_if_quiet(model, state, scratch)
 
 
 def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:

@@ -140,7 +140,12 @@ def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
         own = touched(organ)
         assert np.abs(own[:, 0] - middle).max() < 0.015, "m: where that organ was pressed"
         assert own[:, 5].mean() > 0.5, "from above"
-    assert {"kidney.contact_count", "pair_searches", "skipped.organs_far"} <= client.diagnostics.keys()
+    assert {
+        "kidney.contact_count",
+        "kidney.skipped.unfelt",
+        "pair_searches",
+        "skipped.organs_far",
+    } <= client.diagnostics.keys()
 
 
 def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):

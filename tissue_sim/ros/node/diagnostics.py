@@ -76,8 +76,12 @@ class LoopReport:
             "behind_ms": 1e3 * timing.behind,
             "load": timing.load,
         }
-        for name, title, one in zip(self._names, self._titles, results, strict=True):
-            _add_organ(report.part(f"organ {title}", f"{name}." if name else ""), one)
+        joined = self._organs.loop.joined
+        for number, (name, title, one) in enumerate(zip(self._names, self._titles, results, strict=True)):
+            part = report.part(f"organ {title}", f"{name}." if name else "")
+            _add_organ(part, one)
+            if joined is not None:
+                part.values["skipped.unfelt"] = int(joined.unfelt.ticks[number])
         if len(results) > 1:
             _add_all(report, results)
         report.problems["dropped_ticks"] = timing.dropped
