@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.scenes import RADIUS, ball, free_ball
+from tissue_sim.contact.attachments import Breathing
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.contact.triangles import nearest_weights
@@ -18,7 +19,10 @@ TOOL = [Tool("ball", "sphere", radius=0.005)]
 
 def deepest(scene):
     """How deep a node of one lies in the other, m."""
-    first, second = ((one.positions[: one.organ.n_surface], one.organ.surface_triangles) for one in scene.simulations)
+    first, second = (
+        (one.positions[: one.organ.n_surface] + offset, one.organ.surface_triangles)
+        for one, offset in zip(scene.simulations, scene.offsets, strict=True)
+    )
     found = 0.0
     for (points, _), (surface, triangles) in ((first, second), (second, first)):
         for point in points[inside(points, surface, triangles)]:
@@ -143,3 +147,19 @@ def test_organs_that_part_sleep_again_and_those_far_away_are_never_looked_at():
     counters = far._pairs.counters
     assert counters.far_skips == counters.searches > 0
     assert far.simulations[1].state.count.asleep_ticks == 20
+
+
+def test_organs_that_the_breath_carries_asleep_wake_where_they_touch():
+    """One goes 5 mm towards the other, from 2 mm away, so slowly that neither would wake for it."""
+    pair = [ball(2), placed(ball(2), [2.0 * RADIUS + 0.002, 0.0, 0.0])]
+    scene = Scene(pair, TOOL, breathing=Breathing(10.0, (0.005, 0.0, 0.0)), breathes=[1.0, 0.0], ticks_a_set=4)
+    depth, asleep = 0.0, 0
+    for tick in range(3000):
+        scene.step()
+        asleep += all(simulation.asleep for simulation in scene.simulations)
+        if tick % 250 == 0:
+            depth = max(depth, deepest(scene))
+    moved = min(np.abs(one.positions - one.model.rest).max() for one in scene.simulations)
+    assert 500 < asleep < 2500
+    assert depth < 1e-4
+    assert moved > 2e-4

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
-from trimesh.proximity import signed_distance
 
-from helpers.scenes import RADIUS, ball, ball_of_cells, free_ball
+from helpers.scenes import ball, ball_of_cells, free_ball
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.joining import join
 from tissue_sim.contact.scene import Scene
@@ -16,7 +14,6 @@ from tissue_sim.model.gravity import add_weight
 from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.unfelt import UNBOUNDED, UNFELT, UNFELT_FORCE, bounds_of, rounded_up, share_of
-from tissue_sim.organ.placing import placed
 
 TOP = int(np.argmax(ball().surface_positions[:, 2]))
 UP = (0.0, 0.0, 0.05)  # m, from there to the point that it hangs on
@@ -197,24 +194,3 @@ def test_an_organ_falls_asleep_while_a_hand_is_on_another_one():
         joined.step()
     assert first.asleep
     assert not second.asleep
-
-
-def test_organs_that_the_breath_carries_asleep_wake_where_they_touch():
-    """One goes 4 mm towards the other, from 2 mm away, so slowly that neither would wake for it."""
-    first, second = ball(2), placed(ball(2), (2.0 * RADIUS + 0.002, 0.0, 0.0))
-    scene = Scene([first, second], [], breathing=Breathing(6.0, (0.004, 0.0, 0.0)), breathes=[1.0, 0.0], ticks_a_set=4)
-    deepest, asleep = 0.0, 0
-    for tick in range(5000):
-        scene.step()
-        asleep += all(simulation.asleep for simulation in scene.simulations)
-        if tick % 250 == 0:
-            one, other = (
-                simulation.positions[: first.n_surface] + at
-                for simulation, at in zip(scene.simulations, scene.offsets, strict=True)
-            )
-            inside = signed_distance(trimesh.Trimesh(other, second.surface_triangles, process=False), one)
-            deepest = max(deepest, inside.max())
-    assert 500 < asleep < 4000
-    assert deepest < 1e-4
-    moved = [np.abs(one.positions - one.model.rest).max() for one in scene.simulations]
-    assert min(moved) > 2e-4
