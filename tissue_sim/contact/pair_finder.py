@@ -48,6 +48,7 @@ class PairFinder:
         self._own = [SelfFinder(organ) for organ in organs]
         self._low, self._high = np.zeros((2, len(organs), 3))
         self._near = [np.zeros_like(triangles) for triangles in self._triangles]  # room
+        self._numbers = [np.zeros(len(triangles), dtype=np.int64) for triangles in self._triangles]  # room
         self._apart: dict[tuple[int, int], _Apart] = {}
         self._found = pair_set()
 
@@ -116,7 +117,8 @@ class PairFinder:
         triangles, count = self._near[second], 0
         if len(nodes):
             low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
-            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, triangles)
+            numbers = self._numbers[second]
+            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, triangles, numbers)
         if count == 0:
             return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
         chosen, weights, distance = nearest_among(surface[triangles[:count]], nodes)

@@ -123,7 +123,7 @@ def test_the_nip_lifts_the_kidney():
         scene.step()
     lift = path.poses[end, 0, :3] - path.poses[path.phases == "nip/lift", 0, :3][0]
     moved = (scene.simulation.positions[: organ.n_surface] - organ.surface_positions) @ lift / np.linalg.norm(lift)
-    assert np.sort(moved)[-8] > 0.003
+    assert np.sort(moved)[-8:].mean() > 0.0035
     assert np.linalg.norm(scene.wrenches[:, :3], axis=1).min() > 0.2, "N"
 
 
