@@ -52,7 +52,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "image": ["SimpleITK", "scikit-image", "matplotlib"],
+        "image": ["SimpleITK", "scikit-image", "matplotlib", "nibabel", "highdicom", "pydicom", "meshio"],
         "viewer": ["viser", "websockets", "msgspec", "zstandard"],  # all but the first come with it
         "calibration": ["scikit-fem", "netgen-mesher", "matplotlib", "joblib", "threadpoolctl"],
         "bench": ["matplotlib", "joblib", "mujoco", "pypbd"],

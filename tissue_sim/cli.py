@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import re
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 
 import tissue_sim
 from tissue_sim import progress
@@ -29,11 +31,20 @@ def _with_signs(words: Sequence[str]) -> list[str]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose mistakes take one line."""
+    """A parser whose mistakes take one line, with the word that may have been meant."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
+        chosen = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message)
+        if chosen:
+            message += _meant(chosen[1], re.findall(r"[\w-]+", chosen[2]))
         sys.stderr.write(f"{self.prog}: error: {message} (see '{self.prog} --help')\n")
         raise SystemExit(2)
+
+
+def _meant(word: str, choices: Sequence[str]) -> str:
+    """The question whether a choice was meant that is almost the word; empty where there is none."""
+    close = get_close_matches(word, choices, n=1)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 class _Help(argparse.ArgumentDefaultsHelpFormatter):
@@ -93,5 +104,9 @@ def _run(words: Sequence[str], chosen: str | None) -> int:
         )
         if name == chosen:
             importlib.import_module(module).add_arguments(command)
-    args = parser.parse_args(words)
+    args, unknown = parser.parse_known_args(words)
+    if unknown:
+        command = commands.choices[args.command]
+        meant = _meant(unknown[0].partition("=")[0], re.findall(r"--[\w-]+", command.format_usage()))
+        command.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
     return int(importlib.import_module(COMMANDS[args.command][0]).run(args))

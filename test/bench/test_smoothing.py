@@ -4,6 +4,7 @@ import pytest
 
 from helpers.scenes import ball
 from tissue_sim.bench import smoothing
+from tissue_sim.contact.scene import Scene
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +23,14 @@ def test_without_it_the_force_goes_in_steps(found):
     """As many times larger as there are ticks between poses, less what the tissue's own inertia adds to both."""
     assert 3.0 < found[0.0, 50].step / found[1.0, 50].step < 40.0
     assert found[1.0, 500].step == pytest.approx(found[1.0, 50].step, rel=0.5)
+
+
+def test_a_force_that_is_a_tenth_too_large_makes_steps_that_are(found, monkeypatch):
+    plain = Scene.wrenches.fget
+    monkeypatch.setattr(Scene, "wrenches", property(lambda scene: 1.1 * plain(scene)))
+    wrong = smoothing.one(ball(2), 1.0, 500)
+    assert wrong.step == pytest.approx(1.1 * found[1.0, 500].step, rel=1e-6)
+    assert wrong.half == found[1.0, 500].half, "half of a larger step is felt as soon"
 
 
 def test_the_table_has_every_figure(found):

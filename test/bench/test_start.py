@@ -22,9 +22,9 @@ def told(wall, compiled):
     return {"parts": dict.fromkeys(PARTS, wall / 6.0), "compiled": compiled, "wall": wall, "processor": 0.8 * wall}
 
 
-def found(wall, to_end=0.2):
+def found(wall, to_end=0.2, to_find=0.3):
     starts = {TO_COMPILE: told(10.0 * wall, {"model.tick": 5.0, "model.guard": 2.0}), ON_DISK: told(wall, {})}
-    node = {"to_first_tick": 2.0, "to_first_answer": 2.5, "to_end": to_end}
+    node = {"to_first_tick": 2.0, "to_first_answer": 2.5, "to_end": to_end, "to_find": to_find}
     peers = {name: Start(1.0, 0.4) for name in start.PEERS}
     return as_json(starts, {TO_COMPILE: None, ON_DISK: node}, peers, "skipped: no node")
 
@@ -40,10 +40,10 @@ def test_compiling_is_told_by_module_and_without_what_is_called():
 
 
 def test_bounds_are_held_or_missed():
-    assert [bound["met"] for bound in found(1.0)["bounds"]] == [True, True, True]
-    assert [bound["met"] for bound in found(2.5, to_end=1.5)["bounds"]] == [False, False, False]
+    assert [bound["met"] for bound in found(1.0)["bounds"]] == [True] * 4
+    assert [bound["met"] for bound in found(2.5, to_end=1.5, to_find=2.6)["bounds"]] == [False] * 4
     alone = as_json({ON_DISK: told(1.0, {})}, {ON_DISK: None}, {}, "skipped")
-    assert [bound["met"] for bound in alone["bounds"]] == [True, None]
+    assert [bound["met"] for bound in alone["bounds"]] == [True, None, None]
 
 
 def test_text_has_every_part_and_what_stands_beside_it():
@@ -83,4 +83,5 @@ def test_command_runs_with_real_processes(capsys, monkeypatch):
     assert main(["bench", "start", "--quick", "--json", "-"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told["starts"]) == {ON_DISK}
+    assert told["nodes"][ON_DISK]["to_find"] > 0.0
     assert told["nodes"][ON_DISK]["to_first_answer"] >= told["nodes"][ON_DISK]["to_first_tick"] > 0.0

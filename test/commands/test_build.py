@@ -18,6 +18,7 @@ import pytest
 import SimpleITK as sitk
 import trimesh
 
+from helpers.frames import PIXEL, segmentation
 from helpers.html_page import Page
 from helpers.phantoms import around_kidney, coarse_phantom
 from helpers.shapes import solid, write_dicom
@@ -210,10 +211,11 @@ def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
         ([image, "--seed", "900,0,0"], "lies outside"),
         ([image, *here, "--window", "-1"], "--window -1 must lie within"),
         (["--mask", image, "--window", "2"], "--window belongs to IMAGE, not to --mask"),
-        (["--mask", image, "--accept"], "--accept belongs to IMAGE"),
         (["--mask", image, "--length", "0.2"], "--length belongs to --surface"),
-        (["--mask", image, "--part", "2"], "--part belongs to --surface"),
-        (["--mask", image, "--merge-parts"], "--merge-parts belongs to --surface"),
+        ([image, *here, "--part", "2"], "--part belongs to --mask and --surface"),
+        ([image, *here, "--merge-parts"], "--merge-parts belongs to --mask and --surface"),
+        (["--mask", image, "--part", "left"], "--part left is no number"),
+        (["--mask", image, "--part", "2", "--merge-parts"], "--part and --merge-parts were given; choose one"),
         ([image, *here, "--organ", "spline"], "--organ spline is not known; choose one of kidney"),
         ([image, *here, "--interior", "-1"], "--interior -1 is negative"),
         ([image, *here, "--fixed", str(tmp_path / "none.npy")], "none.npy does not exist"),
@@ -372,6 +374,39 @@ def test_from_ct_crop_to_organ_within_a_minute(tmp_path):
     assert seconds <= 60.0
 
 
+# masks of several parts, and segments ---------------------------------------------------------------
+
+
+def test_parts_of_a_mask_are_refused_or_taken(tmp_path, capsys):
+    both = solid(lambda x, y, z: np.minimum(round_at(-24, 18)(x, y, z), round_at(24, 14)(x, y, z)), size=(100, 44, 44))
+    path = write(both, tmp_path / "kidneys.nrrd")
+    told = refused(capsys, "--mask", path)
+    assert "kidneys.nrrd has 2 separate parts: 1 24.5 mL, 2 11.5 mL; take one with --part N" in told
+    organ, text = build(capsys, "--mask", path, "--part", "2", out=tmp_path / "o.npz")
+    assert "left out 1 separate part of 24.5 mL beside 11.5 mL" in text
+    assert "11.5 mL read, " in text
+    assert organ.volume == pytest.approx(4 / 3 * np.pi * 14.0**3 * 1e-9, rel=0.03)
+    assert organ.surface_positions[:, 0].min() > 0.0
+    whole, text = build(capsys, "--mask", path, "--merge-parts", out=tmp_path / "whole.npz")
+    assert "joined 2 separate parts across gaps of up to 17 mm: " in text
+    assert whole.volume > 36.0e-6
+
+
+def round_at(middle, radius):
+    return lambda x, y, z: np.sqrt((x - middle) ** 2 + y**2 + z**2) - radius
+
+
+def test_a_segment_of_a_dicom_segmentation_is_named(tmp_path, capsys):
+    z, y, x = np.indices((20, 40, 40)) - np.array([9.5, 19.5, 19.5])[:, None, None, None]
+    distance = np.sqrt((2.0 * z) ** 2 + (PIXEL[0] * y) ** 2 + (PIXEL[1] * x) ** 2)
+    path = str(segmentation(tmp_path / "seg.dcm", {"organ": distance <= 13.0, "tumour": distance <= 6.0}))
+    assert "several labels (1 organ, 2 tumour); choose one with --label" in refused(capsys, "--mask", path)
+    words = ["--mask", path, "--label", "organ", "--inclusion", "tumour:5"]
+    organ, _ = build(capsys, *words, out=tmp_path / "o.npz")
+    assert organ.volume == pytest.approx(4 / 3 * np.pi * 13.0**3 * 1e-9, rel=0.03)
+    assert [one.stiffness for one in inclusions_of(organ)] == [5.0]
+
+
 # inclusions ----------------------------------------------------------------------------------------
 
 
@@ -420,7 +455,8 @@ def test_labels_of_a_mask_become_inclusions(labels, tmp_path, capsys):
     ("arguments", "said"),
     [
         (["--inclusion", "2"], "write it as 2:5"),
-        (["--inclusion", "tumour:5"], "write it as 2:5"),
+        (["--inclusion", ":5"], "write it as 2:5"),
+        (["--inclusion", "tumour:5"], "has no label tumour; it holds 1, 2, 3, 4, 5"),
         (["--inclusion", "2:5", "--inclusion", "2:3"], "label 2 is given twice"),
         (["--inclusion", "1:5"], "label 1 is given twice"),
         (["--inclusion", "2:nan"], "outside 0.001..1000"),

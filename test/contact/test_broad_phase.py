@@ -31,13 +31,17 @@ def test_box_is_that_of_the_surface_and_not_of_other_nodes():
 
 
 def test_triangles_in_a_box_are_those_whose_boxes_meet_it():
-    found = np.zeros((len(ORGAN.surface_triangles), 3), dtype=np.int64)
+    found, number = (
+        np.zeros((len(ORGAN.surface_triangles), 3), dtype=np.int64),
+        np.zeros(len(ORGAN.surface_triangles), int),
+    )
     rest = POSITION + np.random.default_rng(3).normal(0.0, 0.001, POSITION.shape)
     corners = POSITION[ORGAN.surface_triangles]
     for centre in np.random.default_rng(0).uniform(*np.array([POSITION.min(axis=0), POSITION.max(axis=0)]), (40, 3)):
         low, high = centre - [0.005, 0.01, 0.002], centre + [0.005, 0.01, 0.002]
-        count, moved = triangles_in_box(POSITION, rest, ORGAN.surface_triangles, low, high, found)
+        count, moved = triangles_in_box(POSITION, rest, ORGAN.surface_triangles, low, high, found, number)
         meets = np.all((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low), axis=1)
+        np.testing.assert_array_equal(number[:count], np.flatnonzero(meets))
         np.testing.assert_array_equal(found[:count], ORGAN.surface_triangles[meets])
         nodes = found[:count].ravel()
         assert moved == np.abs(POSITION - rest)[nodes].max(initial=0.0)

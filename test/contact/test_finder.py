@@ -17,6 +17,7 @@ from tissue_sim.contact.finder import (
     edge_and_face_points,
     reach_margins,
 )
+from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.contact_set import MOST_POINTS, Engaged
@@ -156,6 +157,28 @@ def test_flat_tool_over_the_middle_of_a_triangle_has_points_in_it(tmp_path, gap)
         found = find(finder, organ, [*(middle + gap * normal), *turn.as_quat()])
         inside = np.all(np.sort(found.node, axis=1) == np.sort(triangle), axis=1)
         assert inside.any(), f"triangle {number}"
+
+
+def test_a_jaw_finds_points_as_close_together_as_each_triangle_asks_for(tmp_path):
+    """And all that lies on a triangle gives way as a foundation of its area."""
+    organ = ball(2)
+    corner = organ.surface_positions[organ.surface_triangles]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    # Some triangles get 2 parts, and no point in their inside, the others 3, and one.
+    radius = 0.5 * float(longest.min() + longest.max()) / (2.0 * OF_OTHERS.spacing)
+    trimesh.creation.box((0.06, 0.06, 2.0 * radius)).export(tmp_path / "jaw.stl")
+    finder = make_finder(organ, Tool("left", shape="mesh", mesh=str(tmp_path / "jaw.stl")))
+    found = find(finder, organ, over(organ, (0.0, 0.0, 1.0), radius), margins=[0.1])
+    assert found.header.dropped == 0
+    inner = np.count_nonzero(found.weight > 0.0, axis=1) == 3
+    assert 0 < np.count_nonzero(inner) < len(longest)
+    local = local_compliance(organ, radius)
+    for triangle, edge in zip(organ.surface_triangles, longest, strict=True):
+        m = divisions_of(edge / (OF_OTHERS.spacing * radius))
+        rows = np.flatnonzero(inner & (np.sort(found.node, axis=1) == np.sort(triangle)).all(axis=1))
+        assert len(rows) == (m - 1) * (m - 2) // 2
+        wanted = m**2 * np.einsum("kc,kcx->kx", found.weight[rows], local[found.node[rows]])
+        np.testing.assert_allclose(found.compliance[rows], wanted)
 
 
 def test_tool_that_is_not_engaged_has_no_entries():

@@ -10,6 +10,7 @@ from helpers.pressing import given, lead, line, press
 from helpers.scenes import ball, kidney
 from tissue_sim.contact import finder
 from tissue_sim.contact.local_compliance import (
+    LAYER,
     OF_BALLS,
     OF_OTHERS,
     STRETCHED,
@@ -19,6 +20,7 @@ from tissue_sim.contact.local_compliance import (
 )
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.fineness import mean_edge
 from tissue_sim.organ.topology import node_area
 
 
@@ -43,9 +45,10 @@ def test_a_fine_tool_sinks_in_as_a_flat_punch_does_and_one_between_the_points_no
         local_compliance(organ, fine)[:, 0], math.pi * fine**2 / area / (2.0 * fine * stiffness), rtol=1e-12
     )
     for give in (OF_BALLS, OF_OTHERS):
-        assert most_give(give, 0.004, 0.0005) == give.most * 0.004
-        assert most_give(give, 0.004, 0.003) == pytest.approx(0.004 - give.covered * STRETCHED * 0.003)
-        assert most_give(give, 0.001, 0.003) == 0.0
+        assert most_give(give, organ, 0.004, 0.0005) == give.most * 0.004
+        assert most_give(give, organ, 0.004, 0.003) == pytest.approx(0.004 - give.covered * STRETCHED * 0.003)
+        assert most_give(give, organ, 0.001, 0.003) == 0.0
+        assert most_give(give, organ, 1.0, 0.003) == LAYER * mean_edge(organ)
 
 
 def test_nothing_of_a_triangle_is_farther_from_its_corners_than_covered():

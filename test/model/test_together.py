@@ -12,15 +12,16 @@ from tissue_sim.model.links import least_substeps, make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Together, carried_with, fastest, tick_together
+from tissue_sim.model.unfelt import unfelt_by
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 
 
 class Organs:
     """Simulations that are joined. links: rows of two ends, a slack, a stiffness and a damping; an end is an organ and
-    its node, or a point."""
+    its node, or a point. unfelt: m that an organ may lack of what they do."""
 
-    def __init__(self, simulations, links=(), breath=None, moves=None, unfelt=1e9):
+    def __init__(self, simulations, links=(), breath=None, moves=None, unfelt=0.0):
         self.simulations = simulations
         self.links = make_links(len(links))
         for number, (ends, slack, stiffness, damping) in enumerate(links):
@@ -38,10 +39,12 @@ class Organs:
             one.settings.least_substeps = self.least
         moves = [*(moves or []), *[0.0] * len(simulations)][: len(simulations)]
         gravity = np.zeros((len(simulations), 3))
-        self.carried = carried_with(breath or Breath.new(), moves, [unfelt] * len(simulations), gravity)
+        breath = breath or Breath.new()
+        self.carried = carried_with(breath, moves, gravity)
+        self.unfelt = unfelt_by(simulations, self.links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
         self._worlds = row([one.world for one in simulations])
         self._joined = handle(
-            Together(self.carried, self.links, make_pairs(), np.zeros(len(simulations), dtype=np.int64))
+            Together(self.carried, self.links, make_pairs(), self.unfelt, np.zeros(len(simulations), dtype=np.int64))
         )
 
     def step(self, ticks=1):
@@ -162,7 +165,6 @@ def test_an_organ_that_breathes_in_its_ligaments_is_as_if_nothing_had_been_some_
             [(((0, TOP), up), 0.04, 20.0, 0.01), (((0, TOP - 1), (1, TOP)), 0.0, 5.0, 0.01)],
             breath=a_breath(1.0, (0.0, 0.0, 0.005)),
             moves=[1.0, 0.5],
-            unfelt=0.0,
         )
         for _ in range(2)
     )
@@ -217,7 +219,7 @@ def test_a_breath_is_out_at_first_and_in_after_half_its_period():
 
 
 def test_an_organ_that_sleeps_is_carried_asleep():
-    organs = Organs([Simulation(ball()), Simulation(ball())], breath=a_breath(), moves=[1.0, 0.5])
+    organs = Organs([Simulation(ball()), Simulation(ball())], breath=a_breath(), moves=[1.0, 0.5], unfelt=1e-3)
     organs.step(2000)
     carried = [one.state.carried[2] for one in organs.simulations]
     np.testing.assert_allclose(carried, [0.015, 0.0075], rtol=1e-9)
@@ -227,7 +229,7 @@ def test_an_organ_that_sleeps_is_carried_asleep():
 def test_an_organ_in_its_moving_frame_is_as_one_whose_clamp_is_led():
     """A breath of half a second, which bends it. Without what holds nodes to the room: damping and return springs."""
     organ, way = changed(ball(), damping=0.0, return_stiffness=0.0), np.array([0.004, 0.0, 0.002])
-    framed = Organs([Simulation(organ)], breath=a_breath(0.5, way), moves=[1.0], unfelt=0.0)
+    framed = Organs([Simulation(organ)], breath=a_breath(0.5, way), moves=[1.0])
     led, held = Simulation(organ), np.asarray(organ.fixed)
     off = most = 0.0
     for tick in range(1, 400):

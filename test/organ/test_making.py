@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.image import Volume
-from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_mask
+from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_image, organ_from_mask
 
 
 def test_a_mirrored_mask_still_points_outward():
@@ -46,3 +47,44 @@ def test_a_body_without_a_long_axis_gets_fewer_atoms_unless_they_are_asked_for()
     assert apart.mean() >= SPARSE * edge
     assert organ.provenance["atoms"] == organ.n_atoms
     assert organ_from_mask(mask, Request(name="ball", points=400, atoms=MOST_ATOMS)).n_atoms == MOST_ATOMS
+
+
+def ball(spacing, radius=11.0, size=30):
+    """A mask of a ball of so many voxels' radius; spacing, mm."""
+    grid = np.indices((size,) * 3) - 0.5 * (size - 1)
+    return Volume((grid**2).sum(axis=0) < radius**2, np.full(3, spacing), np.zeros(3), np.eye(3), "ball.mha")
+
+
+@pytest.mark.parametrize(("spacing", "size"), [(1000.0, "22 m"), (0.05, "0.0011 m")])
+def test_a_mask_that_is_no_organ_in_size_is_refused(spacing, size):
+    with pytest.raises(UserError) as caught:
+        organ_from_mask(ball(spacing), Request(name="ball", points=200))
+    voxels = f"{spacing:g} x {spacing:g} x {spacing:g} mm"
+    assert f"mask ball.mha is {size} long, an organ is 5 mm to 1 m; its voxels are {voxels}" in str(caught.value)
+    image = ball(spacing)
+    with pytest.raises(UserError, match=r"image ball\.mha is .* m long, a CT is 5 mm to 3 m; its voxels are"):
+        organ_from_image(image.with_array(image.array.astype(np.float32)), np.zeros(3), Request(name="ball"))
+
+
+def test_both_volumes_are_told_and_kept():
+    lines = []
+    organ = organ_from_mask(ball(2.0), Request(name="ball", points=200, atoms=4), Progress(lines.append))
+    read = np.count_nonzero(ball(2.0).array) * 8e-3
+    (told,) = [line for line in lines if "mL read" in line]
+    assert told.startswith(f"{read:.1f} mL read, {organ.volume * 1e6:.1f} mL built (")
+    assert organ.volume * 1e6 == pytest.approx(read, rel=0.03)
+    assert organ.provenance["volume_read_ml"] == pytest.approx(read, abs=1e-3)
+    assert organ.provenance["volume_built_ml"] == pytest.approx(organ.volume * 1e6, abs=1e-3)
+
+
+def test_an_organ_of_another_volume_is_refused_or_accepted():
+    """The mask is a shell, whose cavity is filled: a third of the ball."""
+    shell = ball(2.0)
+    shell = shell.with_array(shell.array & ~ball(2.0, radius=7.6).array)
+    with pytest.raises(
+        UserError, match=r"ball differs from what it is made from: 30\.1 mL read, 43\.\d mL built \(\+4\d\."
+    ):
+        organ_from_mask(shell, Request(name="ball", points=200))
+    lines = []
+    organ_from_mask(shell, Request(name="ball", points=200, atoms=4, accept=True), Progress(lines.append))
+    assert any(line.startswith("warning: ") and "mL built" in line for line in lines)

@@ -11,6 +11,7 @@ import pytest
 from helpers.paths import CONFIG
 from helpers.ros.processes import FAKE_TF, Process, running_node
 from tissue_sim.ros import policy
+from tissue_sim.ros.node.simulation_services import SERVICES
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
 SHIPPED = (CONFIG / "sros2_policy.xml").read_text()
@@ -110,9 +111,10 @@ def test_the_one_that_ships_is_that_of_a_node_with_default_parameters():
 
 def test_names_follow_the_nodes_parameters():
     values = defaults(tools=["arm"]) | {"arm.measured_cp": "~/pose", "arm.servo_cf": "/MTML/servo_cf"}
+    values |= {"arm.external_cf": "arm/push"}
     found = allowed(policy.fitted("ward/organ", values | {"arm.shape": "gripper"}))
     assert set(found) == {"/ward/organ", "/ward/organ/bridge", "/ward/organ/viewer"}
-    inward = {"/ward/organ/pose", "/ward/arm/measured_cf", "/ward/arm/gripper/measured_js"}
+    inward = {"/ward/organ/pose", "/ward/arm/push", "/ward/arm/gripper/measured_js"}
     assert inward < found["/ward/organ"]["subscribe"]
     assert inward < found["/ward/organ/bridge"]["publish"]
     assert "/MTML/servo_cf" in found["/ward/organ"]["publish"] & found["/ward/organ/bridge"]["subscribe"]
@@ -140,14 +142,14 @@ def node(tmp_path_factory):
 
 
 def test_the_nodes_that_ship_do_what_the_policy_allows_and_nothing_else(node, tmp_path, graph):
-    # tf isn't among the wheels, and nobody has asked for the simulation's clock.
+    # tf and simulation_interfaces aren't among the wheels, and nobody has asked for the simulation's clock.
     here = {"/tf", "/tf_static"}
-    check(graph, SHIPPED, "/tissue_sim", ["/tissue_sim"], publish=here, subscribe=here | {"/clock"})
+    others = {f"/tissue_sim/{name}" for name in SERVICES}
+    check(graph, SHIPPED, "/tissue_sim", ["/tissue_sim"], publish=here, subscribe=here | {"/clock"}, reply=others)
 
     bridge = Process(["-m", "tissue_sim", "bridge", "--rate", "100"], tmp_path / "bridge.log")
     nodes = ("/haptic_bridge", "/haptic_bridge_parameters")
-    forces = {"/left/measured_cf", "/right/measured_cf"}  # of a device that measures them
-    check(graph, SHIPPED, "/tissue_sim/bridge", nodes, publish=forces)
+    check(graph, SHIPPED, "/tissue_sim/bridge", nodes)
     assert bridge.stop() == 0, bridge.text()
 
 
@@ -175,4 +177,5 @@ def test_the_command_prints_that_of_a_node_with_other_tools_and_names(tmp_path, 
         check_form(ElementTree.fromstring(printed.encode()))
         # Frames are listened for once a pose names one.
         unseen = {"/tf", "/tf_static", "/clock"}
-        check(graph, printed, "/ward/tissue_sim", ["/ward/tissue_sim"], subscribe=unseen)
+        others = {f"/ward/tissue_sim/{name}" for name in SERVICES}
+        check(graph, printed, "/ward/tissue_sim", ["/ward/tissue_sim"], subscribe=unseen, reply=others)

@@ -9,7 +9,10 @@ from ruamel.yaml import YAML
 from helpers.paths import CONFIG, ROOT
 from helpers.ros.haptic_bridges import BRIDGES, StandIn
 from helpers.ros.processes import UNHURRIED, Process, poke_path, running_node, shipped
-from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
+from helpers.ros.told import values as defaults
+from tissue_sim.ros.policy import enclaves_of
+from tissue_sim.ros.shared.frames import tip_frame, wrench_frame
+from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, check_frames, placed_frames
 
 PROFILES = {path.stem: path for path in sorted((CONFIG / "bridges").glob("*.yaml"))}
 
@@ -34,8 +37,26 @@ def test_profiles_hold_known_parameters(name):
     assert all(tool.keys() <= {spec.name for spec in TOOL_SPECS} for tool in tools)
 
 
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_profile_hears_nothing_of_a_driver_but_poses_and_says_nothing_that_it_says(name):
+    """Of all that the driver publishes, used or not: topics by what the node's policy allows it, and frames of tf."""
+    given, bridge = parameters(name), BRIDGES[name]
+    flat = {key: value for key, value in given.items() if not isinstance(value, dict)}
+    flat |= {f"{tool}.{key}": value for tool in given["tools"] for key, value in given[tool].items()}
+    values = defaults(*given["tools"]) | {"organs": []} | flat
+    node = enclaves_of("tissue_sim", values)["/tissue_sim"]
+    poses = {values[f"{tool}.measured_cp"] for tool in given["tools"]}
+    assert set(node.subscribe) & bridge.outputs.keys() == poses
+    assert all(bridge.outputs[topic] is bridge.pose_type for topic in poses)
+    assert not set(node.publish) & bridge.outputs.keys()
+    check_frames(values, given["tools"])
+    own = {frame for tool in given["tools"] for frame in (tip_frame(tool), wrench_frame(tool))}
+    own |= placed_frames(values, given["tools"]).keys()
+    assert not own & set(bridge.frames)
+
+
 # One shows that a profile, the node and a bridge go together; what differs in the others, test_tool_types shows.
-SERVED = [name if name == "dvrk" else pytest.param(name, marks=pytest.mark.extended) for name in PROFILES]
+SERVED = [name if name == "geomagic_touch" else pytest.param(name, marks=pytest.mark.extended) for name in PROFILES]
 
 
 @pytest.fixture(scope="module", params=SERVED)
@@ -69,7 +90,7 @@ def test_a_bridge_feels_the_kidney(served, tmp_path):
 
         assert stand_in.spin_until(is_settled), stand_in.diagnostics
         pushed = np.array(stand_in.forces[-10:]).mean(axis=0)
-        assert 0.03 < np.linalg.norm(pushed) < 3.0, stand_in.diagnostics
+        assert 0.03 < np.linalg.norm(pushed) < 0.8, "the force that the device exerts does not come back on the tissue"
         assert pushed @ -inward > 0.9 * np.linalg.norm(pushed)
         assert stand_in.set_parameter("stale_time", 0.05).successful
         cisst = name != "forcedimension_ros2"

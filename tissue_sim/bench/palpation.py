@@ -205,11 +205,11 @@ def held(scene: Scene, press: Press, deep: float) -> float:
 def by_elements(organ: Organ, press: Press) -> Floats:
     """The same force (d,) N of finite elements, touched at all of their own nodes; nan where they don't settle."""
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
-    solid, points = touchable(organ, touched)
+    solid, nodes = touchable(organ, touched)
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
     shares = (np.arange(STEPS) + 1.0) / STEPS
     deep = (starts[:, None] + np.outer(DEPTHS - starts, shares)).ravel()
-    steps = squeezed(solid, points, np.array([[press.at(depth)] for depth in deep]), FINGER)
+    steps = squeezed(solid, nodes, np.array([[press.at(depth)] for depth in deep]), FINGER)
     found = np.full(len(deep), np.nan)
     for number, step in enumerate(steps):
         if step.settled:

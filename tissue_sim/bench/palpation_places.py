@@ -18,14 +18,14 @@ from scipy.spatial import cKDTree
 
 import tissue_sim
 from tissue_sim import progress
-from tissue_sim.array_types import Floats
+from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
 from tissue_sim.bench.palpation import FRICTION, Press, forces
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
-from tissue_sim.calibration.squeeze import Points, own_points, squeezed
+from tissue_sim.calibration.squeeze import own_nodes, squeezed
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
@@ -263,20 +263,20 @@ def by_elements(organ: Organ, spots: Sequence[Spot], radius: float, depths: Floa
     deep = np.interp(np.arange(1, STEPS * len(depths) + 1) / STEPS, np.arange(len(depths) + 1), [0.0, *depths])
     for spot, row in zip(spots, found, strict=True):
         under = np.flatnonzero(np.linalg.norm(centre - spot.point, axis=1) < 1.1 * radius + edge)
-        points = _beneath(own_points(body, under), spot, radius)
+        nodes = _beneath(body, own_nodes(body, under), spot, radius)
         path = spot.point - radius * spot.way + deep[:, None] * spot.way
-        steps = squeezed(body.solid, points, path[:, None], radius)
+        steps = squeezed(body.solid, nodes, path[:, None], radius)
         for number, step in enumerate(steps[STEPS - 1 :: STEPS]):
             if step.settled:
                 row[number] = step.forces[0] @ spot.way
     return found
 
 
-def _beneath(points: Points, spot: Spot, radius: float) -> Points:
-    """Those points that a ball can reach which goes straight in: fewer take less time."""
-    away = points.rest - spot.point
-    kept = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1) < 1.1 * radius
-    return Points(points.rest[kept], points.weights[np.flatnonzero(kept)])
+def _beneath(body: Body, nodes: Longs, spot: Spot, radius: float) -> Longs:
+    """Those nodes that a ball can reach which goes straight in: fewer take less time."""
+    away = body.solid.nodes[nodes] - spot.point
+    beside = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1)
+    return nodes[beside < 1.1 * radius]
 
 
 # sliding -------------------------------------------------------------------------------------------

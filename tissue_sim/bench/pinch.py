@@ -13,13 +13,17 @@ import numpy as np
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import pinch_reference, rows
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines
+from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure, noise_lines, write_json
 from tissue_sim.bench.timing import in_one_thread, noise_burst
 from tissue_sim.bench.two_tools import Pinch, pairs, pinched
+from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
 SHARES = (0.2, 0.4, 0.6)  # of the organ's width, that the tools squeeze it by
+NOT_COMPARED = (
+    "forces are not compared: this organ has no table of finite elements; --reference FILE --remake makes one"
+)
 MOST_TICK, MOST_LEFT = 400.0, 0.1  # us, p99; mm, of what stays of the shape
 
 
@@ -28,8 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, check=True)
     parser.add_argument(
         "--reference",
-        action="store_true",
-        help="squeeze finite elements alike and compare forces, a quarter of an hour",
+        metavar="FILE",
+        help="forces of finite elements to compare with; default: those of the kidney that ships, which come with it",
+    )
+    parser.add_argument(
+        "--remake", action="store_true", help="squeeze finite elements first, and write their forces there: 20 minutes"
     )
 
 
@@ -38,10 +45,27 @@ def run(args: argparse.Namespace) -> int:
     check_shared(args)
     organ = Organ.load(args.organ or shipped_organ())
     # First, as it says what is missing.
-    reference = pinch_reference.as_json(pinch_reference.measure(organ)) if args.reference else None
+    table = table_of(args, organ)
+    reference = None if table is None else pinch_reference.as_json(pinch_reference.measure(organ, table))
     found = as_json(*in_one_thread(measure, organ), reference)
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)
+
+
+def table_of(args: argparse.Namespace, organ: Organ) -> dict[str, Any] | None:
+    """Return the forces of finite elements that the organ's are held against; None for an organ that has none.
+
+    Raises UserError for a file that is no such table or another organ's, and as Body does.
+    """
+    shipped = pinch_reference.stored() if args.organ is None else None
+    path = Path(args.reference) if args.reference else shipped
+    if args.remake:
+        if path is None:
+            raise UserError("--remake writes a file; name it with --reference FILE")
+        if path.suffix == ".npz":
+            raise UserError(f"--reference {path} would write over an organ; name a file like pinch.json")
+        write_json(pinch_reference.make(organ), path)
+    return None if path is None else pinch_reference.read(path, organ)
 
 
 def measure(organ: Organ) -> tuple[list[Pinch], Floats]:
@@ -114,7 +138,8 @@ def text(found: dict[str, Any]) -> str:
         "",
         *aligned(table, 2),
         "",
-        *([*pinch_reference.lines(found["reference"]), ""] if "reference" in found else []),
+        *(pinch_reference.lines(found["reference"]) if "reference" in found else [NOT_COMPARED]),
+        "",
         *bound_lines(found["bounds"]),
         *noise_lines(found["noise"]),
     ]

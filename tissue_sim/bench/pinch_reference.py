@@ -1,89 +1,214 @@
-"""Force of two spheres that squeeze the organ and don't slip, beside finite elements that are touched alike."""
+"""Force of two spheres that squeeze the organ and don't slip, beside finite elements that are touched alike.
+
+What finite elements push back with is stored, as it takes a quarter of an hour; `tissue_sim bench pinch --remake` makes
+it anew. Each pinch is settled on two meshes, and a third of what they differ by is made good, as in
+calibration.reference.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
+import time
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.printing import Bound, aligned
-from tissue_sim.bench.two_tools import SPHERE, Place, both, pinched, place
-from tissue_sim.calibration.squeeze import squeezed, touchable
+from tissue_sim.bench.two_tools import CLEAR, SPHERE, Place, both, place
+from tissue_sim.calibration.fe_mesh import Grading
+from tissue_sim.calibration.reference import LEFT
+from tissue_sim.calibration.squeeze import Squeezed, squeezed, touchable
+from tissue_sim.contact.scene import Scene
+from tissue_sim.errors import UserError
+from tissue_sim.model.cells import swelling
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_file
 
+STORED = "config/references/pinch.json"  # of the kidney that ships
 SHARES = (0.2, 0.4)  # of the organ's width
-STEPS = 8  # for each share
+STEP = 0.0014  # m at the most, of finite elements: no longer than those where they are touched
+UNDER = 0.012  # m from the axis, where a sphere may touch: up to 7 mm do
+MESHES = (Grading(clamp=0), Grading(clamp=0, near=1, growth=1.6))  # the second is twice as fine where they touch
 FRICTION = 10.0  # at which nothing slips
-UNDER = 0.014  # m from the axis, where a sphere may touch
+SPEED = 0.005  # m/s: so slow that the organ isn't swung
+HOLDING, LONGEST = 0.2, 3.0  # s between two looks at the force, and at the most
+STILL = 1e-3  # of the force, by which it has changed since the last look
 MOST_OFF = 10.0  # %
 
 
 class Compared(NamedTuple):
     """A pinch along one axis by a share of the width."""
 
-    axis: int
+    axis: str
     share: float
-    ours: Floats  # (2, 3) N on the tools
-    reference: Floats  # (2, 3) N
+    ours: Floats  # (t, 3) N on the tools that press tissue which may move
+    reference: Floats | None  # (t, 3) N; None where finite elements did not settle
     least: float  # J of our cells
-    reference_least: float  # det F
-    settled: bool  # whether the reference was
+    reference_least: float | None  # det F
 
     @property
     def off(self) -> float | None:
-        """Difference of the forces on both tools, % of the reference's; None where that did not settle."""
-        if not self.settled:
+        """Difference of the forces on the tools, % of the reference's; None where there is none."""
+        if self.reference is None or not self.reference.any():
             return None
         return float(100.0 * np.linalg.norm(self.ours - self.reference) / np.linalg.norm(self.reference))
 
 
-def measure(organ: Organ) -> list[Compared]:
-    """Every axis by every share. Raises UserError as Body does."""
+# finite elements -----------------------------------------------------------------------------------
+
+
+def fits(organ: Organ) -> str:
+    """Digest of what finite elements know of an organ: its surface, its clamp, its material. Not of what is fitted."""
+    digest = hashlib.sha256()
+    for array in (organ.surface_positions, organ.surface_triangles, organ.fixed, organ.inclusion_positions):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(repr((organ.youngs_modulus, organ.poisson_ratio)).encode())
+    return digest.hexdigest()
+
+
+def stored() -> Path | None:
+    """Path of the table that ships; None where it is missing."""
+    return shipped_file(STORED)
+
+
+def make(organ: Organ) -> dict[str, Any]:
+    """Squeeze finite elements along every axis by every share; returns the table. Raises UserError as Body does."""
+    start = time.monotonic()
+    squeezed_by = [
+        row
+        for axis in progress.steps(range(3), "finite elements, axes")
+        for row in by_elements(organ, place(organ, axis, SPHERE), axis)
+    ]
+    return {"organ": organ.name, "fits": fits(organ), "seconds": round(time.monotonic() - start), "rows": squeezed_by}
+
+
+def by_elements(organ: Organ, where: Place, axis: int) -> list[dict[str, Any]]:
+    """Return a row for every share: force on the tools (2, 3) N on both meshes, and what they make together."""
+    coarse, fine = (_squeezed(organ, where, axis, mesh) for mesh in MESHES)
+    found_rows = []
+    for share, one, other in zip(SHARES, coarse, fine, strict=True):
+        row: dict[str, Any] = {"axis": "xyz"[axis], "share_percent": 100.0 * share, "force_n": None}
+        if one is not None and other is not None:
+            force = -other.forces - LEFT * (other.forces - one.forces)
+            found = {"force_n": force, "coarse_n": -one.forces, "fine_n": -other.forces}
+            row |= {name: np.round(value, 6).tolist() for name, value in found.items()}
+            row["least_volume"] = round(other.least_det, 4)
+        found_rows.append(row)
+    return found_rows
+
+
+def _squeezed(organ: Organ, where: Place, axis: int, mesh: Grading) -> list[Squeezed | None]:
+    """Return what finite elements come to at every share; None where they don't settle."""
+    beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
+    solid, nodes = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER, mesh)
+    deep, last = [0.0], []
+    for share in SHARES:
+        end = 0.5 * share * where.width
+        deep += np.linspace(deep[-1], end, math.ceil((end - deep[-1]) / STEP) + 1)[1:].tolist()
+        last.append(len(deep) - 2)
+    steps = squeezed(solid, nodes, np.array([where.at(one) for one in deep[1:]]), SPHERE)
+    return [steps[number] if number < len(steps) and steps[number].settled else None for number in last]
+
+
+def meets_clamp(organ: Organ, where: Place) -> NDArray[np.bool_]:
+    """Return which of the two spheres (2,) comes upon held tissue: finite elements have no force there.
+
+    A solid whose surface is held is pressed at a wall.
+    """
+    ends = where.at(0.5 * SHARES[-1] * where.width)
+    away = organ.surface_positions[organ.fixed] - where.start[:, None]
+    along = np.clip(np.einsum("tkx,tx->tk", away, where.ways), 0.0, np.linalg.norm(ends - where.start, axis=1)[:, None])
+    apart = np.linalg.norm(away - along[:, :, None] * where.ways[:, None], axis=2)
+    return np.asarray((apart < SPHERE).any(axis=1))
+
+
+def read(path: Path, organ: Organ) -> dict[str, Any]:
+    """Return a stored table. Raises UserError for what is none, or was made for another organ."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        made_for, name = table["fits"], table["organ"]
+        pinches = [(row["axis"], row["share_percent"], row["force_n"]) for row in table["rows"]]
+    except OSError as error:
+        raise UserError(f"cannot read reference {path}: {error.strerror}; make it with --remake") from None
+    except (ValueError, KeyError, TypeError):
+        raise UserError(f"{path} is no table of 'tissue_sim bench pinch'; make one with --remake") from None
+    if made_for != fits(organ):
+        raise UserError(
+            f"reference {path} was made for organ '{name}' of another surface, clamp or material than '{organ.name}';"
+            " make one with --remake"
+        )
+    if [row[:2] for row in pinches] != [(axis, 100.0 * share) for axis in "xyz" for share in SHARES]:
+        raise UserError(f"reference {path} has other pinches than these; make it anew with --remake")
+    return dict(table)
+
+
+# ours ----------------------------------------------------------------------------------------------
+
+
+def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
+    """Squeeze the organ as the table's rows were: slowly, until the force stands."""
     found: list[Compared] = []
     with rows.until_stopped():
-        for axis in rows.each(range(3), "finite elements, axes"):
-            for one in compared(organ, axis):
+        for axis in rows.each(range(3), "slowly, axes"):
+            wanted = [row for row in table["rows"] if row["axis"] == "xyz"[axis]]
+            free = ~meets_clamp(organ, place(organ, axis, SPHERE))
+            for row, (forces, least) in zip(wanted, slowly(organ, axis), strict=True):
+                reference = None if row["force_n"] is None else np.array(row["force_n"])[free]
+                one = Compared(
+                    row["axis"], row["share_percent"], forces[free], reference, least, row.get("least_volume")
+                )
                 found.append(one)
                 off = "not settled" if one.off is None else f"off {one.off:.1f} %"
-                rows.tell(f"{'xyz'[axis]}, {100.0 * one.share:g} %", off)
+                rows.tell(f"{one.axis}, {one.share:g} %", off)
     return found
 
 
-def compared(organ: Organ, axis: int) -> list[Compared]:
-    """One axis by every share."""
-    where = place(organ, axis, SPHERE)
-    found = []
-    for share, reference in zip(SHARES, by_elements(organ, where, axis), strict=True):
-        one = pinched(organ, "spheres", both(radius=SPHERE), axis, share, FRICTION)
-        found.append(Compared(axis, share, one.forces, reference[0], one.least, reference[1], reference[2]))
+def slowly(organ: Organ, axis: int) -> list[tuple[Floats, float]]:
+    """Return for every share the force on spheres (2, 3) N that don't slip, held, and the least J of a cell."""
+    scene = Scene(organ, both(radius=SPHERE), ticks_a_set=4)
+    scene.simulation.settings.friction = FRICTION
+    where, tick, found = place(organ, axis, SPHERE), scene.simulation.settings.tick_time, []
+
+    def go(deep: float) -> None:
+        for tool, centre in enumerate(where.at(deep)):
+            scene.move(tool, centre)
+        scene.step()
+
+    deep = -CLEAR
+    for share in SHARES:
+        end = 0.5 * share * where.width
+        for at in np.linspace(deep, end, max(2, round((end - deep) / (SPEED * tick)))):
+            go(float(at))
+        deep, force = end, np.full((2, 3), np.inf)
+        for _ in range(round(LONGEST / HOLDING)):
+            before = force
+            for _ in range(round(HOLDING / tick)):
+                go(deep)
+            force = scene.wrenches[:, :3].copy()
+            if np.linalg.norm(force - before) <= STILL * np.linalg.norm(force):
+                break
+        found.append((force, float(swelling(scene.simulation.model, scene.simulation.positions).min())))
     return found
 
 
-def by_elements(organ: Organ, where: Place, axis: int) -> list[tuple[Floats, float, bool]]:
-    """For every share the force on the tools (2, 3) N, the least det F and whether the body settled."""
-    beside = np.delete(organ.surface_positions - where.start[0], axis, axis=1)
-    solid, points = touchable(organ, np.linalg.norm(beside, axis=1) < UNDER)
-    deepest = 0.5 * SHARES[-1] * where.width
-    count = STEPS * len(SHARES)
-    paths = np.array([where.at(deepest * (step + 1) / count) for step in range(count)])
-    steps = squeezed(solid, points, paths, SPHERE)
-    found = []
-    for number in range(len(SHARES)):
-        last = steps[min(STEPS * (number + 1), len(steps)) - 1]
-        found.append((-last.forces, last.least_det, last.settled and len(steps) >= STEPS * (number + 1)))
-    return found
+# telling -------------------------------------------------------------------------------------------
 
 
 def as_json(found: list[Compared]) -> dict[str, Any]:
     """All figures, and the bound."""
     table = [
         {
-            "axis": "xyz"[one.axis],
-            "share_percent": 100.0 * one.share,
+            "axis": one.axis,
+            "share_percent": one.share,
             "force_n": one.ours.tolist(),
-            "reference_n": one.reference.tolist(),
+            "reference_n": None if one.reference is None else one.reference.tolist(),
             "off_percent": one.off,
             "least_volume": one.least,
             "reference_least": one.reference_least,
@@ -91,7 +216,7 @@ def as_json(found: list[Compared]) -> dict[str, Any]:
         for one in found
     ]
     off = [one.off for one in found if one.off is not None]
-    worst = max(off, default=None) if len(off) == len(found) else None
+    worst = max(off) if off and len(off) == len(found) else None
     return {
         "rows": table,
         "bound": Bound("force of the spheres against finite elements", worst, MOST_OFF, "%").as_json(),
@@ -102,8 +227,11 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
     """The figures as a table."""
     table = [["axis", "%", "on the tools N", "finite elements N", "off %", "least J", "det F"]]
     for row in rows:
-        sizes = [" ".join(f"{np.linalg.norm(force):.2f}" for force in row[key]) for key in ("force_n", "reference_n")]
-        least = [f"{row[key]:.2f}" for key in ("least_volume", "reference_least")]
+        sizes = [
+            "-" if row[key] is None else " ".join(f"{np.linalg.norm(force):.3f}" for force in row[key])
+            for key in ("force_n", "reference_n")
+        ]
+        least = ["-" if row[key] is None else f"{row[key]:.2f}" for key in ("least_volume", "reference_least")]
         off = "-" if row["off_percent"] is None else f"{row['off_percent']:.1f}"
         table.append([row["axis"], f"{row['share_percent']:.0f}", *sizes, off, *least])
     return ["spheres that don't slip, held, beside quasi-static finite elements between the same:", *aligned(table)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ MOST_HALVINGS = 40
 WORN = 40  # iterations for a step, after which a new preconditioner costs less
 MOST_TOGETHER = 16  # loads that settle in step
 MEMORY = 5e8  # bytes of their matrices
+FORCING = 0.1  # of a residual, to which a step that follows is solved
 ROOM = 1e-4  # decrease of energy that a step must give, of what its slope promises (Armijo)
 
 
@@ -41,6 +42,29 @@ class Equilibrium(NamedTuple):
     iterations: int  # of conjugate gradients, in all
     least_det: float  # det F where the solid is compressed most
     converged: bool
+
+
+class Followed(NamedTuple):
+    """Where a solid came to from a state near by."""
+
+    displacement: Floats  # (n, 3) m of all nodes
+    converged: bool
+
+
+class Preconditioner(Protocol):
+    """What knows about what displacements answer forces."""
+
+    def precondition(self, right: Floats) -> Floats:
+        """Displacements (3n, c) m for forces (3n, c) N."""
+        ...
+
+
+class Renewable(Preconditioner, Protocol):
+    """One that may be taken anew about another state."""
+
+    def renew(self, moved: Floats) -> None:
+        """Know what holds about a state (n, 3) m."""
+        ...
 
 
 Settling = Generator[Floats, Floats, Equilibrium]
@@ -64,8 +88,7 @@ class Solid:
         stiffness: Callable[[Floats], Floats] | None = None,
     ) -> None:
         self.nodes, self.elements, self.held, self.density = nodes, elements, held, density
-        # (k, n) sqrt(N/m): springs that pull weighted sums of displacements to 0, with the square of the row.
-        self.ties: csr_array | None = None
+        self.ties: Floats | None = None  # (n,) N/m: springs that pull the nodes' displacements to 0
         self.mu = youngs_modulus / (2.0 * (1.0 + poisson_ratio))
         self.lam = youngs_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
         values, slopes, weights = shape_functions(QUADRATURE)
@@ -95,7 +118,7 @@ class Solid:
         forces = np.empty_like(self.nodes)
         energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
         if self.ties is not None:
-            pull = self.ties.T @ (self.ties @ displacement)
+            pull = self.ties[:, None] * displacement
             return energy + 0.5 * float(np.vdot(pull, displacement)), forces + pull, least
         return energy, forces, least
 
@@ -140,11 +163,14 @@ class Solid:
     def factor(self, displacement: Floats, shift: float = 0.0) -> Cholesky:
         """Cholesky factor of the stiffness about a displaced state (n, 3) m, plus `shift` 1/s^2 times the mass.
 
-        Raises NotPositive.
+        Ties are in it. Raises NotPositive.
         """
 
         def fill(number: int, place: Longs, pieces: Pieces) -> None:
-            cells = self._fronts[number].cells
+            cells, inside = self._fronts[number].cells, self._fronts[number].inside
+            if self.ties is not None:
+                own = np.arange(len(inside))
+                pieces[0][own, own] += self.ties[inside // 3]
             count = len(cells)
             if not count:
                 return
@@ -206,22 +232,48 @@ class Solid:
                 yield ready.pop(following)
                 following += 1
 
-    def follow(
-        self, start: Floats, load: Floats, precondition: Callable[[Floats], Floats], tolerance: float = TOLERANCE
-    ) -> tuple[Floats, bool, int]:
-        """Equilibrium (n, 3) m near a state (n, 3) m under nodal loads (n, 3) N, with ties.
+    def follow(self, start: Floats, load: Floats, factor: Renewable, tolerance: float) -> Followed:
+        """Equilibrium near a state (n, 3) m under nodal loads (n, 3) N, with ties, by Newton's method.
 
-        precondition: displacements (n, 3) m that the solid, ties included, would have about under forces (n, 3) N.
-        Returns it, whether it was found, and iterations of conjugate gradients.
+        factor: the preconditioner, which is renewed where it is worn; tolerance: of the tissue's energy, which a step
+        may still free.
         """
-        run = self._newton(start, load, None, tolerance)
-        try:
-            residual = next(run)
-            while True:
-                residual = run.send(precondition(residual))
-        except StopIteration as end:
-            found, _, iterations, converged, _ = end.value
-            return found, converged, iterations
+        moved = start
+        energy, inner, _ = self.energy(moved)
+        potential = energy - float(np.vdot(load, moved))
+        for _ in range(MOST_STEPS):
+            residual = np.where(self.held, 0.0, load - inner)
+            way, used = _answer(self._direction(moved, residual, FORCING, factor))
+            slope = float(np.vdot(residual, way))
+            tied = 0.0 if self.ties is None else 0.5 * float(self.ties @ np.einsum("nx,nx->n", moved, moved))
+            if slope <= tolerance * (energy - tied):
+                return Followed(moved, True)
+            found = self._shortened(moved, way, slope, load, potential)
+            if found is None:
+                return Followed(moved, False)
+            moved, energy, inner, change = found
+            potential += change
+            if used > WORN:
+                factor.renew(moved)
+        return Followed(moved, False)
+
+    def _shortened(
+        self, moved: Floats, way: Floats, slope: float, load: Floats, potential: float
+    ) -> tuple[Floats, float, Floats, float] | None:
+        """State on a way down from another at which the potential energy has fallen as it ought to; None without one.
+
+        Beside it the energy and its gradient there, and by how much the potential energy has changed.
+        """
+        length = 1.0
+        for _ in range(MOST_HALVINGS):
+            trial = moved + length * way
+            energy, inner, _ = self.energy(trial)
+            change = float(energy - np.vdot(load, trial) - potential)
+            # Near the end the energy's rounding hides its change.
+            if change <= -ROOM * length * slope + 1e-12 * abs(potential):
+                return trial, energy, inner, change
+            length *= 0.5
+        return None
 
     def _settling(self, load: Floats) -> Settling:
         """Settle under one load; yields residuals (n, 3) N and is sent what the solid at rest makes of them."""
@@ -250,11 +302,9 @@ class Solid:
             return other
 
     def _newton(
-        self, start: Floats, load: Floats, factor: Cholesky | None, tolerance: float = TOLERANCE
+        self, start: Floats, load: Floats, factor: Cholesky | None
     ) -> Generator[Floats, Floats, tuple[Floats, int, int, bool, Cholesky | None]]:
         """Newton's method from a state (n, 3) m; a factor serves as preconditioner in place of that at rest.
-
-        With ties the caller's preconditioner is kept.
 
         Returns the state, steps, iterations, whether it converged, and the last factor.
         """
@@ -264,38 +314,31 @@ class Solid:
         if size == 0.0:
             return np.zeros_like(moved), 0, 0, True, factor
         energy, inner, _ = self.energy(moved)
-        potential = energy - np.vdot(load, moved)
+        potential = float(energy - np.vdot(load, moved))
         before: float | None = None
         for step in range(MOST_STEPS):
             residual = np.where(held, 0.0, load - inner)
             # At rest's norm whatever the preconditioner, so that the tolerance means the same.
             error = math.sqrt(max(float(np.vdot(residual, (yield residual))), 0.0)) / size
-            if error <= tolerance:
+            if error <= TOLERANCE:
                 return moved, step, iterations, True, factor
             # Eisenstat & Walker 1996, choice 2: no more accurate than the step deserves.
             forcing = 0.1 if before is None else min(0.1, 0.9 * (error / before) ** 2)
             before = error
-            forcing = max(forcing, 0.1 * tolerance / error)
+            forcing = max(forcing, 0.1 * TOLERANCE / error)
             way, used = yield from self._direction(moved, residual, forcing, factor)
             iterations += used
-            slope, length = float(np.vdot(residual, way)), 1.0
-            for _ in range(MOST_HALVINGS):
-                trial = moved + length * way
-                energy, inner, _ = self.energy(trial)
-                change = energy - np.vdot(load, trial) - potential
-                # Near the end the energy's rounding hides its change.
-                if change <= -ROOM * length * slope + 1e-12 * abs(potential):
-                    break
-                length *= 0.5
-            else:
+            shortened = self._shortened(moved, way, float(np.vdot(residual, way)), load, potential)
+            if shortened is None:
                 return moved, step, iterations, False, factor
-            moved, potential = trial, potential + change
-            if used > WORN and self.ties is None:
+            moved, energy, inner, change = shortened
+            potential += change
+            if used > WORN:
                 factor = self._factor_or(moved, factor)
         return moved, MOST_STEPS, iterations, False, factor
 
     def _direction(
-        self, moved: Floats, residual: Floats, forcing: float, factor: Cholesky | None
+        self, moved: Floats, residual: Floats, forcing: float, factor: Preconditioner | None
     ) -> Generator[Floats, Floats, tuple[Floats, int]]:
         """Newton's direction: see conjugate_gradients."""
         matrix = self.tangent(moved)
@@ -303,7 +346,7 @@ class Solid:
         def apply(way: Floats) -> Floats:
             found: Floats = (matrix @ way.ravel()).reshape(way.shape)
             if self.ties is not None:
-                found += self.ties.T @ (self.ties @ way)
+                found += self.ties[:, None] * way
             found[self.held] = 0.0
             return found
 
@@ -311,7 +354,7 @@ class Solid:
 
 
 def conjugate_gradients(
-    apply: Callable[[Floats], Floats], right: Floats, forcing: float, factor: Cholesky | None
+    apply: Callable[[Floats], Floats], right: Floats, forcing: float, factor: Preconditioner | None
 ) -> Generator[Floats, Floats, tuple[Floats, int]]:
     """Solution (n, 3), to `forcing` of the right-hand side in the preconditioner's norm, and iterations.
 
@@ -338,6 +381,16 @@ def conjugate_gradients(
         way += alpha * p
         r = r - alpha * q
     return way, iteration
+
+
+def _answer(run: Generator[Floats, Floats, tuple[Floats, int]]) -> tuple[Floats, int]:
+    """What conjugate gradients end with that ask nobody."""
+    try:
+        next(run)
+    except StopIteration as end:
+        found: tuple[Floats, int] = end.value
+        return found
+    raise AssertionError("a factor preconditions")
 
 
 def _advance(

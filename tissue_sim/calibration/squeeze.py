@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lu_factor, lu_solve
-from scipy.sparse import csr_array
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.calibration.cholesky import Cholesky, NotPositive
+from tissue_sim.calibration.cholesky import NotPositive
 from tissue_sim.calibration.fe_mesh import Grading
 from tissue_sim.calibration.fem import Body
 from tissue_sim.calibration.solid import Solid
 from tissue_sim.organ.organ import Organ
 
 FINE = Grading(near=1)  # where an organ may be touched: two nodes on an edge of its surface
-TIE = 2000.0  # N/m, by which a touching point is held to its place on the sphere: 10 um under 20 mN
+TIE = 2000.0  # N/m, by which a touching node is held to its place on the sphere: 10 um under 20 mN
 ENTERED = 1e-6  # m inside a sphere
-MOST_ROUNDS = 12  # of finding out which points touch, at one depth
-TOLERANCE = 1e-4  # of what the ties would do to the linear solid, in the energy norm
-WORN = 30  # iterations at one depth, after which a factor about the state reached costs less than more of them
-
-
-class Points(NamedTuple):
-    """What of a solid's surface may touch: weighted sums of its nodes."""
-
-    rest: Floats  # (k, 3) m
-    weights: csr_array  # (k, n)
+MOST_ROUNDS = 40  # of finding out which nodes touch, at one depth
+ROUGH, TOLERANCE = 1e-3, 1e-6  # of the energy: while it is found out which nodes touch, and of what is kept
+HALVINGS = 4  # of a step at whose end nothing settles
 
 
 class Squeezed(NamedTuple):
@@ -38,12 +29,12 @@ class Squeezed(NamedTuple):
 
     displacement: Floats  # (n, 3) m of all nodes
     forces: Floats  # (s, 3) N of the spheres on the solid
-    touching: Longs  # points that touch
+    touching: Longs  # nodes that touch
     least_det: float  # det F where the solid is compressed most
     settled: bool
 
 
-def touchable(organ: Organ, touched: NDArray[np.bool_]) -> tuple[Solid, Points]:
+def touchable(organ: Organ, touched: NDArray[np.bool_], grading: Grading = FINE) -> tuple[Solid, Longs]:
     """Finite elements of an organ that may be touched around surface nodes (n,), and isn't where it is held.
 
     They are fine there, so that contact is that of a sphere, and touched at all nodes of their own. Raises UserError
@@ -51,102 +42,162 @@ def touchable(organ: Organ, touched: NDArray[np.bool_]) -> tuple[Solid, Points]:
     """
     touched = touched.copy()
     touched[organ.fixed] = False
-    body = Body(organ, np.flatnonzero(touched), FINE)
-    return body.solid, own_points(body, np.flatnonzero(touched[organ.surface_triangles].all(axis=1)))
+    body = Body(organ, np.flatnonzero(touched), grading)
+    return body.solid, own_nodes(body, np.flatnonzero(touched[organ.surface_triangles].all(axis=1)))
 
 
-def own_points(body: Body, near: Longs) -> Points:
+def own_nodes(body: Body, near: Longs) -> Longs:
     """The solid's own nodes on the organ's triangles of numbers near (t,): where it is touched in truth."""
-    nodes = np.unique(body.filling.facets[np.isin(body.filling.triangle, near)])
-    ones = np.ones(len(nodes)), (np.arange(len(nodes)), nodes)
-    return Points(body.solid.nodes[nodes], csr_array(ones, shape=(len(nodes), body.n_nodes)))
+    return np.unique(body.filling.facets[np.isin(body.filling.triangle, near)]).astype(np.int64)
 
 
-class Held:
-    """What a solid tied at some of its points gives way by: a factor without ties, and their part by Woodbury.
+def squeezed(solid: Solid, nodes: Longs, paths: Floats, radius: float) -> list[Squeezed]:
+    """Equilibria of a solid whose nodes (k,) stick to spheres that go along paths (steps, s, 3) m.
 
-    A spring to a point is so much stiffer than the solid that conjugate gradients would take an iteration for each.
+    A node that comes to lie inside a sphere is tied to the nearest place on it, and let go once it would be pulled.
+    One entry a step; ends at the first at which no equilibrium is found, however short the steps that lead there.
     """
-
-    def __init__(self, solid: Solid, factor: Cholesky, points: Points) -> None:
-        self._solid, self._factor, self._points = solid, factor, points
-        self._gives: dict[int, Floats] = {}  # of a point, (3, n, 3) m/N
-
-    def anew(self, moved: Floats) -> Held:
-        """The same about another state (n, 3) m; this one where that would not be stable without ties."""
-        try:
-            return Held(self._solid, self._solid.factor(moved), self._points)
-        except NotPositive:
-            return self
-
-    def tied(self, stuck: Longs) -> Callable[[Floats], Floats]:
-        """Displacements (n, 3) m for forces (n, 3) N with ties at points (k,)."""
-        weights = csr_array(self._points.weights[stuck])
-        new = [point for point in stuck.tolist() if point not in self._gives]
-        if new:
-            pulls = np.einsum("kn,ab->kanb", self._points.weights[new].toarray(), np.eye(3))
-            gives = self._factor.solve(pulls.reshape(3 * len(new), -1).T).T.reshape(len(new), 3, -1, 3)
-            self._gives.update(zip(new, gives, strict=True))
-        if not len(stuck):
-            return self._untied
-        gives = np.concatenate([self._gives[point] for point in stuck.tolist()])  # (3k, n, 3)
-        among = np.stack([(weights @ give).ravel() for give in gives], axis=1)
-        small = lu_factor(among + np.eye(len(among)) / TIE)
-
-        def precondition(force: Floats) -> Floats:
-            moved = self._untied(force)
-            pulls = lu_solve(small, (weights @ moved).ravel())
-            return moved - np.tensordot(pulls, gives, axes=1)
-
-        return precondition
-
-    def _untied(self, force: Floats) -> Floats:
-        return self._factor.precondition(force.reshape(-1, 1)).reshape(force.shape)
-
-
-def squeezed(solid: Solid, points: Points, paths: Floats, radius: float) -> list[Squeezed]:
-    """Equilibria of a solid whose points stick to spheres that go along paths (steps, s, 3) m.
-
-    A point that comes to lie inside a sphere is tied to the nearest place on it, and let go once it would be pulled.
-    One entry a step; ends at the first at which no equilibrium is found.
-    """
-    rest, weights = points
-    owner = np.full(len(rest), -1)
-    place = np.zeros_like(rest)  # on the owner's surface, from its centre
-    moved = np.zeros_like(solid.nodes)
-    held = Held(solid, solid.factor(moved), points)
+    run = _Squeeze(solid, nodes, radius)
     found: list[Squeezed] = []
+    before = paths[0]
     for centres in paths:
-        settled, iterations = False, 0
-        push = np.zeros_like(rest)
-        for _ in range(MOST_ROUNDS):
-            stuck = owner >= 0
-            tied = csr_array(weights[stuck])
-            solid.ties = math.sqrt(TIE) * tied
-            wanted = centres[owner[stuck]] + place[stuck] - rest[stuck]
-            load, precondition = tied.T @ (TIE * wanted), held.tied(np.flatnonzero(stuck))
-            moved, converged, used = solid.follow(moved, load, precondition, TOLERANCE)
-            iterations += used
-            push[:] = 0.0
-            push[stuck] = TIE * (wanted - tied @ moved)
-            away = (rest + weights @ moved)[:, None] - centres
-            gap = np.linalg.norm(away, axis=2) - radius
-            pulled = stuck & (np.einsum("kx,kx->k", push, place) < 0.0)
-            nearest = gap.argmin(axis=1)
-            entered = ~stuck & (gap.min(axis=1) < -ENTERED)
-            settled = converged and not pulled.any() and not entered.any()
-            if settled or not converged:
-                break
-            owner[pulled] = -1
-            owner[entered] = nearest[entered]
-            way = away[entered, nearest[entered]]
-            place[entered] = radius * way / np.linalg.norm(way, axis=1)[:, None]
-        forces = np.array([push[owner == sphere].sum(axis=0) for sphere in range(len(centres))])
-        least = solid.energy(moved)[2]
-        found.append(Squeezed(moved, forces, np.flatnonzero(owner >= 0), least, settled))
-        if not settled:
+        found.append(run.go(before, centres))
+        if not found[-1].settled:
             break
-        if iterations > WORN:
-            held = held.anew(moved)
+        before = centres
     solid.ties = None
     return found
+
+
+class Tied:
+    """What a solid with ties gives way by: a factor with those of some time, and what changed since by Woodbury.
+
+    A tie is so much stiffer than the solid that conjugate gradients would take three iterations for each.
+    """
+
+    def __init__(self, solid: Solid) -> None:
+        assert solid.ties is not None
+        self._solid = solid
+        self._take(np.zeros_like(solid.nodes))
+
+    def _take(self, moved: Floats) -> None:
+        self._factor, self._ties = self._solid.factor(moved), self._solid.ties
+        self._gives: dict[int, Floats] = {}  # of a node, (3n, 3) m/N
+        self._changed: Longs = np.zeros(0, dtype=np.int64)
+
+    def renew(self, moved: Floats) -> None:
+        """Know what holds about a state (n, 3) m; go on with what was known where that is unstable."""
+        with suppress(NotPositive):
+            self._take(moved)
+
+    def retie(self) -> None:
+        """Take up the solid's ties."""
+        assert self._solid.ties is not None
+        assert self._ties is not None
+        change = self._solid.ties - self._ties
+        self._changed = np.flatnonzero(change)
+        new = [node for node in self._changed.tolist() if node not in self._gives]
+        if new:
+            pulls = np.zeros((len(change) * 3, 3 * len(new)))
+            pulls[_axes(np.array(new)), np.arange(3 * len(new))] = 1.0
+            gives = self._factor.precondition(pulls).reshape(-1, len(new), 3)
+            self._gives.update((node, gives[:, which]) for which, node in enumerate(new))
+        if len(self._changed):
+            self._give = np.concatenate([self._gives[node] for node in self._changed.tolist()], axis=1)
+            among = self._give[_axes(self._changed)]
+            self._small = lu_factor(among + np.diag(1.0 / np.repeat(change[self._changed], 3)))
+
+    def precondition(self, right: Floats) -> Floats:
+        """Displacements (3n, c) m for forces (3n, c) N."""
+        moved = self._factor.precondition(right)
+        if not len(self._changed):
+            return moved
+        return np.asarray(moved - self._give @ lu_solve(self._small, moved[_axes(self._changed)]))
+
+
+def _axes(nodes: Longs) -> Longs:
+    """Unknowns (3k,) of nodes (k,)."""
+    return np.asarray((3 * nodes[:, None] + np.arange(3)).ravel())
+
+
+class _Squeeze:
+    """A solid on the way between spheres of one radius, m, that touch it at nodes (k,)."""
+
+    def __init__(self, solid: Solid, nodes: Longs, radius: float) -> None:
+        self._solid, self._nodes, self._radius = solid, nodes, radius
+        self._owner = np.full(len(nodes), -1)  # which sphere holds each
+        self._place = np.zeros((len(nodes), 3))  # m from its centre
+        self._moved = np.zeros_like(solid.nodes)
+        solid.ties = np.zeros(len(solid.nodes))
+        self._tied = Tied(solid)
+
+    def go(self, start: Floats, end: Floats) -> Squeezed:
+        """Where it comes to rest when the spheres go from centres (s, 3) m to others."""
+        at, share = 0.0, 1.0
+        while True:
+            kept = self._owner.copy(), self._place.copy(), self._moved
+            wanted = min(1.0, at + share)
+            settled = self._settle(start + wanted * (end - start))
+            if settled:
+                at, share = wanted, 2.0 * share
+            elif share < 0.5**HALVINGS or np.array_equal(start, end):
+                break
+            else:
+                share *= 0.5
+                self._owner, self._place, self._moved = kept
+            if at >= 1.0:
+                break
+        return self._found(end, settled)
+
+    def _settle(self, centres: Floats) -> bool:
+        """Whether an equilibrium was found for spheres at centres (s, 3) m, from where the solid is."""
+        solid, nodes = self._solid, self._nodes
+        tolerance = ROUGH
+        for _ in range(MOST_ROUNDS):
+            stuck = self._owner >= 0
+            solid.ties = np.zeros(len(solid.nodes))
+            solid.ties[nodes[stuck]] = TIE
+            load = np.zeros_like(solid.nodes)
+            load[nodes[stuck]] = TIE * self._wanted(centres)
+            self._tied.retie()
+            found = solid.follow(self._moved, load, self._tied, tolerance)
+            if not found.converged:
+                return False
+            self._moved = found.displacement
+            changed = self._touch(centres)
+            if not changed and tolerance == TOLERANCE:
+                return True
+            tolerance = ROUGH if changed else TOLERANCE
+        return False
+
+    def _wanted(self, centres: Floats) -> Floats:
+        """Displacements (t, 3) m at which the nodes that touch lie at their places."""
+        stuck = self._owner >= 0
+        return np.asarray(centres[self._owner[stuck]] + self._place[stuck] - self._solid.nodes[self._nodes[stuck]])
+
+    def _pushes(self, centres: Floats) -> Floats:
+        """What the spheres push the nodes with, (k, 3) N."""
+        stuck = self._owner >= 0
+        push = np.zeros((len(self._nodes), 3))
+        push[stuck] = TIE * (self._wanted(centres) - self._moved[self._nodes[stuck]])
+        return push
+
+    def _touch(self, centres: Floats) -> bool:
+        """Tie nodes that have come to lie inside a sphere, let those go that are pulled; returns whether there are."""
+        away = (self._solid.nodes[self._nodes] + self._moved[self._nodes])[:, None] - centres
+        gap = np.linalg.norm(away, axis=2) - self._radius
+        stuck = self._owner >= 0
+        pulled = stuck & (np.einsum("kx,kx->k", self._pushes(centres), self._place) < 0.0)
+        nearest = gap.argmin(axis=1)
+        entered = ~stuck & (gap.min(axis=1) < -ENTERED)
+        self._owner[pulled] = -1
+        self._owner[entered] = nearest[entered]
+        way = away[entered, nearest[entered]]
+        self._place[entered] = self._radius * way / np.linalg.norm(way, axis=1)[:, None]
+        return bool(pulled.any() or entered.any())
+
+    def _found(self, centres: Floats, settled: bool) -> Squeezed:
+        push = self._pushes(centres)
+        forces = np.array([push[self._owner == sphere].sum(axis=0) for sphere in range(len(centres))])
+        touching = self._nodes[self._owner >= 0]
+        return Squeezed(self._moved, forces, touching, self._solid.energy(self._moved)[2], settled)

@@ -19,6 +19,7 @@ WORST = 4  # cases with pictures
 _REFERENCE, _MODEL, _LINEAR = "#2166ac", "#d55e00", "#777777"
 _SKIN, _LOADED = (0.62, 0.72, 0.86), (0.90, 0.60, 0.42)
 _SIDE = 420  # pixels
+_ERRORS, _COLOURS, _BANDS = "viridis", 256, 8  # colour map of errors, its colours, and how many are used
 
 
 def lines(figures: dict[str, Any]) -> Iterator[str]:
@@ -115,23 +116,28 @@ def _release(found: Calibrated) -> Any:
 
 
 def _worst(found: Calibrated) -> Any:
-    """The worst cases: the settled finite-element body, the model, and how far apart they are at every node."""
+    """The worst cases: the settled finite elements, the model coloured by its distance from them, and both by node."""
+    from matplotlib.cm import ScalarMappable
+
     error = errors(found.found.displacement, found.wanted.displacement)
     cases = np.argsort(-error)[:WORST]
-    figure = _figure(9.0, 3.1 * len(cases))
+    figure = _figure(10.0, 3.1 * len(cases))
     rows = figure.subplots(len(cases), 3, squeeze=False)
     rest = found.organ.surface_positions
     for case, row in zip(cases, rows, strict=True):
         wanted, answer = found.wanted.displacement[case], found.found.displacement[case]
         view = _view(rest, found.organ.surface_positions[found.cases.centre[case][0]])
         loaded = np.any(found.cases.force[case] != 0.0, axis=1)
-        for axis, moved in ((row[0], wanted), (row[1], answer)):
-            axis.imshow(_picture(found, view, rest + moved, loaded))
+        moved_mm, off_mm = 1e3 * np.linalg.norm(wanted, axis=1), 1e3 * np.linalg.norm(answer - wanted, axis=1)
+        bands = _bands(float(off_mm.max()))
+        row[0].imshow(_loaded_picture(found, view, rest + wanted, loaded))
+        row[1].imshow(_error_picture(found, view, rest + answer, off_mm, bands))
+        for axis in row[:2]:
             axis.set_axis_off()
+        figure.colorbar(ScalarMappable(bands, _ERRORS), ax=row[1], shrink=0.8, label="off by (mm)", format="%.3g")
         row[0].set_title(f"{found.cases.kind[case]}, finite elements", fontsize=10, loc="left")
         settled = "" if found.found.converged[case] else ", not settled"
         row[1].set_title(f"model, {100.0 * error[case]:.1f} % off{settled}", fontsize=10, loc="left")
-        moved_mm, off_mm = 1e3 * np.linalg.norm(wanted, axis=1), 1e3 * np.linalg.norm(answer - wanted, axis=1)
         row[2].plot(moved_mm[~loaded], off_mm[~loaded], ".", color=_LINEAR, markersize=3)
         row[2].plot(moved_mm[loaded], off_mm[loaded], ".", color=_MODEL, label="loaded nodes")
         row[2].set_xlabel("displacement (mm)")
@@ -148,8 +154,25 @@ def _view(rest: Floats, pressed: Floats) -> View:
     return view_of(rest, towards, (0.0, 0.0, 1.0) if upright else (0.0, 1.0, 0.0), (_SIDE, _SIDE), 0.12)
 
 
-def _picture(found: Calibrated, view: View, positions: Floats, loaded: NDArray[np.bool_]) -> Any:
-    """Rendered surface, its loaded triangles in another colour."""
+def _bands(largest: float) -> Any:
+    """Return the norm of a colour map for errors from 0 to the largest, mm."""
+    from matplotlib.colors import BoundaryNorm
+
+    return BoundaryNorm(np.linspace(0.0, max(largest, 1e-6), _BANDS + 1), _COLOURS, extend="neither")
+
+
+def _error_picture(found: Calibrated, view: View, positions: Floats, off_mm: Floats, bands: Any) -> Any:
+    """Render the surface at positions (n, 3) m, each triangle coloured by the mean error of its corners, mm (n,)."""
+    from matplotlib import colormaps
+
+    triangles = found.organ.surface_triangles
+    band = np.asarray(bands(off_mm[triangles].mean(axis=1)))
+    skins = ((triangles[band == one], colormaps[_ERRORS](int(one))[:3]) for one in np.unique(band))
+    return draw(view, [Solid(positions, some, colour, lines=0.6) for some, colour in skins])
+
+
+def _loaded_picture(found: Calibrated, view: View, positions: Floats, loaded: NDArray[np.bool_]) -> Any:
+    """Render the surface at positions (n, 3) m, the triangles of loaded nodes (n,) in another colour."""
     triangles = found.organ.surface_triangles
     pressed = loaded[triangles].all(axis=1)
     skins = ((triangles[~pressed], _SKIN), (triangles[pressed], _LOADED))

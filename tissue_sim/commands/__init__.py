@@ -3,6 +3,7 @@
 # Module and summary of each. Those of the bench and of ROS stand with what they run.
 COMMANDS = {
     "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
+    "phantom": ("tissue_sim.commands.phantom", "write a CT of no patient, to try `tissue_sim build` on"),
     "build": ("tissue_sim.commands.build", "make an organ from a CT, a mask or a surface mesh"),
     "abdomen": ("tissue_sim.commands.abdomen", "make a scene of liver, kidneys and spleen that breathe"),
     "info": ("tissue_sim.commands.info", "print what an organ file holds"),

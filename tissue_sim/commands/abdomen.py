@@ -113,7 +113,7 @@ def _masks(folder: Path | None) -> Mapping[str, Any]:
         from tissue_sim.organ.imaging.abdomen import make_abdomen
 
         return make_abdomen()
-    from tissue_sim.organ.imaging.image import read_mask
+    from tissue_sim.organ.imaging.masks import read_mask
 
     return {part.name: read_mask(_mask_file(folder, part.name)) for part in PARTS}
 

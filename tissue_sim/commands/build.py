@@ -51,7 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     source.add_argument("--series", metavar="UID", help="series to read when the DICOM folder holds several")
     source.add_argument("--mask", metavar="FILE", help="start from a segmentation (same formats) instead of a seed")
-    source.add_argument("--label", type=int, metavar="N", help="value of the organ in --mask when it holds several")
+    source.add_argument(
+        "--label",
+        metavar="N|NAME",
+        help="value, segment number or name of the organ in --mask when it holds several; LAYER:N where a number comes"
+        " in several layers of a file",
+    )
     source.add_argument(
         "--inclusion",
         action="append",
@@ -66,8 +71,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--keep-points", action="store_true", help="keep the points of --surface and their order")
     source.add_argument("--unit", choices=_UNITS, help="length unit of --surface where the format doesn't say")
     source.add_argument("--length", type=float, metavar="METRES", help="longest side of --surface, instead of a unit")
-    source.add_argument("--part", metavar="N", help="part of --surface to take, 1 the largest, or its name in the file")
-    source.add_argument("--merge-parts", action="store_true", help="join all that the parts of --surface enclose")
+    source.add_argument(
+        "--part", metavar="N", help="part of --mask or --surface to take, 1 the largest, or its name in a --surface"
+    )
+    source.add_argument(
+        "--merge-parts",
+        action="store_true",
+        help="join all parts of --mask, or all that the parts of --surface enclose",
+    )
     organ = parser.add_argument_group("the organ")
     organ.add_argument("--out", default="organ.npz", metavar="FILE", help="organ file to write (default: %(default)s)")
     organ.add_argument(
@@ -181,7 +192,11 @@ def _add_stages(parser: argparse.ArgumentParser) -> None:
         help="what the organ is, so that even a small leak into a neighbour is noticed: kidney, liver, spleen, heart,"
         " bladder, prostate, or any (default: %(default)s)",
     )
-    group.add_argument("--accept", action="store_true", help="pass on with a warning what can't be that organ")
+    group.add_argument(
+        "--accept",
+        action="store_true",
+        help="pass on with a warning what can't be that organ, or has another volume than it was made from",
+    )
     for item in dataclasses.fields(SegmentationParameters):
         default = f" (default: {item.default:g})" if item.default is not None else ""
         text = item.metadata["help"].replace("%", "%%")
@@ -235,6 +250,10 @@ def _source(args: argparse.Namespace) -> str:
     if len(given) > 1:
         raise UserError(f"{' and '.join(what for what, _ in given)} were given; choose one")
     what, path = given[0]
+    if args.part and args.merge_parts:
+        raise UserError("--part and --merge-parts were given; choose one")
+    if what == "--mask" and args.part and not args.part.isdigit():
+        raise UserError(f"--part {args.part} is no number; parts of a mask have no names: 1 is the largest")
     seeded = args.seed or args.seed_voxel
     if what == "IMAGE" and not seeded:
         raise UserError("an image needs a point inside the organ: --seed X,Y,Z or --seed-voxel I,J,K")
@@ -248,10 +267,9 @@ def _source(args: argparse.Namespace) -> str:
         ("--inclusion", args.inclusion, "--mask"),
         ("--unit", args.unit, "--surface"),
         ("--length", args.length is not None, "--surface"),
-        ("--part", args.part, "--surface"),
-        ("--merge-parts", args.merge_parts, "--surface"),
+        ("--part", args.part and what == "IMAGE", "--mask and --surface"),
+        ("--merge-parts", args.merge_parts and what == "IMAGE", "--mask and --surface"),
         ("--keep-points", args.keep_points, "--surface"),
-        ("--accept", args.accept, "IMAGE"),
         *((_option(name), getattr(args, name) is not None, "IMAGE") for name in stages),
     ):
         if value and owner != what:
@@ -299,16 +317,20 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
             part = int(args.part) if args.part and args.part.isdigit() else args.part
             mesh = read_mesh(args.surface, args.unit, longest=args.length, part=part, merge_parts=args.merge_parts)
         return organ_from_mesh(mesh, request, args.keep_points, progress=progress)
-    from tissue_sim.organ.imaging.image import read_image, read_masks
-
     if args.mask:
+        from tissue_sim.organ.imaging.mask_parts import one_part
+        from tissue_sim.organ.imaging.masks import read_masks
+
         wanted = parse_inclusions(args.inclusion, args.label)
         with progress.stage("read"):
             mask, *parts = read_masks(args.mask, args.label, list(wanted))
+            mask = one_part(mask, int(args.part) if args.part else None, merge=args.merge_parts)
             request = dataclasses.replace(request, inclusions=surrounded(parts, wanted, progress))
         for note in mask.notes:
             progress.say(note)
         return organ_from_mask(mask, request, progress=progress)
+    from tissue_sim.organ.imaging.image import read_image
+
     parameters = _parameters(args)
     given = parse_triple("--seed", args.seed) if args.seed else parse_triple("--seed-voxel", args.seed_voxel)
     with progress.stage("read"):

@@ -14,15 +14,17 @@ if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume
 
 
-def parse_inclusions(given: Sequence[str], label: int | None = None) -> dict[int, float]:
+def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str, float]:
     """How many times as stiff each label is. Raises UserError for what isn't N:TIMES, or a label that comes twice."""
-    found: dict[int, float] = {}
+    found: dict[str, float] = {}
     for text in given:
-        number, _, times = text.partition(":")
+        part, _, times = text.rpartition(":")
         try:
-            part, stiffness = int(number), float(times)
+            stiffness = float(times)
         except ValueError:
-            raise UserError(f"--inclusion {text} is no label and factor; write it as 2:5") from None
+            stiffness, part = 0.0, ""
+        if not part:
+            raise UserError(f"--inclusion {text} is no label and factor; write it as 2:5")
         if part in found or part == label:
             raise UserError(f"--inclusion {text}: label {part} is given twice")
         check_stiffness(stiffness)
@@ -30,7 +32,7 @@ def parse_inclusions(given: Sequence[str], label: int | None = None) -> dict[int
     return found
 
 
-def surrounded(parts: Sequence[Volume], wanted: Mapping[int, float], progress: Progress) -> tuple[Inclusion, ...]:
+def surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: Progress) -> tuple[Inclusion, ...]:
     """Inclusions around what each label covers, in the order of their masks."""
     from tissue_sim.organ.surfaces.inclusion_surface import surround
 

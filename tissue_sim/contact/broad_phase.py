@@ -54,8 +54,10 @@ def boxes_apart(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
 
 
 @kernel
-def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: Any, found: Any) -> tuple[int, float]:
-    """Write the triangles (t, 3) whose box meets the box low, high (3,).
+def triangles_in_box(
+    position: Any, rest: Any, triangles: Any, low: Any, high: Any, found: Any, number: Any
+) -> tuple[int, float]:
+    """Write the triangles (t, 3) whose box meets the box low, high (3,) to found (t, 3), and which they are to number.
 
     Returns how many, and how far, m along an axis, the farthest of their nodes lies from rest (n, 3).
     """
@@ -72,15 +74,25 @@ def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: A
                 found[count, c] = node
                 for axis in range(3):
                     moved = max(moved, abs(position[node, axis] - rest[node, axis]))
+            number[count] = t
             count += 1
     return count, moved
 
 
-class Lattice(NamedTuple):
-    """Where contact points lie on a triangle, beside its corners."""
+class Lattices(NamedTuple):
+    """Where contact points lie on a triangle whose edges are divided in so many parts, beside its corners."""
 
     weight: Any  # (k, 3) barycentric
     edge: Any  # (k,) which corner is opposite to the edge that a point is on, -1 for none
+    start: Any  # (m + 2,) the first point for each number of parts, up to m
+
+
+class Fineness(NamedTuple):
+    """How close together a body finds contact points."""
+
+    parts: Any  # (t,) in how many parts the edges of each triangle are divided
+    share: Any  # (t,) how many times as far as told of its nodes its points give way, and
+    corner_share: Any  # (n,) the corners
 
 
 class Search(NamedTuple):
@@ -88,7 +100,8 @@ class Search(NamedTuple):
 
     shapes: Any
     body: int
-    lattice: Lattice
+    lattices: Lattices
+    fineness: Fineness
     origin: Any
     rotation: Any
     reach: float
@@ -102,16 +115,17 @@ class Found(NamedTuple):
     node: Any  # (c, 3)
     weight: Any  # (c, 3) barycentric
     normal: Any  # (c, 3) outward unit normals of the tissue
+    share: Any  # (c,) see Fineness
 
 
 @kernel
-def points_near(position: Any, near: Any, search: Any, seen: Any, found: Any, count: int) -> int:
-    """Find the points of triangles near (t, 3) that lie within reach of a body: corners, and those of its lattice.
+def points_near(position: Any, near: Any, number: Any, search: Any, seen: Any, found: Any, count: int) -> int:
+    """Find the points of triangles near (t, 3) that lie within reach of a body: corners, and those of their lattices.
 
-    They are written after the first `count` as far as there is room; returns how many there are now. seen (n,): room,
-    zero outside this function.
+    number (t,): which triangles they are. The points are written after the first `count` as far as there is room;
+    returns how many there are now. seen (n,): room, zero outside this function.
     """
-    lattice = search.lattice
+    lattices, fineness = search.lattices, search.fineness
     for t in range(len(near)):
         for c in range(3):
             for axis in range(3):
@@ -123,12 +137,14 @@ def points_near(position: Any, near: Any, search: Any, seen: Any, found: Any, co
             node = nodes[c]
             if seen[node] == 0:
                 seen[node] = 1
-                count = _add_point(position, (node, node, node), (1.0, 0.0, 0.0), search, found, count)
-        for point in range(len(lattice.weight)):
-            edge, weight = lattice.edge[point], lattice.weight[point]
+                share = fineness.corner_share[node]
+                count = _add_point(position, (node, node, node), (1.0, 0.0, 0.0), share, search, found, count)
+        parts, share = fineness.parts[number[t]], fineness.share[number[t]]
+        for point in range(lattices.start[parts], lattices.start[parts + 1]):
+            edge, weight = lattices.edge[point], lattices.weight[point]
             # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
             if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
-                count = _add_point(position, nodes, (weight[0], weight[1], weight[2]), search, found, count)
+                count = _add_point(position, nodes, (weight[0], weight[1], weight[2]), share, search, found, count)
     for t in range(len(near)):
         for c in range(3):
             seen[near[t, c]] = 0
@@ -136,7 +152,7 @@ def points_near(position: Any, near: Any, search: Any, seen: Any, found: Any, co
 
 
 @kernel
-def _add_point(position: Any, nodes: Any, weight: Any, search: Any, found: Any, count: int) -> int:
+def _add_point(position: Any, nodes: Any, weight: Any, share: float, search: Any, found: Any, count: int) -> int:
     """Add a point where it is near the body; returns how many there are then."""
     x = y = z = nx = ny = nz = 0.0
     for c in range(3):
@@ -149,7 +165,7 @@ def _add_point(position: Any, nodes: Any, weight: Any, search: Any, found: Any, 
     if signed_distance(search.shapes, search.body, lx, ly, lz)[0] > search.reach:
         return count
     if count < len(found.node):
-        found.body[count] = search.body
+        found.body[count], found.share[count] = search.body, share
         for c in range(3):
             found.node[count, c] = nodes[c]
             found.weight[count, c] = weight[c]

@@ -11,8 +11,9 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.contact.broad_phase import (
+    Fineness,
     Found,
-    Lattice,
+    Lattices,
     Search,
     body_box,
     boxes_apart,
@@ -23,11 +24,17 @@ from tissue_sim.contact.broad_phase import (
     surface_box,
     triangles_in_box,
 )
-from tissue_sim.contact.local_compliance import OF_BALLS, OF_OTHERS, local_compliance, more_between, most_give
+from tissue_sim.contact.local_compliance import (
+    OF_BALLS,
+    OF_OTHERS,
+    local_compliance,
+    more_between,
+    most_give,
+)
 from tissue_sim.contact.tools import MARGIN, SLACK, ToolSet
 from tissue_sim.contact.triangles import nearest_weights
 from tissue_sim.model.contact_set import MOST_POINTS, ContactSet, Engaged, contact_set
-from tissue_sim.model.shapes import SPHERE, rotation_matrix
+from tissue_sim.model.shapes import CONVEX, GRID, SPHERE, rotation_matrix
 from tissue_sim.model.tool_motion import way_between
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.winding import inside
@@ -85,35 +92,46 @@ class ContactFinder:
         self.counters = FinderCounters()
         # Room for what a search finds.
         self._found = np.zeros((len(self.triangles), 3), dtype=np.int64)
+        self._number = np.zeros(len(self.triangles), dtype=np.int64)
         self._low, self._high = np.zeros(3), np.zeros(3)  # of the surface
         self._matrix, self._box_low, self._box_high = np.zeros(9), np.zeros(3), np.zeros(3)  # of a body
         self._normal, self._seen = np.zeros((self.n_surface, 3)), np.zeros(self.n_surface, dtype=np.int64)
         most = MOST_FOUND * len(tools.grown)
         whole = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
-        self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)))
+        self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)), np.zeros(most))
         self._rest = np.array(rest)
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         # Made once: python-fcl keeps 32 bytes of every one that goes.
         self._grown = [fcl.CollisionObject(shape, fcl.Transform()) for shape in tools.grown]
         corner = rest[self.triangles]
-        longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
+        edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)  # the longest of each triangle
+        longest = float(edges.max())
         self._is_fine = [longest > MOST_DIVISIONS * COARSEST * size for size in tools.smallest]
         gives = [OF_BALLS if kind == SPHERE else OF_OTHERS for kind in tools.shapes.kind.tolist()]
-        divisions = [
-            divisions_of(longest / (give.spacing * size)) for give, size in zip(gives, tools.smallest, strict=True)
-        ]
-        self._lattices = [lattice_of(count) for count in divisions]
+        self._lattices = lattices()
         order = np.argsort(self.triangles.ravel(), kind="stable")
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
-        # Of the area that belongs to a point of the body's lattice.
-        lattices = list(zip(gives, divisions, tools.smallest, strict=True))
-        parts = [count**2 * local_compliance(organ, size) for _, count, size in lattices]
-        self._compliance = np.reshape(parts, (len(parts), self.n_surface, 2))
-        self._between = np.array([more_between(give, organ, size) for give, _, size in lattices])
-        # A nearest point is another one each time, with no force that it could have given way to.
-        room = [most_give(give, size, longest / count) for give, count, size in lattices]
-        self._most_give = np.where(self._is_fine, 0.0, room)
+        self._finenesses: list[Fineness] = []
+        compliance, room = [], []
+        for give, size, kind, is_fine in zip(
+            gives, tools.smallest, tools.shapes.kind.tolist(), self._is_fine, strict=True
+        ):
+            # The face of a jaw lies on many triangles at once: as many points on each as the longest asks for would
+            # take most of a tick.
+            each = edges if kind in (CONVEX, GRID) and not is_fine else np.full(len(edges), longest)
+            parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])
+            # A point has one part in their square of a node's area.
+            whole = parts[0] ** 2
+            self._finenesses.append(_fineness(self.triangles, parts, self.n_surface, whole))
+            compliance.append(whole * local_compliance(organ, size))
+            # A nearest point is another one each time, with no force that it could have given way to.
+            room.append(0.0 if is_fine else most_give(give, organ, size, float((each / parts).max())))
+        self._compliance = np.reshape(compliance, (len(compliance), self.n_surface, 2))
+        self._between = np.array(
+            [more_between(give, organ, size) for give, size in zip(gives, tools.smallest, strict=True)]
+        )
+        self._most_give = np.array(room)
 
     def find(self, position: Floats, sought: Sought) -> ContactSet:
         """Return the contact set of bodies on a surface, position (n, 3) m, surface first: its points near them."""
@@ -144,6 +162,7 @@ class ContactFinder:
         found.weight[:], found.normal[:] = points.weight[chosen], points.normal[chosen]
         more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", found.weight, found.weight))
         compliance = self._compliance[found.body[:, None], found.node]
+        more *= points.share[chosen]
         found.compliance[:] = np.einsum("k,kc,kcx->kx", more, found.weight, compliance)
         found.most_give[:] = self._most_give[found.body]
         found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
@@ -162,7 +181,7 @@ class ContactFinder:
         self._place(body, pose, reach)
         low, high, some, moved = self._box_low, self._box_high, 0, 0.0
         if boxes_meet(low, high, self._low, self._high):
-            some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, self._found)
+            some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, self._found, self._number)
         # FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
         # near the body have moved by SLACK, it isn't asked.
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
@@ -170,8 +189,9 @@ class ContactFinder:
             self.counters.far_skips += 1
             return count, reach + boxes_apart(low, high, self._low, self._high) - TISSUE_WAY
         near = self._found[:some]
-        search = Search(self.tools.shapes, body, self._lattices[body], origin, self._matrix, reach, self._normal)
-        count = points_near(position, near, search, self._seen, self._points, count)
+        fineness = self._finenesses[body]
+        search = Search(self.tools.shapes, body, self._lattices, fineness, origin, self._matrix, reach, self._normal)
+        count = points_near(position, near, self._number[:some], search, self._seen, self._points, count)
         return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
@@ -258,6 +278,7 @@ class ContactFinder:
         taken = room.stop - room.start
         self._points.body[room], self._points.node[room] = body, corners[:taken]
         self._points.weight[room], self._points.normal[room] = weights[:taken], normal[:taken]
+        self._points.share[room] = 1.0
         return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
@@ -298,10 +319,23 @@ def divisions_of(wanted: float) -> int:
     return min(max(LEAST_DIVISIONS, math.ceil(wanted)), MOST_DIVISIONS)
 
 
-def lattice_of(parts: int) -> Lattice:
-    """Return the lattice of a body for which edges are divided in so many parts."""
-    weight = edge_and_face_points(parts)
-    return Lattice(weight, np.where(np.any(weight == 0.0, axis=1), np.argmin(weight, axis=1), -1))
+def lattices() -> Lattices:
+    """Return the points of triangles whose edges are divided in up to MOST_DIVISIONS parts."""
+    each = [edge_and_face_points(parts) if parts > 1 else np.zeros((0, 3)) for parts in range(MOST_DIVISIONS + 1)]
+    weight = np.concatenate(each)
+    edge = np.where(np.any(weight == 0.0, axis=1), np.argmin(weight, axis=1), -1)
+    return Lattices(weight, edge, np.cumsum([0, *map(len, each)]))
+
+
+def _fineness(triangles: Ints, parts: Longs, nodes: int, whole: float) -> Fineness:
+    """Return the points of triangles (t, 3) whose edges are divided in so many parts (t,).
+
+    whole: squared parts for which the compliance of nodes is told. Of a corner's triangles the mean counts.
+    """
+    share = np.square(parts.astype(np.float64)) / whole
+    count = np.bincount(triangles.ravel(), minlength=nodes)
+    total = np.bincount(triangles.ravel(), np.repeat(share, 3), nodes)
+    return Fineness(parts, share, total / np.maximum(count, 1))
 
 
 def edge_and_face_points(m: int) -> Floats:

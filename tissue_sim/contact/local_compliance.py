@@ -24,6 +24,7 @@ from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import node_area
 
 STRETCHED = 1.15  # times as far as at rest, that points lie apart under a tool
+LAYER = 0.5  # mean edges, that tissue between nodes gives way by at the most: with less a deep pinch is too stiff
 MOST_POISSON = 0.5
 
 
@@ -48,12 +49,14 @@ OF_BALLS = Give(spacing=0.45, most=0.8, covered=0.7, between=0.5)
 OF_OTHERS = Give(spacing=0.75, most=0.5, covered=1.0, between=0.0)
 
 
-def most_give(give: Give, smallest: float, spacing: float) -> float:
+def most_give(give: Give, organ: Organ, smallest: float, spacing: float) -> float:
     """Return how far tissue may give way, m; what sank in farther would slip between points `spacing` m apart.
 
-    smallest: radius of the finest thing about the tool, m.
+    smallest: radius of the finest thing about the tool, m. Waves that nodes don't carry are of a layer under the
+    surface, LAYER of an edge deep; it isn't squeezed by more than that.
     """
-    return max(0.0, min(give.most * smallest, smallest - give.covered * STRETCHED * spacing))
+    slips = smallest - give.covered * STRETCHED * spacing
+    return max(0.0, min(give.most * smallest, slips, LAYER * mean_edge(organ)))
 
 
 def more_between(give: Give, organ: Organ, smallest: float) -> float:

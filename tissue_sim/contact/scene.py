@@ -76,6 +76,7 @@ class Scene:
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
         self.joined: Joined | None = None  # what joins organs; of one that nothing joins: nothing
         self._pairs: PairFinder | None = None
+        self._found_at = self.offsets  # when they were last looked for
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
             self._own = [self_contact] * len(organs)
@@ -176,20 +177,27 @@ class Scene:
     def step(self) -> None:
         """Find the contacts when it is time, and advance by one tick."""
         if self._ticks % self._ticks_a_set == 0:
-            self._sequence += 1
-            for one in self.organs:
-                one.find(self._sequence)
-            self._find_pairs()
+            self.find()
         self._ticks += 1
         if self.joined is None:
             self.simulation.step()
         else:
             self.joined.step()
 
+    def find(self) -> None:
+        """Find what tools and organs may touch where they are now, and take it up."""
+        self._sequence += 1
+        for one in self.organs:
+            one.find(self._sequence)
+        self._find_pairs()
+
     def _find_pairs(self) -> None:
-        """Where organs touch each other, unless all of them sleep."""
-        if self._pairs is None or self.joined is None or all(one.asleep for one in self.simulations):
+        """Where organs touch each other, unless all of them sleep and the breath has not moved them since."""
+        offsets = self.offsets
+        is_still = np.array_equal(offsets, self._found_at) and all(one.asleep for one in self.simulations)
+        if self._pairs is None or self.joined is None or is_still:
             return
-        there = [one.positions + offset for one, offset in zip(self.simulations, self.offsets, strict=True)]
+        self._found_at = offsets
+        there = [one.positions + offset for one, offset in zip(self.simulations, offsets, strict=True)]
         own = [one and not simulation.asleep for one, simulation in zip(self._own, self.simulations, strict=True)]
         self.joined.take_pairs(self._pairs.find(there, own))

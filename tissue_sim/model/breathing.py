@@ -1,8 +1,8 @@
 """Breath: how far it moves what hangs on it, and what organs feel of that.
 
 An organ that breathes is simulated in the frame of its clamp, where that stands still. Tools come towards it as the
-frame goes the other way, and the frame's acceleration is a weight on its nodes: an organ that is moved so softly that
-this weight bends it by less than a hand could tell sleeps on.
+frame goes the other way, and the frame's acceleration is a weight on its nodes. What hardly bends an organ it doesn't
+feel (`unfelt`).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def follow(breath: Any, step: float) -> tuple[float, float, float]:
 
 @kernel
 def breathe(worlds: Any, carried: Any, step: float) -> None:
-    """Carry organs on by one tick of `step` s; carried: see `carried_with`."""
+    """Carry organs on by one tick of `step` s; carried: see `carried_with`. `share_loads` sets what they feel of it."""
     breath = carried.breath
     breath.time += step
     if breath.follows:
@@ -63,7 +63,7 @@ def breathe(worlds: Any, carried: Any, step: float) -> None:
         share, speed, change = breathed_in(breath.time, breath.period)
     carried.share[0], carried.share[1] = share, speed
     for organ in range(len(worlds)):
-        state, settings, moves = worlds[organ].state, worlds[organ].settings, carried.moves[organ]
+        state, moves = worlds[organ].state, carried.moves[organ]
         if moves == 0.0:
             continue
         for axis in range(3):
@@ -76,18 +76,15 @@ def breathe(worlds: Any, carried: Any, step: float) -> None:
                 if state.bodies[body].age >= 0:
                     state.held_pose[body, axis] -= shift
                     state.body_goal[body, axis] -= shift
-        weigh(settings, carried, organ)
 
 
 @kernel
-def weigh(settings: Any, carried: Any, organ: int) -> None:
-    """Set an organ's gravity, less its frame's acceleration where that can be felt."""
+def weigh(settings: Any, carried: Any, organ: int, share: float) -> None:
+    """Set an organ's gravity, less the share of its frame's acceleration that it feels."""
     change, gravity = carried.change[organ], carried.gravity[organ]
-    size = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
-    felt = 1.0 if size > carried.unfelt[organ] else 0.0
-    settings.gravity_x = gravity[0] - felt * change[0]
-    settings.gravity_y = gravity[1] - felt * change[1]
-    settings.gravity_z = gravity[2] - felt * change[2]
+    settings.gravity_x = gravity[0] - share * change[0]
+    settings.gravity_y = gravity[1] - share * change[1]
+    settings.gravity_z = gravity[2] - share * change[2]
 
 
 @kernel

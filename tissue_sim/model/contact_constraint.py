@@ -15,14 +15,15 @@ from typing import Any
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.contact_gap import INNER_SIDE, gap_and_normal, point_in_body
-from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, hold_squeezed
+from tissue_sim.model.squeezed import SQUEEZED_PASSES, find_squeezed, has_stiff_cells, hold_squeezed
 from tissue_sim.model.state import Region
 from tissue_sim.model.watched import FAST, tissue_speed
 
 NEAR = 5e-5  # m: points that close may come to touch while others are resolved
 MOST_NEAR = 256  # contact points resolved in a substep
 MOST_PASSES = 20  # over the contact points in a substep, and
-PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found
+PASSES_A_TICK = 40  # in a tick: short substeps begin with what the last one has found, but
+LEAST_PASSES = 6
 RECOVERY_SPEED = 0.2  # m/s at which a point that already lay inside a tool comes out at the most
 TOLERANCE = 1e-3  # of the sum of the normal impulses, which a pass may still change
 
@@ -75,7 +76,7 @@ def gather_contacts(
         for c in range(3):
             held[c] = last_held[c] - along * plane[c]
         scratch.near_normal[found] = along if given else pressed
-        copy(held, scratch.near_began[found])
+        begin_across(state, scratch, found)
         found += 1
     return found
 
@@ -92,6 +93,19 @@ def soften(state: Any, scratch: Any, near: int, scale: float) -> None:
         give = compliance[which] / scale if scale > 0.0 else 0.0
         whole = scratch.near_plane[near, 7] + give
         soft[2 * which], soft[2 * which + 1] = give, 1.0 / whole if whole > 0.0 else 0.0
+
+
+@kernel
+def begin_across(state: Any, scratch: Any, near: int) -> None:
+    """Note in scratch.near_began (N, 3) what the tissue between nodes gives way by across the normal, m, as it begins.
+
+    By scratch.near_tangent, which is the last substep's.
+    """
+    began, held, soft = scratch.near_began[near], scratch.near_tangent[near], scratch.near_soft[near, 2]
+    most = state.contacts.most_give[scratch.near_entry[near]]
+    size = soft * math.sqrt(held[0] * held[0] + held[1] * held[1] + held[2] * held[2])
+    back = soft if size <= most else soft * most / size
+    began[0], began[1], began[2] = back * held[0], back * held[1], back * held[2]
 
 
 @kernel
@@ -174,7 +188,7 @@ def look_again(state: Any, shapes: Any, scratch: Any, near: int, step: float) ->
     pressed = max(0.0, px * plane[0] + py * plane[1] + pz * plane[2])
     scratch.near_normal[near] = pressed
     held[0], held[1], held[2] = px - pressed * plane[0], py - pressed * plane[1], pz - pressed * plane[2]
-    copy(held, scratch.near_began[near])
+    begin_across(state, scratch, near)
 
 
 @kernel
@@ -237,8 +251,8 @@ def resolve_contacts(
         if scratch.near_normal[near] > 0.0:
             px, py, pz = whole_impulse(scratch, near)
             give_impulse(state, shapes, scratch, near, px, py, pz, 0.0 if spread else step)
-    most = min(MOST_PASSES, max(SQUEEZED_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
-    for turn in range(most if squeezed == 0 else SQUEEZED_PASSES):
+    most = min(MOST_PASSES, max(LEAST_PASSES, PASSES_A_TICK // max(1, state.status.substeps)))
+    for turn in range(SQUEEZED_PASSES if squeezed > 0 or has_stiff_cells(model) else most):
         held = hold_squeezed(state, mobility, scratch, squeezed, step)
         change = total = 0.0
         for near in range(found):
@@ -303,19 +317,18 @@ def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: 
     along = sx * nx + sy * ny + sz * nz
     sx, sy, sz = sx - along * nx, sy - along * ny, sz - along * nz
     # What the tissue between nodes had given way by when the substep began comes off it.
-    size = soft_across * math.sqrt(began[0] * began[0] + began[1] * began[1] + began[2] * began[2])
-    back = soft_across if size <= most else soft_across * most / size
-    sx, sy, sz = sx - back * began[0], sy - back * began[1], sz - back * began[2]
+    sx, sy, sz = sx - began[0], sy - began[1], sz - began[2]
     tx = held[0] - (sx + soft_across * held[0]) * stiffness_across
     ty = held[1] - (sy + soft_across * held[1]) * stiffness_across
     tz = held[2] - (sz + soft_across * held[2]) * stiffness_across
-    size = soft_across * math.sqrt(tx * tx + ty * ty + tz * tz)
-    if size > most and plane[7] > 0.0:
-        forth = soft_across * most / size
+    size = math.sqrt(tx * tx + ty * ty + tz * tz)
+    given = soft_across * size
+    if given > most and plane[7] > 0.0:
+        forth = soft_across * most / given
         tx = held[0] - (sx + forth * tx) / plane[7]
         ty = held[1] - (sy + forth * ty) / plane[7]
         tz = held[2] - (sz + forth * tz) / plane[7]
-    size = math.sqrt(tx * tx + ty * ty + tz * tz)
+        size = math.sqrt(tx * tx + ty * ty + tz * tz)
     share = 1.0 if size <= friction * normal else friction * normal / size
     px = (normal - pressed) * nx + share * tx - held[0]
     py = (normal - pressed) * ny + share * ty - held[1]

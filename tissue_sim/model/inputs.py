@@ -14,6 +14,7 @@ from tissue_sim.model.tool_motion import distance, quaternion_distance, way_betw
 CATCH_UP = 0.03  # s in which a tool makes good most of what it is behind its poses, where they told such a speed
 RESUMED = 1.0  # s without poses after which a hand that comes back is a new one
 MAX_BACKOFF = 8  # highest factor on the substeps
+AFTER_SLIP = 2  # factor, where a tool has slipped inside; more would not keep it out of a pinch, and last long
 CREEP = 1e-3, 1e-2  # m/s and 1/s at the least, so that it gets there
 
 
@@ -128,7 +129,7 @@ def put_back(state: Any, body: int) -> None:
     """Put a body that is inside on the surface, from where it presses anew: in shorter substeps, if it had slipped."""
     copy(state.contacts.place[body], state.body_pose[body])
     if state.bodies[body].engaged:
-        state.status.backoff = min(MAX_BACKOFF, 2 * state.status.backoff)
+        state.status.backoff = max(AFTER_SLIP, state.status.backoff)
         state.count.slips += 1
 
 

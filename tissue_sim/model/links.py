@@ -1,7 +1,8 @@
 """Links: springs that pull and never push, between two organs, or an organ and a point; of many a ligament is made.
 
 Organs that links join take their substeps together, and each link pulls anew in every one, as springs in an organ do.
-What it does to one end it does to the other, reversed. `frequency_of` says what they ask of the step.
+What it does to one end it does to the other, reversed, but for what an organ doesn't feel (`unfelt`): that its clamp
+bears. `least_substeps` says what they ask of the step.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Links(NamedTuple):
     damping: Floats  # (l,) N s/m
     lightness: Floats  # (l,) 1/kg of both ends, each times the links that share its node
     added: Floats  # (1,) (rad/s)^2 that they add at most to the square of a largest frequency
-    force: Floats  # (l, 3) N on the first end, in this substep
+    force: Floats  # (l, 3) N on the first end, in this substep, of which its organ may feel a share
 
 
 def make_links(count: int) -> Links:
@@ -81,47 +82,96 @@ def least_substeps(links: Links, frequency: float, tick_time: float) -> int:
 
 
 @kernel
-def wake_linked(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
-    """Load the nodes of links that are taut, so that the coming tick advances their organs, those that may be awake."""
-    links.force[:] = 0.0
-    pull_links(worlds, carried, links, awake, step)
+def measure_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, step: float) -> None:
+    """Find with what links pull at the beginning of a tick of `step` s, and how much that is for every organ.
+
+    Into links.force, unfelt.pulled and unfelt.bent; nothing is loaded. Organs that sleep count, those that are let go
+    don't.
+    """
+    for organ in range(len(worlds)):
+        unfelt.pulled[organ] = unfelt.bent[organ] = 0.0
+    for link in range(len(links.slack)):
+        force = links.force[link]
+        force[0] = force[1] = force[2] = 0.0
+        if is_there(worlds, links, link, 0, awake) and is_there(worlds, links, link, 1, awake):
+            force[0], force[1], force[2] = tension_of(worlds, carried, links, link, step)
+            size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+            for end in range(2):
+                organ = links.organ[link, end]
+                if organ >= 0:
+                    unfelt.pulled[organ] += size
+                    unfelt.bent[organ] += unfelt.give[link, end] * size
 
 
 @kernel
-def pull_links(worlds: Any, carried: Any, links: Any, awake: Any, step: float) -> None:
-    """Let every link whose organs are awake pull as it does in a substep of `step` s."""
+def load_links(worlds: Any, links: Any, unfelt: Any) -> None:
+    """Load the nodes of links with what their organs feel of it, so that the coming tick advances these."""
     for link in range(len(links.slack)):
-        if not (is_awake(links, link, 0, awake) and is_awake(links, link, 1, awake)):
-            continue
-        x0, y0, z0 = end_position(worlds, carried, links, link, 0)
-        x1, y1, z1 = end_position(worlds, carried, links, link, 1)
-        x, y, z = x1 - x0, y1 - y0, z1 - z0
-        length = math.sqrt(x * x + y * y + z * z)
-        stretch, tension = length - links.slack[link], 0.0
-        if stretch > SLIGHT and length > 0.0:
-            x, y, z = x / length, y / length, z / length
-            vx0, vy0, vz0 = end_speed(worlds, carried, links, link, 0)
-            vx1, vy1, vz1 = end_speed(worlds, carried, links, link, 1)
-            rate = x * (vx1 - vx0) + y * (vy1 - vy0) + z * (vz1 - vz0)
-            damping = links.damping[link]
-            # Implicitly, as far as it slows its own nodes down: it must not turn them around.
-            damping /= 1.0 + step * damping * links.lightness[link]
-            tension = max(0.0, links.stiffness[link] * stretch + damping * rate)
         force = links.force[link]
-        x, y, z = tension * x - force[0], tension * y - force[1], tension * z - force[2]
+        if force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0:
+            load_end(worlds, links, link, 0, unfelt.share, force[0], force[1], force[2])
+            load_end(worlds, links, link, 1, unfelt.share, -force[0], -force[1], -force[2])
+
+
+@kernel
+def pull_links(worlds: Any, carried: Any, links: Any, unfelt: Any, awake: Any, step: float) -> None:
+    """Let links of organs that this tick advances pull as they do in a substep of `step` s.
+
+    An organ that sleeps holds the other end where it is, and is not pulled; what wasn't taut when this tick began waits
+    for the next one, which may wake it.
+    """
+    for link in range(len(links.slack)):
+        first, second, force = is_awake(links, link, 0, awake), is_awake(links, link, 1, awake), links.force[link]
+        if not (first or second):
+            continue
+        all_move = (first or links.organ[link, 0] < 0) and (second or links.organ[link, 1] < 0)
+        if not all_move and force[0] == 0.0 and force[1] == 0.0 and force[2] == 0.0:
+            continue
+        x, y, z = tension_of(worlds, carried, links, link, step)
+        x, y, z = x - force[0], y - force[1], z - force[2]
         if x != 0.0 or y != 0.0 or z != 0.0:
             force[0] += x
             force[1] += y
             force[2] += z
-            load_end(worlds, links, link, 0, x, y, z)
-            load_end(worlds, links, link, 1, -x, -y, -z)
+            if first:
+                load_end(worlds, links, link, 0, unfelt.share, x, y, z)
+            if second:
+                load_end(worlds, links, link, 1, unfelt.share, -x, -y, -z)
+
+
+@kernel
+def tension_of(worlds: Any, carried: Any, links: Any, link: int, step: float) -> tuple[float, float, float]:
+    """With what a link pulls its first end in a substep of `step` s, N."""
+    x0, y0, z0 = end_position(worlds, carried, links, link, 0)
+    x1, y1, z1 = end_position(worlds, carried, links, link, 1)
+    x, y, z = x1 - x0, y1 - y0, z1 - z0
+    length = math.sqrt(x * x + y * y + z * z)
+    stretch = length - links.slack[link]
+    if stretch <= SLIGHT or length <= 0.0:
+        return 0.0, 0.0, 0.0
+    x, y, z = x / length, y / length, z / length
+    vx0, vy0, vz0 = end_speed(worlds, carried, links, link, 0)
+    vx1, vy1, vz1 = end_speed(worlds, carried, links, link, 1)
+    rate = x * (vx1 - vx0) + y * (vy1 - vy0) + z * (vz1 - vz0)
+    damping = links.damping[link]
+    # Implicitly, as far as it slows its own nodes down: it must not turn them around.
+    damping /= 1.0 + step * damping * links.lightness[link]
+    tension = max(0.0, links.stiffness[link] * stretch + damping * rate)
+    return tension * x, tension * y, tension * z
 
 
 @kernel
 def is_awake(links: Any, link: int, end: int, awake: Any) -> bool:
-    """True for a point, and for an organ that this tick advances."""
+    """True for an end at an organ that this tick advances."""
     organ = links.organ[link, end]
-    return organ < 0 or awake[organ] == 1
+    return organ >= 0 and awake[organ] == 1
+
+
+@kernel
+def is_there(worlds: Any, links: Any, link: int, end: int, awake: Any) -> bool:
+    """True for a point, and for an organ that isn't let go: one that this tick advances, or that sleeps."""
+    organ = links.organ[link, end]
+    return organ < 0 or awake[organ] == 1 or worlds[organ].state.status.asleep
 
 
 @kernel
@@ -149,8 +199,9 @@ def end_speed(worlds: Any, carried: Any, links: Any, link: int, end: int) -> tup
 
 
 @kernel
-def load_end(worlds: Any, links: Any, link: int, end: int, x: float, y: float, z: float) -> None:
-    """Add a force, N, to an end's node for the coming tick."""
+def load_end(worlds: Any, links: Any, link: int, end: int, share: Any, x: float, y: float, z: float) -> None:
+    """Add the share (k,) of a force, N, that its organ feels to an end's node for the coming tick."""
     organ = links.organ[link, end]
-    if organ >= 0:
-        load_node(worlds[organ].state, links.node[link, end], x, y, z)
+    if organ >= 0 and share[organ] > 0.0:
+        part = share[organ]
+        load_node(worlds[organ].state, links.node[link, end], part * x, part * y, part * z)

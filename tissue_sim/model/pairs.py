@@ -133,11 +133,18 @@ def wake_touched(worlds: Any, pairs: Any, awake: Any) -> None:
             pairs.held[pair, 0] = pairs.held[pair, 1] = pairs.held[pair, 2] = 0.0
             continue
         first, second = worlds[pairs.organ[pair, 0]], worlds[pairs.organ[pair, 1]]
-        if first.state.status.asleep and second.state.status.asleep:
+        if first.state.status.asleep and second.state.status.asleep and are_carried_alike(first.state, second.state):
             continue
         measure(worlds, pairs, pair)
         if pairs.pressed[pair] > 0.0 or pairs.plane[3] <= 0.0:
             bear(worlds, pairs, pair)
+
+
+@kernel
+def are_carried_alike(state: Any, other: Any) -> bool:
+    """True for organs that the breath has not moved against each other."""
+    a, b = state.carried, other.carried
+    return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
 
 
 @kernel

@@ -61,6 +61,16 @@ def rest_if_quiet(model: Any, state: Any, settings: Any, scratch: Any) -> None:
 
 
 @kernel
+def sleep_if_quiet(model: Any, state: Any, scratch: Any) -> None:
+    """Fall asleep where an organ that nothing loads is as good as at rest, while a hand is on another one."""
+    status = state.status
+    speed, away = largest_motion(model, state, scratch)
+    status.quiet = status.quiet + 1 if speed <= QUIET_SPEED and away <= QUIET_DISPLACEMENT else 0
+    if status.quiet >= QUIET_TICKS:
+        fall_asleep(model, state)
+
+
+@kernel
 def pace(model: Any, settings: Any) -> float:
     """How soon the organ is on its way after it is let go, 1/s: its damping rate, which is twice its lowest frequency.
 

@@ -54,7 +54,7 @@ class Scratch(NamedTuple):
     near_entry: Any  # (N,) contact points resolved in this substep
     near_normal: Any  # (N,) N s
     near_tangent: Any  # (N, 3) N s
-    near_began: Any  # (N, 3) N s, what near_tangent was when the substep began
+    near_began: Any  # (N, 3) m, what tissue had given way by across the normal when the substep began
     near_plane: Any  # (N, 11) the tool there; see contact_constraint.gather_contacts
     near_soft: Any  # (N, 4) the tissue there; see contact_constraint.soften
     near_node: Any  # (N, 3) its nodes, their
@@ -69,6 +69,8 @@ class Scratch(NamedTuple):
     watched_gap: Any  # (C,) m, from the tools at the least
     watched_speed: Any  # (C,) m/s, at which that may shrink by the tool's motion
     watching: Any  # (1,) how many
+    wall: Any  # (C,) contact points that are held for the most part
+    walls: Any  # (1,) how many
     # Lists of the region. fresh, was (n,): nodes that are new in it, and the hops they had.
     fresh: Any
     was: Any
@@ -166,6 +168,8 @@ def make_scratch(model: Model, n_bodies: int) -> Scratch:
         watched_gap=empty(MOST_POINTS),
         watched_speed=empty(MOST_POINTS),
         watching=longs(1),
+        wall=longs(MOST_POINTS),
+        walls=longs(1),
         fresh=ints(local),
         was=longs(local),
         region_node=ints(local),

@@ -26,7 +26,8 @@ NEARLY = 0.2  # more than that, from which a cell may come under it while others
 RECOVERY_RATE = 200.0  # 1/s at which a cell that was under it comes back at the most
 HARDEST = 8.0  # times the pressure of its penalty for the whole volume, that holds a cell at the most
 MOST_SQUEEZED = 256  # cells resolved in a substep
-SQUEEZED_PASSES = 6  # over cells and contact points; what is left then, the next substep begins with
+# Over cells and contact points while cells are squeezed; what is left then, the next of so many substeps begins with.
+SQUEEZED_PASSES = 4
 SETTLED = 0.2  # of the impulses on cells, which a pass may still change
 
 

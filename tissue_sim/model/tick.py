@@ -35,7 +35,7 @@ from tissue_sim.model.regions import (
     prepare_region,
     region_forces,
 )
-from tissue_sim.model.rest import find_back, rest_if_quiet
+from tissue_sim.model.rest import find_back, rest_if_quiet, sleep_if_quiet
 from tissue_sim.model.settings import Integrator
 from tissue_sim.model.shiver import begin_look, end_look, is_looked_at
 from tissue_sim.model.squeezed import has_stiff_cells
@@ -44,6 +44,7 @@ from tissue_sim.model.tool_motion import (
     add_tip_forces,
     advance_held,
     couple_bodies,
+    find_walls,
     follow_untouched,
     has_tip_force,
     keep_bodies,
@@ -74,6 +75,7 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
     status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
     advance_held(state, settings, scratch)
+    find_walls(model, state, scratch)
     plan.handled = plan.handled or has_tip_force(state, settings) or status.prescribed > 0
     plan.forced = plan.handled or status.loaded > 0 or is_out_of_balance(model, settings)
     status.touching = 0
@@ -151,6 +153,8 @@ def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -
     status.alone = 0 if plan.handled or status.touching > 0 else status.alone + 1
     if status.alone > 0:
         rest_if_quiet(model, state, settings, scratch)
+    elif not plan.forced and status.touching == 0:
+        sleep_if_quiet(model, state, scratch)
 
 
 def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:

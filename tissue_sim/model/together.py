@@ -14,14 +14,13 @@ from tissue_sim.handles import handle, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.felt import sum_felt
-from tissue_sim.model.links import Links, least_substeps, pull_links, wake_linked
+from tissue_sim.model.links import Links, least_substeps, load_links, measure_links, pull_links
 from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
 from tissue_sim.model.records import words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
-
-UNFELT = 1e-4  # m by which the acceleration of its frame bends an organ that sleeps on
+from tissue_sim.model.unfelt import UNFELT, Unfelt, share_loads, unfelt_by
 
 
 class Carried(NamedTuple):
@@ -31,7 +30,6 @@ class Carried(NamedTuple):
     breath_words: Longs  # which it views
     share: Floats  # (2,) of its way, and 1/s
     moves: Floats  # (k,) how far each goes with it
-    unfelt: Floats  # (k,) m/s^2 up to which none feels it
     gravity: Floats  # (k, 3) m/s^2, of each without it
     speed: Floats  # (k, 3) m/s
     change: Floats  # (k, 3) m/s^2
@@ -43,6 +41,7 @@ class Together(NamedTuple):
     carried: Carried
     links: Links
     pairs: Pairs
+    unfelt: Unfelt
     awake: Longs  # (k,) 1 for organs that this tick advances; until it is planned, for those that it may
 
 
@@ -50,8 +49,8 @@ class Joined:
     """Simulations that are advanced together.
 
     links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
-    where none does. unfelt: m by which the acceleration of its frame may bend an organ that sleeps on. Raises UserError
-    where simulations don't fit together. worlds and handle are what `tick_together` takes.
+    where none does. unfelt: m that an organ may lack of what links and the breath do to it, see `unfelt`; 0: nothing.
+    Raises UserError where simulations don't fit together. worlds and handle are what `tick_together` takes.
     """
 
     def __init__(
@@ -76,9 +75,10 @@ class Joined:
                 f"how far organs go with the breath: {len(moves)} numbers for {len(self.simulations)} organs"
             )
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
-        self.carried = carried_with(breath, moves, [unfelt * slowest(one) ** 2 for one in self.simulations], gravity)
+        self.carried = carried_with(breath, moves, gravity)
+        self.unfelt = unfelt_by(self.simulations, links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
         self.worlds = row([one.world for one in self.simulations])
-        self.handle = handle(Together(self.carried, links, pairs, np.zeros(len(moves), dtype=np.int64)))
+        self.handle = handle(Together(self.carried, links, pairs, self.unfelt, np.zeros(len(moves), dtype=np.int64)))
         self.set_substeps()
 
     def step(self) -> None:
@@ -141,20 +141,15 @@ def fastest(simulations: Sequence[Simulation]) -> float:
     return max(one.frequency * math.sqrt(one.settings.stiffness_scale) for one in simulations)
 
 
-def slowest(simulation: Simulation) -> float:
-    """About the lowest angular frequency of an organ, rad/s: its damping rate is twice that."""
-    return 0.5 * float(simulation.model.damping_rate)
-
-
-def carried_with(breath: Breath, moves: Sequence[float], unfelt: Sequence[float], gravity: Floats) -> Carried:
+def carried_with(breath: Breath, moves: Sequence[float], gravity: Floats) -> Carried:
     """Organs that go with a breath as far as `moves` (k,) says, breathed out; see Carried."""
     count = len(moves)
 
     def rows() -> Floats:
         return np.zeros((count, 3))
 
-    given = np.array(moves, dtype=np.float64), np.array(unfelt, dtype=np.float64)
-    return Carried(breath, words_of(breath), np.zeros(2), *given, np.array(gravity, dtype=np.float64), rows(), rows())
+    given = np.array(moves, dtype=np.float64), np.array(gravity, dtype=np.float64)
+    return Carried(breath, words_of(breath), np.zeros(2), *given, rows(), rows())
 
 
 @kernel
@@ -167,29 +162,32 @@ def let_go(worlds: Any, joined: Any) -> None:
     carried.speed[:] = 0.0
     carried.change[:] = 0.0
     for organ in range(len(worlds)):
-        weigh(worlds[organ].settings, carried, organ)
+        weigh(worlds[organ].settings, carried, organ, 0.0)
 
 
 @kernel
 def tick_together(worlds: Any, joined: Any) -> None:
     """Advance several organs, a row of worlds, by one tick of the first one's settings."""
-    step, carried, links = worlds[0].settings.tick_time, joined.carried, joined.links
+    step, carried, links, unfelt = worlds[0].settings.tick_time, joined.carried, joined.links, joined.unfelt
     pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
-    if carried.breath.period > 0.0 or carried.breath.follows:
+    breathes = carried.breath.period > 0.0 or carried.breath.follows
+    if breathes:
         breathe(worlds, carried, step)
     for organ in range(len(worlds)):
         status = worlds[organ].state.status
         worlds[organ].scratch.plan.handled = status.loaded > 0
         # What is led back from a false rest shape is let go of by links and other organs, which hold it there.
         awake[organ] = 0 if status.snapped else 1
-    if linked:
-        wake_linked(worlds, carried, links, awake, step)
+    measure_links(worlds, carried, links, unfelt, awake, step)
     wake_touched(worlds, pairs, awake)
+    if linked or breathes:
+        share_loads(worlds, carried, unfelt, breathes)
+        load_links(worlds, links, unfelt)
     touching = pairs.found[0] > 0
     substeps = plan_together(worlds, awake, linked or touching)
     for substep in range(substeps):
         if linked:
-            pull_links(worlds, carried, links, awake, step / substeps)
+            pull_links(worlds, carried, links, unfelt, awake, step / substeps)
         if touching:
             press_pairs(worlds, pairs, awake)
         for organ in range(len(worlds)):

@@ -7,13 +7,16 @@ from typing import Any
 
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
-from tissue_sim.model.contact_gap import is_touched
+from tissue_sim.model.contact_gap import INNER_SIDE, gap_and_normal, is_touched, point_in_body
 from tissue_sim.model.shapes import rotation_matrix
 
 ROUNDING = 1e-6  # share of a tick that is none
 # Where tissue is near, a body moves in a step by no more than this fraction of the finest thing about it: points that
 # lie before it end in its front half, and are pushed on, not past it.
 STEP = 0.25
+WALL = 0.5  # of the finest thing about a body, that it goes into held tissue at the most: then its middle stays outside
+MOVES = 0.5  # of a contact point's weights, that nodes which move have at the least, or it is held
+WALL_ROUNDS = 4  # in which a tool is brought out of held tissue in a step: a corner has three walls
 FASTEST = 1.0  # m/s, at which a body catches up there: well below the speed of sound in tissue
 
 
@@ -95,6 +98,51 @@ def advance_bodies(state: Any, shapes: Any, scratch: Any, step: float) -> None:
     for body in range(len(state.body_pose)):
         if scratch.fraction[body] > 0.0:
             step_pose(state.body_pose[body], scratch.goal[body], scratch.fraction[body])
+    for _ in range(WALL_ROUNDS if scratch.walls[0] > 0 else 0):
+        if not leave_wall(state, shapes, scratch):
+            break
+
+
+@kernel
+def find_walls(model: Any, state: Any, scratch: Any) -> None:
+    """List the contact points that are held for the most part in scratch.wall: they hardly give way to a tool."""
+    count, contacts = 0, state.contacts
+    for entry in range(contacts.header.points):
+        moves = 0.0
+        for c in range(3):
+            if model.inverse_mass[contacts.node[entry, c]] > 0.0:
+                moves += contacts.weight[entry, c]
+        if moves < MOVES and state.bodies[contacts.body[entry]].engaged:
+            scratch.wall[count] = entry
+            count += 1
+    scratch.walls[0] = count
+
+
+@kernel
+def leave_wall(state: Any, shapes: Any, scratch: Any) -> bool:
+    """Move a tool out of the held point that lies deepest in it; False where none lies deeper than WALL.
+
+    Tissue that moves is pushed on by the tool; in what is held it would go on until it has slipped inside.
+    """
+    deepest, chosen = 0.0, -1
+    x = y = z = 0.0
+    for index in range(scratch.walls[0]):
+        entry = scratch.wall[index]
+        body = state.contacts.body[entry]
+        if index == 0 or body != state.contacts.body[scratch.wall[index - 1]]:
+            set_frame(state.body_pose[body], scratch.origin[body], scratch.rotation[body])
+        _, _, _, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
+        gap, nx, ny, nz = gap_and_normal(shapes, body, scratch.rotation[body], lx, ly, lz)
+        normal, deep = state.contacts.normal[entry], -gap - WALL * shapes.finest[body]
+        if deep > deepest and normal[0] * nx + normal[1] * ny + normal[2] * nz < INNER_SIDE:
+            deepest, chosen, x, y, z = deep, body, nx, ny, nz
+    if chosen < 0:
+        return False
+    for body in range(len(state.body_pose)):
+        if shapes.tool[body] == shapes.tool[chosen]:
+            pose = state.body_pose[body]
+            pose[0], pose[1], pose[2] = pose[0] - deepest * x, pose[1] - deepest * y, pose[2] - deepest * z
+    return True
 
 
 @kernel

@@ -13,6 +13,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.inclusions import Inclusion
+from tissue_sim.organ.lengths import ORGAN_SIZE, is_organ
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.organ.winding import inside
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 MOST_ATOMS = 48
 SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
+_NOTED, _WRONG = 0.05, 0.4  # of the volume that was read: how far the one that is built may be off
+_LARGEST_IMAGE = 3.0  # m, longest side: a whole body
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 
 
@@ -33,8 +36,8 @@ class Request:
 
     atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
     a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
-    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them. interior_atoms: further
-    atoms along the spokes.
+    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them, or when the organ has
+    another volume than what it is made from. interior_atoms: further atoms along the spokes.
     """
 
     name: str
@@ -68,6 +71,7 @@ def organ_from_image(
     progress = progress or Progress()
     parameters = parameters or SegmentationParameters()
     ct = ct.upright()
+    _check_image_size(ct)
     for note in ct.notes:
         progress.say(note)
     with progress.stage("segment"):
@@ -98,11 +102,21 @@ def organ_from_image(
 
 
 def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = None) -> Organ:
-    """Build an organ from a bool mask: wall, balloon, skeleton, springs. Raises UserError as the stages do."""
+    """Build an organ from a bool mask: wall, balloon, skeleton, springs.
+
+    Raises UserError as the stages do, for a mask that is no organ in size, and where the organ's volume is more than
+    two fifths off the mask's.
+    """
+    _check_mask_size(mask)
+    volume = float(np.count_nonzero(mask.array)) * mask.voxel_volume
+    return _inflated(mask, request, progress or Progress(), volume)
+
+
+def _inflated(mask: Volume, request: Request, progress: Progress, volume: float) -> Organ:
+    """An organ from a mask; volume, mL, of what was read."""
     from tissue_sim.organ.surfaces.balloon import inflate
     from tissue_sim.organ.surfaces.surface import wall_of_surface
 
-    progress = progress or Progress()
     wall = _wall(mask.upright(), progress)
     with progress.stage("balloon"):
         balloon = inflate(wall, request.points, progress=lambda done: progress.at("balloon", done))
@@ -130,7 +144,8 @@ def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = 
     }
     with progress.stage("skeleton"):
         solid = wall_of_surface(positions, triangles, wall)
-    return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), progress)
+    request = _compared(volume, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), progress)
+    return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), request, progress)
 
 
 def organ_from_mesh(
@@ -144,6 +159,7 @@ def organ_from_mesh(
     Raises UserError as the stages do.
     """
     from tissue_sim.organ.meshes.mesh_input import voxelize
+    from tissue_sim.organ.organ import signed_volume
 
     progress = progress or Progress()
     for line in surface.repairs:
@@ -156,9 +172,56 @@ def organ_from_mesh(
     request = _with(
         request, {"repairs": list(surface.repairs), "notes": list(surface.notes), "keep_points": keep_points}
     )
+    volume = 1e6 * signed_volume(surface.positions, surface.triangles)
     if not keep_points:
-        return organ_from_mask(mask, request, progress=progress)
+        return _inflated(mask, request, progress, volume)
+    request = _compared(volume, surface.positions, surface.triangles, request, progress)
     return _assemble(_wall(mask, progress), surface.positions, surface.triangles, request, progress)
+
+
+def _check_mask_size(mask: Volume) -> None:
+    """Refuse a mask that is no organ in size: its header has a wrong spacing."""
+    held = [np.flatnonzero(mask.array.any(axis=tuple({0, 1, 2} - {axis}))) for axis in (2, 1, 0)]
+    if not all(len(index) for index in held):
+        return  # an empty one is told of by the wall
+    size = 1e-3 * max(float(n[-1] - n[0] + 1) * step for n, step in zip(held, mask.spacing, strict=True))
+    if not is_organ(size):
+        raise UserError(
+            f"mask {mask.name} is {size:.3g} m long, an organ is 5 mm to 1 m; its voxels are {_voxels(mask)}: correct"
+            " that in its header"
+        )
+
+
+def _check_image_size(image: Volume) -> None:
+    size = 1e-3 * float((image.spacing * image.size).max())
+    if not ORGAN_SIZE[0] <= size <= _LARGEST_IMAGE:
+        raise UserError(
+            f"image {image.name} is {size:.3g} m long, a CT is 5 mm to {_LARGEST_IMAGE:g} m; its voxels are"
+            f" {_voxels(image)}: correct that in its header"
+        )
+
+
+def _voxels(image: Volume) -> str:
+    return " x ".join(f"{step:.4g}" for step in image.spacing) + " mm"
+
+
+def _compared(volume: float, positions: Floats, triangles: Ints, request: Request, progress: Progress) -> Request:
+    """The request with both volumes in its provenance, which are told: mL of what was read, and of the surface.
+
+    Raises UserError where they differ by more than two fifths, and that isn't accepted.
+    """
+    from tissue_sim.organ.organ import signed_volume
+
+    built = 1e6 * signed_volume(positions, triangles)
+    off = built / volume - 1.0
+    told = f"{volume:.1f} mL read, {built:.1f} mL built ({100.0 * off:+.1f} %)"
+    if abs(off) > _WRONG and not request.accept:
+        raise UserError(
+            f"{request.name} differs from what it is made from: {told}; resample a thin mask finer, close what it"
+            " leaves open, or pass it on with --accept"
+        )
+    progress.say(f"warning: {told}; a finer mask, or more --points, comes closer" if abs(off) > _NOTED else told)
+    return _with(request, {"volume_read_ml": round(volume, 3), "volume_built_ml": round(built, 3)})
 
 
 def _wall(mask: Volume, progress: Progress) -> Wall:

@@ -67,21 +67,25 @@ def fitted(node: str, values: Mapping[str, Any]) -> str:
 
 def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
     """What each process may do, by its enclave."""
+    from tissue_sim.ros.node.simulation_services import SERVICES
     from tissue_sim.ros.shared.tool_link import ToolLink
 
     links = [link for tool in values["tools"] if (link := ToolLink.told(values, tool, node)) is not None]
     namespace = f"/{node}".rpartition("/")[0]
     poses = [name for link in links for name in _topics(namespace, link, "measured_cp", "measured_js")]
-    forces = [name for link in links for name in _topics(namespace, link, "measured_cf")]
+    forces = [name for link in links for name in _topics(namespace, link, "external_cf")]
     wrenches = [name for link in links for name in _topics(namespace, link, "servo_cf")]
     own = f"/{node}"
     shown = _of_organs(own, values, "inclusions", "mesh", "skeleton", "surface")
+    if values["organs"]:
+        shown += _below(own, "ligaments")
     return {
         own: Allowed(
             own,
             [own],
-            # tf where it is installed, and the clock with use_sim_time.
-            [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools")]
+            # tf and simulation_interfaces where they are installed, and the clock with use_sim_time.
+            [*wrenches, *shown, *_of_organs(own, values, "markers"), *_below(own, "markers", "tools", "ready")]
+            + _below(own, *(f"{tool}/{topic}" for tool in values["tools"] for topic in ("contacts", "wrench")))
             + ["/diagnostics", "/rosout", "/tf", "/tf_static"],
             [
                 *poses,
@@ -90,8 +94,9 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
                 "/tf",
                 "/tf_static",
                 *_below(own, *(["respiration"] if values["organs"] else [])),
+                *_below(own, *(f"{tool}/enable" for tool in values["tools"])),
             ],
-            _below(own, "record", "reset", *PARAMETER_SERVICES),
+            _below(own, "pause", "record", "reset", "step", *SERVICES, *PARAMETER_SERVICES),
         ),
         f"{own}/bridge": Allowed(
             f"{namespace}/haptic_bridge",
@@ -113,9 +118,9 @@ def enclaves_of(node: str, values: Mapping[str, Any]) -> dict[str, Allowed]:
 
 
 def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
-    """Absolute names of a tool's topics; measured_js only of a gripper."""
+    """Absolute names of a tool's topics, of those that it has; measured_js only of a gripper."""
     names = [link.topics.names[topic] for topic in topics if topic != "measured_js" or link.tool.shape == "gripper"]
-    return [name if name.startswith("/") else f"{namespace}/{name}" for name in names]
+    return [name if name.startswith("/") else f"{namespace}/{name}" for name in names if name]
 
 
 def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:

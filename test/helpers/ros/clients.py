@@ -32,7 +32,7 @@ class Client(Participant):
         if markers:
             node.create_subscription(MarkerArray, f"{self.target}/markers", self._markers.append, LATCHED, raw=True)
         self.pose = node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
-        self.force = node.create_publisher(WrenchStamped, "left/measured_cf", qos_profile_sensor_data)
+        self.force = node.create_publisher(WrenchStamped, "left/external_cf", qos_profile_sensor_data)
 
     def reset(self) -> Trigger.Response:
         return self.call(Trigger, f"{self.target}/reset", Trigger.Request())

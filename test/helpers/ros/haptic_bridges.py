@@ -1,13 +1,18 @@
-"""Stand-ins for haptic bridges: each speaks the topics, types, QoS, frame and axes of a real one."""
+"""Stand-ins for haptic bridges: each speaks the topics, types, QoS, frame and axes of a real one.
 
-from collections.abc import Callable
+What a driver publishes beside its poses is from its sources: the read commands and events of the CRTK components, which
+cisst_ros_crtk publishes by their names, with a transform in tf for each measured_cp; the broadcasters of ros2_control.
+"""
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.qos import QoSProfile, qos_profile_system_default
 from scipy.spatial.transform import Rotation
-from std_msgs.msg import Float64MultiArray
+from sensor_msgs.msg import JointState, Joy
+from std_msgs.msg import Bool, Float64MultiArray, String
 
 from helpers.ros.participant import Participant
 
@@ -32,6 +37,9 @@ class Bridge:
     subscribes: QoSProfile = field(default_factory=lambda: QoSProfile(depth=1))
     orientation: Rotation = HELD
     pose_type: type = PoseStamped
+    outputs: Mapping[str, type | None] = field(default_factory=dict)  # all topics; None: of a type that wheels lack
+    frames: tuple[str, ...] = ()  # that the driver places in tf
+    own_force: str = ""  # an output on which the device's own last force comes back
 
 
 def _force(message: WrenchStamped) -> np.ndarray:
@@ -44,12 +52,69 @@ def _efforts(message: Float64MultiArray) -> np.ndarray:
     return np.array(message.data)
 
 
+EVENTS: dict[str, type | None] = {"operating_state": None, "error": String, "warning": String, "status": String}
+
+
+def _of_devices(devices: tuple[str, ...], topics: Mapping[str, type | None]) -> dict[str, type | None]:
+    """Topics below the names of devices, with those that every CRTK component has."""
+    return {f"/{device}/{topic}": kind for device in devices for topic, kind in (EVENTS | dict(topics)).items()}
+
+
+MASTER_ARM: dict[str, type | None] = {
+    **{f"{of}{topic}": PoseStamped for of in ("", "local/") for topic in ("measured_cp", "setpoint_cp")},
+    **dict.fromkeys(("measured_cv", "local/measured_cv", "body/measured_cv"), TwistStamped),
+    **dict.fromkeys(("measured_js", "setpoint_js", "gripper/measured_js"), JointState),
+    **dict.fromkeys(("body/measured_cf", "spatial/measured_cf"), WrenchStamped),
+    **dict.fromkeys(("body/jacobian", "spatial/jacobian"), Float64MultiArray),
+    "goal_reached": Bool,
+    "gripper/closed": Bool,
+}
+FORCE_DIMENSION: dict[str, type | None] = {
+    **dict.fromkeys(("measured_cp", "setpoint_cp"), PoseStamped),
+    "measured_cv": TwistStamped,
+    "gripper/measured_js": JointState,
+    "body/measured_cf": WrenchStamped,
+    **dict.fromkeys(("left", "right", "top", "bottom"), Joy),  # the buttons of a Falcon
+}
+SENSABLE: dict[str, type | None] = {
+    **dict.fromkeys(("measured_cp", "tip/measured_cp", "setpoint_cp"), PoseStamped),
+    "measured_cv": TwistStamped,
+    "measured_js": JointState,
+    "measured_cf": WrenchStamped,  # HD_LAST_FORCE: what the device was told to exert
+    **dict.fromkeys(("button1", "button2"), Joy),
+}
+FD: dict[str, type | None] = {
+    "/fd/ee_pose": PoseStamped,
+    "/fd/button_state": Bool,
+    "/fd/fd_inertia": Float64MultiArray,
+    "/fd/fd_clutch": Bool,
+    "/fd/joint_states": JointState,
+    "/fd/dynamic_joint_states": None,
+    "/fd/robot_description": String,
+}
+
 BRIDGES = {
     # mtsIntuitiveResearchKitArm: a wrench in the axes of the end effector
-    "dvrk": Bridge("/MTML/measured_cp", "HRSV", "/MTML/body/servo_cf", WrenchStamped, lambda m, q: q.apply(_force(m))),
+    "dvrk": Bridge(
+        "/MTML/measured_cp",
+        "HRSV",
+        "/MTML/body/servo_cf",
+        WrenchStamped,
+        lambda m, q: q.apply(_force(m)),
+        outputs=_of_devices(("MTML", "MTMR"), MASTER_ARM),
+        frames=("MTML", "MTMR"),
+        own_force="/MTML/body/measured_cf",
+    ),
     # mtsForceDimension: what came in body/servo_cf goes to dhdSetForceAndTorqueAndGripperForce as it is
     "saw_force_dimension": Bridge(
-        "/MTMR/measured_cp", "MTMR_base", "/MTMR/body/servo_cf", WrenchStamped, lambda m, _: _force(m)
+        "/MTMR/measured_cp",
+        "MTMR_base",
+        "/MTMR/body/servo_cf",
+        WrenchStamped,
+        lambda m, _: _force(m),
+        outputs=_of_devices(("MTML", "MTMR"), FORCE_DIMENSION),
+        frames=("MTML", "MTMR"),
+        own_force="/MTMR/body/measured_cf",
     ),
     # fd_hardware hands the efforts to dhdSetForceAndTorque along fd_base, and ee_pose_broadcaster turns nothing:
     # transform_rotation is 0, 0, 0 in fd_controllers.yaml of main and humble
@@ -61,9 +126,20 @@ BRIDGES = {
         lambda m, _: _efforts(m),
         qos_profile_system_default,
         qos_profile_system_default,
+        outputs=FD,
+        frames=("fd_base", *(f"fd_{part}_link" for part in ("x", "y", "z", "roll", "pitch", "yaw")), "fd_ee"),
     ),
     # mtsSensableHD: what came in servo_cf goes to HD_CURRENT_FORCE as it is
-    "geomagic_touch": Bridge("/arm/measured_cp", "base", "/arm/servo_cf", WrenchStamped, lambda m, _: _force(m)),
+    "geomagic_touch": Bridge(
+        "/arm/measured_cp",
+        "base",
+        "/arm/servo_cf",
+        WrenchStamped,
+        lambda m, _: _force(m),
+        outputs=_of_devices(("arm",), SENSABLE),
+        frames=("arm", "arm_tip"),
+        own_force="/arm/measured_cf",
+    ),
 }
 
 
@@ -76,6 +152,11 @@ class StandIn(Participant):
         self.forces: list[np.ndarray] = []  # N along the axes of frame_id
         self.messages: list[object] = []
         self.poses = self.node.create_publisher(bridge.pose_type, bridge.pose_topic, bridge.publishes)
+        self.others = {
+            name: self.node.create_publisher(kind, name, bridge.publishes)
+            for name, kind in bridge.outputs.items()
+            if kind is not None and name != bridge.pose_topic
+        }
         self.wrenches = self.node.create_subscription(
             bridge.wrench_type, bridge.wrench_topic, self._on_wrench, bridge.subscribes
         )
@@ -95,6 +176,16 @@ class StandIn(Participant):
         pose.position.x, pose.position.y, pose.position.z = map(float, position)
         pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, turn)
         self.poses.publish(message)
+        if self.bridge.own_force:
+            self._tell_own_force()
+
+    def _tell_own_force(self) -> None:
+        """Publish what the device exerts, along the axes of the frame of its poses, as its driver does."""
+        own = WrenchStamped()
+        own.header.frame_id, own.header.stamp = self.bridge.frame_id, self.stamp()
+        newest = self.forces[-1] if self.forces else np.zeros(3)
+        own.wrench.force.x, own.wrench.force.y, own.wrench.force.z = map(float, newest)
+        self.others[self.bridge.own_force].publish(own)
 
     def hold(self, position: np.ndarray) -> None:
         """Send a position; returns when it is answered or a moment has passed."""

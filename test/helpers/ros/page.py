@@ -26,7 +26,8 @@ class Page:
 
     def __init__(self, graph: Node, *tools: str) -> None:
         self.server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
-        hand = MagicMock()
+        camera = SimpleNamespace(position=np.array([0.0, -0.5, 0.0]), look_at=None, image_width=1200, image_height=800)
+        hand = MagicMock(camera=camera)
         self.server.get_clients = lambda: {HAND: hand}
         self.viewer = Viewer(self.server, graph, "tissue_sim", tools)
         (self.poke, *_), (self.view, *_) = self.viewer.tools.pokes, self.viewer.tools.views

@@ -27,6 +27,7 @@ PUBLISHER, WATCHER, STAND_IN = (str(HERE / f"{name}.py") for name in ("publish_p
 FAKE_TF = HERE / "fake_tf"  # a folder for PYTHONPATH
 OLD_RCLPY = str(HERE / "old_rclpy")  # another one
 READY = "surface nodes"  # in the line that the node logs when its first tick is done
+PUSHED = "left.external_cf:=left/external_cf"  # the left tool takes external forces
 UNHURRIED = "stale_time:=5.0"  # a busy machine is no stale hand
 SOON_STALE = "stale_time:=1.0"  # where a test waits for a tool to go stale
 

@@ -13,7 +13,8 @@ from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.dicom import _room
-from tissue_sim.organ.imaging.image import AIR, read_image, read_mask
+from tissue_sim.organ.imaging.image import AIR, read_image
+from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.voxel_files import MOST_VOXELS, check_room
 
 ELSEWHERE = ["../outside.raw", "/etc/passwd", "a/../../outside.raw", "-", ""]

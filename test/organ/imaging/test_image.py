@@ -9,7 +9,8 @@ import SimpleITK as sitk
 
 from helpers.shapes import small_volume, write_dicom
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import Volume, from_sitk, read_image, read_mask
+from tissue_sim.organ.imaging.image import Volume, from_sitk, read_image
+from tissue_sim.organ.imaging.masks import read_mask
 
 OBLIQUE = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 TURNED = OBLIQUE @ np.array([[1.0, 0.0, 0.0], [0.0, 0.28, -0.96], [0.0, 0.96, 0.28]])  # every axis oblique

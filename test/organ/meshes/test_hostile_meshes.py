@@ -59,7 +59,7 @@ FAR = np.where(np.arange(len(POINTS))[:, None] == 0, 1e300, POINTS)
         ("vtk", vtk_3("float", FAR), "not finite, or beyond"),
         ("vtk", vtk_3("double", FAR), "not finite, or beyond"),
         ("vtk", vtk_3(count=1_000_000_000), "more polygons than numbers"),
-        ("msh", gmsh("inf"), "a number that can't be"),
+        ("msh", gmsh("inf"), "can't be read as a mesh"),
         ("obj", "v 1 2\n" * 4 + "f 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n", "can't be read|three coordinates"),
         ("off", f"OFF\n{len(FAR)} {len(TRIANGLES)} 0\n{rows(FAR)}{rows(TRIANGLES, '3 ')}", "not finite, or beyond"),
         (

@@ -204,6 +204,27 @@ def test_overlapping_parts_are_joined(tmp_path, egg):
         read_mesh(both, "mm", part=1, merge_parts=True)
 
 
+@pytest.mark.extended
+def test_parts_are_joined_across_a_gap_or_told_to_be_too_far_apart(tmp_path):
+    box = trimesh.creation.box([40.0, 40.0, 40.0])
+    near = export(tmp_path / "near.ply", box, box.copy().apply_translation([42.0, 0.0, 0.0]))
+    surface = read_mesh(near, "mm", merge_parts=True)
+    check_surface(surface.positions, surface.triangles, "near")
+    assert signed_volume(surface.positions, surface.triangles) == pytest.approx(82.0 * 40.0 * 40.0 * 1e-9, rel=0.02)
+    assert surface.repairs[1].startswith("joined 2 separate parts across gaps of up to 2.5")
+    far = export(tmp_path / "far.ply", box, box.copy().apply_translation([100.0, 0.0, 0.0]))
+    with pytest.raises(UserError, match=r"far\.ply has parts 61.* mm apart, too far to be one organ; build each with"):
+        read_mesh(far, "mm", merge_parts=True)
+
+
+def test_parts_that_share_a_wall_are_told_what_to_do(tmp_path):
+    """Where they meet, each edge has three triangles: no part is a closed surface."""
+    box = trimesh.creation.box([40.0, 40.0, 40.0])
+    both = export(tmp_path / "both.stl", box, box.copy().apply_translation([40.0, 0.0, 0.0]))
+    with pytest.raises(UserError, match=r"its part 1 has \d+ edges with more than two triangles; separate its solids"):
+        read_mesh(both, "mm", merge_parts=True)
+
+
 def test_a_ring_keeps_its_handle_and_says_so(tmp_path):
     ring = trimesh.creation.torus(major_radius=30.0, minor_radius=10.0)
     ring.export(tmp_path / "ring.ply")
@@ -300,7 +321,13 @@ def big(array, kind):
     return np.asarray(array).astype(">" + kind).tobytes() + b"\n"
 
 
+def little(array, kind):
+    return np.asarray(array).astype("<" + kind).tobytes()
+
+
 CELLS = np.insert(FACES, 0, 3, axis=1)
+STRIP = [6, 2, 0, 1, 3, 2, 0]  # the whole tetrahedron in one strip: its odd triangles are turned
+LONG = b"liver " * 20  # longer than 63 bytes: its length takes two
 OWN_FORMATS = {
     "old.vtk": vtk("3.0", "ASCII", [b"POINTS 4 float\n", text(TETRA), b"POLYGONS 4 16\n", text(CELLS)]),
     "binary.vtk": vtk(
@@ -317,6 +344,54 @@ OWN_FORMATS = {
             *(b"CONNECTIVITY vtktypeint64\n", big(FACES, "i8"), b"POINT_DATA 4\n"),
         ],
     ),
+    "strip.vtk": vtk("4.2", "ASCII", [b"POINTS 4 float\n", text(TETRA), b"TRIANGLE_STRIPS 1 7\n", text(STRIP)]),
+    "both.vtk": vtk(
+        "4.2",
+        "BINARY",
+        [
+            *(b"POINTS 4 float\n", big(TETRA, "f4"), b"POLYGONS 2 8\n", big(CELLS[:2], "i4")),
+            *(b"TRIANGLE_STRIPS 1 5\n", big([4, 1, 2, 3, 0], "i4")),
+        ],
+    ),
+    "named.vtk": vtk(
+        "5.1",
+        "ASCII",
+        [
+            b"FIELD FieldData 4\nName 1 2 string\nliver%20left\nPOINTS 9 float\nMETADATA\nINFORMATION 0\n\n",
+            b"flags 1 3 bit\n1 0 1\nany 1 1 variant\n13 a%20b\ntime 1 1 double\n0.5\n",
+            *(b"POINTS 4 float\n", text(TETRA), b"POLYGONS 4 16\n", text(CELLS)),
+        ],
+    ),
+    "named_binary.vtk": vtk(
+        "4.2",
+        "BINARY",
+        [
+            b"FIELD FieldData 3\nName 1 2 string\n",
+            *(bytes([0xC0 | 5]), b"liver", (0x8000 | len(LONG)).to_bytes(2, "big"), LONG, b"\n"),
+            *(b"flags 1 9 bit\n", b"\xff\x80", b"\ntime 1 1 double\n", big([0.5], "f8")),
+            *(b"POINTS 4 double\n", big(TETRA, "f8"), b"POLYGONS 4 16\n", big(CELLS, "i4")),
+        ],
+    ),
+    "two_binary.msh": b"$MeshFormat\n2.2 1 8\n"
+    + little([1], "i4")
+    + b"\n$EndMeshFormat\n$Nodes\n4\n"
+    + b"".join(little([k + 1], "i4") + little(point, "f8") for k, point in enumerate(TETRA))
+    + b"\n$EndNodes\n$Elements\n4\n"
+    + little([2, 4, 2], "i4")
+    + b"".join(little([k + 1, 0, 1, *(face + 1)], "i4") for k, face in enumerate(FACES))
+    + b"\n$EndElements\n",
+    "four_binary.msh": b"$MeshFormat\n4.1 1 8\n"
+    + little([1], "i4")
+    + b"\n$EndMeshFormat\n$Nodes\n"
+    + little([1, 4, 1, 4], "u8")
+    + little([3, 1, 0], "i4")
+    + little([4, 1, 2, 3, 4], "u8")
+    + little(TETRA, "f8")
+    + b"\n$EndNodes\n$Elements\n"
+    + little([1, 1, 1, 1], "u8")
+    + little([3, 1, 4], "i4")
+    + little([1, 1, 1, 2, 3, 4], "u8")
+    + b"\n$EndElements\n",
     "plain.trian": b"4\n" + text(TETRA) + b"4\n" + text(FACES),
     "neighbours.trian": b"4\n" + text(TETRA) + b"4\n" + text(np.hstack([FACES, FACES])),
     "one.msh": b"$NOD\n4\n"

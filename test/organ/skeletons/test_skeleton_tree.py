@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from helpers import vessels
 from helpers.shapes import ball, solid
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.image import read_mask
+from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.skeletons.skeleton import extract
 from tissue_sim.organ.surfaces.surface import make_wall
 

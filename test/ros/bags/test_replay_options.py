@@ -11,6 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from helpers.paths import ROOT
 from helpers.planting import most_moved, with_one_stiffer
 from tissue_sim.cli import main
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags.recording import Recording
 
 BAG = ROOT / "bags" / "poke"
@@ -56,6 +58,14 @@ def test_another_organ_is_named_and_deviates_from_a_tick_on(tmp_path, capsys, or
     assert min(int(text.split("from tick ")[1].split()[0]) for text in failures) == tick
     assert suite.get("failures") == str(len(failures))
     assert "organ: recorded" in suite.findtext("system-out")
+
+
+def test_an_organ_of_other_nodes_is_refused_with_both_numbers(capsys, organ):
+    other = Organ.load(shipped_organ())
+    assert main(["replay", str(BAG), "--organ", str(shipped_organ())]) == 2
+    error = capsys.readouterr().err
+    assert f"an organ of {organ.n_nodes} nodes, '{other.name}' has {other.n_nodes}: replay it with one of" in error
+    assert error.count("\n") == 1
 
 
 def test_junit_of_a_bag_that_repeats(tmp_path):

@@ -1,14 +1,17 @@
 """What people do with the ros2 command line: pub poses by hand, load a dump of the parameters, misspell one."""
 
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.qos import qos_profile_sensor_data
 
+import tissue_sim
 from helpers.patience import LIMIT
 from helpers.ros.clients import Client
 from helpers.ros.processes import poke_path, running_node, shipped
@@ -22,6 +25,8 @@ def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("by_hand")
     needle = "tools:=[left,right,needle]", "needle.radius:=0.001"
     parameters = "local_region:=off", "right.allow_empty_frame:=true", "stale_time:=5.0", *needle, *MISSPELT
+    parameters += "rate:=1000", "gravity:=[0, 0, 0]", "right.allow_zero_stamp:=true", "needle.reliable:=true"
+    parameters += ("left.measured_cf:=somewhere",)
     with running_node(folder, *parameters) as process:
         yield process
 
@@ -56,6 +61,22 @@ def test_a_misspelt_parameter_is_named_with_the_nearest(node):
     ):
         assert line in node.text()
     assert node.text().count("is unknown") == len(MISSPELT)
+
+
+def test_the_old_name_of_a_parameter_is_told_with_the_new_one(node):
+    line = "parameter 'left.measured_cf' changes nothing: it is called 'left.external_cf' now, topic of external forces"
+    assert node.text().count(line) == 1
+
+
+def test_whole_numbers_are_taken_for_decimals(client):
+    """As people write them, at the start and later."""
+    assert client.set_parameter("rate", 900).successful
+    assert client.set_parameter("gravity", [0, 0, 1]).successful
+    request = GetParameters.Request(names=["rate", "gravity"])
+    rate, gravity = client.call(GetParameters, "/tissue_sim/get_parameters", request).values
+    assert (rate.double_value, list(gravity.double_array_value)) == (900.0, [0.0, 0.0, 1.0])
+    assert client.set_parameter("rate", 1000.0).successful
+    assert client.set_parameter("gravity", [0.0, 0.0, 0.0]).successful
 
 
 def test_a_tool_too_fine_for_the_organ_is_named_with_the_points_that_would_do(node):
@@ -106,6 +127,69 @@ def test_an_empty_frame_is_refused_with_the_remedy_or_allowed(node, client):
 
     assert client.spin_until(is_taken)
     assert not any(name.startswith("right.refused") for name in client.diagnostics)
+
+
+def test_a_stamp_of_zero_is_refused_with_the_remedy_or_taken_as_of_its_arrival(node, client):
+    line = "its stamp is 0, which marks invalid data (parameter left.allow_zero_stamp takes the time of its arrival)"
+    right = client.node.create_publisher(PoseStamped, "right/measured_cp", 10)
+    message = PoseStamped()
+    message.header.frame_id, message.pose.position.x = "organ", 1.0
+    taken = int(client.report()["right.poses"])
+
+    def is_told():
+        client.send_pose(np.ones(3), stamp=0.0)
+        right.publish(message)
+        client.spin(0.02)
+        return line in node.text() and int(client.diagnostics.get("right.poses", 0)) > taken
+
+    assert client.spin_until(is_told)
+    assert "right.refused.no_stamp" not in client.diagnostics
+
+
+def test_qos_that_does_not_match_is_told_both_ways_with_the_remedy(node, client):
+    client.node.create_publisher(PoseStamped, "needle/measured_cp", qos_profile_sensor_data)
+    client.node.create_subscription(WrenchStamped, "left/servo_cf", print, 10)
+    for line in (
+        r"the QoS on /needle/measured_cp does not match: this node asks for reliable, and (/client|another node) offers"
+        r" best effort: it is not heard; needle\.reliable:=false makes it match",
+        r"the QoS on /left/servo_cf does not match: this node offers best effort, and (/client|another node) asks for"
+        r" reliable: it hears nothing; left\.reliable:=true makes it match",
+    ):
+        assert client.spin_until(lambda line=line: re.search(line, node.text()) is not None), node.text()
+
+
+WRONG_WORDS = {
+    "--bogus": "argument '--bogus' is unknown; 'tissue_node --help' lists",
+    "-p rate:=500.0": "'-p' is for ROS, which wants --ros-args: tissue_node --ros-args -p rate:=500.0",
+    "rate:=500.0": "'rate:=500.0' is for ROS, which wants --ros-args: tissue_node --ros-args -p rate:=500.0",
+    "--ros-args -r __ns:=/a -- more": "argument 'more' is unknown",
+    "--ros-args --bogus": "ROS does not know '--bogus' behind --ros-args",
+}
+STARTS = """
+import os, sys
+from tissue_sim.ros.shared.ending import Ending
+from tissue_sim.ros.node.serve import serve
+
+ending = Ending()
+codes = [serve(["tissue_node", *words.split()], ending) for words in sys.argv[1:]]
+os.environ["ROS_DOMAIN_ID"] = "300"
+codes += [serve(["tissue_node"], ending), serve(["tissue_node", "--version"], ending)]
+print(codes, flush=True)
+os._exit(0)
+"""
+
+
+def test_wrong_words_end_with_one_line_each_and_2():
+    command = [sys.executable, "-c", STARTS, *WRONG_WORDS]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+    lines = done.stderr.splitlines()
+    for line, told in zip(
+        lines, [*WRONG_WORDS.values(), "ROS_DOMAIN_ID is '300'; wanted: a number from 0 to 232"], strict=True
+    ):
+        assert line.startswith(f"tissue_node: error: {told}")
+    version, codes = done.stdout.splitlines()
+    assert version == f"tissue_node {tissue_sim.__version__}"
+    assert codes == str([2] * len(lines) + [0])
 
 
 def test_help_into_a_pipe_that_closes_says_nothing_more():

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from helpers.patience import wait_for
 from helpers.ros.clients import Client
-from helpers.ros.processes import UNHURRIED, poke_path, shipped, start_node
+from helpers.ros.processes import PUSHED, UNHURRIED, poke_path, shipped, start_node
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.ros.node import degrade
@@ -198,9 +198,11 @@ def test_report_tells_rate_delay_bound_and_why():
     made.report(report)
     stiffness = 0.9 * allowed(1e-3, 2e-3)
     assert report.values["coupling_stiffness"] == report.values["coupling_bound"] == pytest.approx(stiffness)
-    assert report.values["left.pose_rate_hz"] == pytest.approx(1000.0)
-    assert report.values["left.delay_ms"] == pytest.approx(2.0)
-    assert report.values["right.pose_rate_hz"] == 0.0
+    values = report.whole().values
+    assert values["left.pose_rate_hz"] == pytest.approx(1000.0)
+    assert values["left.delay_ms"] == pytest.approx(2.0)
+    assert values["right.pose_rate_hz"] == 0.0
+    assert report.parts["tool left"].values["delay_ms"] == values["left.delay_ms"]
     assert report.warnings == [
         f"coupling_stiffness is {stiffness:.0f} instead of 2000 N/m: with left.device_damping 4 N s/m,"
         " poses at 1000 Hz and 2.0 ms old, more may not be stable"
@@ -260,7 +262,7 @@ def test_fewer_markers_help_only_where_there_are_more():
 @pytest.fixture
 def node(tmp_path):
     process = start_node(
-        tmp_path, "rate:=4000.0", "integrator:=implicit", "tools:=[left]", UNHURRIED, "marker_rate:=30.0"
+        tmp_path, "rate:=4000.0", "integrator:=implicit", "tools:=[left]", UNHURRIED, PUSHED, "marker_rate:=30.0"
     )
     yield process
     process.child.kill()

@@ -20,7 +20,9 @@ def scene():
         time=10.0, now=lambda: clock.time, jumped=[], age_of=lambda stamp: clock.time - 1e-9 * stamp
     )
     made = Organs(Loop([Simulation(ball(1))]))
-    organs = SimpleNamespace(loop=SimpleNamespace(standing=False), stale_time=made.stale_time, ramp_time=made.ramp_time)
+    organs = SimpleNamespace(
+        loop=SimpleNamespace(standing=False, clock_stands=False), stale_time=made.stale_time, ramp_time=made.ramp_time
+    )
     return SimpleNamespace(clock=clock, organs=organs, freshness=Freshness(clock, organs))
 
 
@@ -45,10 +47,18 @@ def test_what_is_stale_counts_until_it_has_faded(scene):
 def test_nothing_counts_before_the_first_message_nor_while_the_clock_stands(scene):
     assert scene.freshness.age == math.inf
     assert not scene.freshness.counts
-    scene.organs.loop.standing = True
+    scene.organs.loop.standing = scene.organs.loop.clock_stands = True
     assert states(scene, 0.0) == [(False, False)]
-    scene.organs.loop.standing = False
+    scene.organs.loop.standing = scene.organs.loop.clock_stands = False
     assert states(scene, 0.0) == [(True, True)]
+
+
+def test_while_the_loop_is_held_what_is_fresh_stays_so_and_a_stream_may_begin_anew(scene):
+    scene.freshness.came(5_000)
+    scene.organs.loop.standing = True
+    assert scene.freshness.is_fresh
+    assert scene.freshness.counts
+    assert scene.freshness.last_stamp == 0, "of a bridge that was started again"
 
 
 def test_a_stream_that_begins_anew_may_have_any_stamp(scene):
@@ -92,3 +102,23 @@ def test_the_delay_is_how_old_messages_are_when_they_come(scene):
     for _ in range(400):
         scene.freshness.came(UNSTAMPED)
     assert scene.freshness.delay == pytest.approx(0.0, abs=1e-5)
+
+
+def test_poses_that_are_stale_before_the_next_are_told_by_their_gap(scene):
+    def come(gap, count=9):
+        for _ in range(count):
+            scene.clock.time += gap
+            scene.freshness.came(UNSTAMPED)
+
+    come(0.01)
+    assert scene.freshness.too_slow == 0.0
+    come(1.0 / 16.0)
+    assert scene.freshness.too_slow == pytest.approx(1.0 / 16.0)
+    come(0.6, count=1)
+    assert scene.freshness.too_slow == pytest.approx(1.0 / 16.0), "a pause does not count for more than one"
+    come(2.0, count=1)
+    assert scene.freshness.too_slow == 0.0, "a stream that begins anew"
+    come(0.3)
+    assert scene.freshness.too_slow == pytest.approx(0.3)
+    scene.clock.time += 2.0
+    assert scene.freshness.too_slow == 0.0, "one that has ended"

@@ -18,6 +18,7 @@ from rosbags.rosbag2 import Reader
 from helpers.patience import LIMIT, wait_for
 from helpers.ros.clients import Client
 from helpers.ros.processes import (
+    PUSHED,
     READY,
     UNHURRIED,
     Process,
@@ -90,7 +91,7 @@ def push_from_afar(client):
 @pytest.mark.extended
 def test_a_small_load_that_moves_a_local_region_is_counted_and_its_bag_repeats(tmp_path, capsys):
     """A loop with local regions is compiled for nothing else; test/model shows that such ticks are counted."""
-    words = "model:=hybrid", "local_region:=frozen", UNHURRIED, f"record_folder:={tmp_path / 'bags'}"
+    words = "model:=hybrid", "local_region:=frozen", UNHURRIED, PUSHED, f"record_folder:={tmp_path / 'bags'}"
     # In a namespace: the other node of this file is there, too.
     with running_node(tmp_path, *words, remap=("__ns:=/small",)):
         client = Client("/small")

@@ -6,11 +6,14 @@ import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import DescribeParameters
 from rosbags.rosbag2 import Reader
 from visualization_msgs.msg import Marker
 
 from helpers.ros.clients import Client
 from helpers.ros.processes import (
+    PUSHED,
     UNHURRIED,
     Process,
     poke_path,
@@ -21,12 +24,13 @@ from helpers.ros.processes import (
     start_publisher,
 )
 from tissue_sim.cli import main
+from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS
 
 
 @pytest.fixture(scope="module")
 def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
-    with running_node(folder, "marker_rate:=30.0", UNHURRIED, f"record_folder:={folder / 'bags'}") as process:
+    with running_node(folder, "marker_rate:=30.0", UNHURRIED, PUSHED, f"record_folder:={folder / 'bags'}") as process:
         yield process
 
 
@@ -178,11 +182,23 @@ def test_tool_that_appears_inside_is_held_off(client, node):
         return "appeared inside the organ" in node.text()
 
     assert client.spin_until(is_told)
+    assert client.set_parameter("stale_time", 5.0).successful
     client.wrenches.clear()
     for _ in range(60):
         client.ask(inside)
     assert len(client.wrenches) > 5
     assert all(np.all(wrench == 0.0) for _, wrench in client.wrenches)
+
+    def warns():
+        client.ask(inside)
+        state = client.diagnostics.get("left.state")
+        return state == "held_off" and client.message.startswith("tool 'left' is held off")
+
+    assert client.spin_until(warns), client.message
+    said, counted = node.text().count("'left' is held off"), int(client.diagnostics["left.held_off"])
+    client.reset()  # the tool is inside still
+    assert client.spin_until(lambda: client.ask(inside) or node.text().count("'left' is held off") > said)
+    assert client.spin_until(lambda: client.ask(inside) or int(client.diagnostics["left.held_off"]) > counted)
 
 
 def test_parameters_change_live_or_say_why_not(client):
@@ -191,9 +207,48 @@ def test_parameters_change_live_or_say_why_not(client):
     refused = client.set_parameter("model", "surface")
     assert not refused.successful
     assert "start it again" in refused.reason
+    refused = client.set_parameter("organ_pose", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    assert not refused.successful
+    assert "names no other frame" in refused.reason
     assert not client.set_parameter("friction", -1.0).successful
     assert client.set_parameter("friction", 0.6).successful
     assert client.set_parameter("marker_rate", 30.0).successful
+
+
+def test_descriptors_tell_what_may_change_while_the_node_runs(client):
+    specs = {spec.name: spec for spec in NODE_SPECS} | {f"left.{spec.name}": spec for spec in TOOL_SPECS}
+    request = DescribeParameters.Request(names=[*specs, "tools", "organs"])
+    told = client.call(DescribeParameters, "/tissue_sim/describe_parameters", request).descriptors
+    assert {one.name: one.read_only for one in told} == {
+        **{name: not spec.live for name, spec in specs.items()},
+        "tools": True,
+        "organs": True,
+    }
+    friction = next(one for one in told if one.name == "friction")
+    assert friction.additional_constraints == "may change while the node runs"
+
+
+def test_diagnostics_have_a_status_for_each_tool_and_organ(client):
+    heard = []
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+
+    def is_told():
+        client.send_pose((1.0, 0.0, 0.0), stamp=0.0)
+        client.spin(0.02)
+        statuses = {status.name: status for status in heard[-1].status} if heard else {}
+        return "refused.no_stamp" in statuses["tissue_sim: tool left"].message and statuses if statuses else None
+
+    found = []
+    assert client.spin_until(lambda: found.append(is_told()) or bool(found[-1]))
+    statuses = found[-1]
+    names = ("physics", "tool left", "tool right", "organ kidney")
+    assert sorted(statuses) == sorted(f"tissue_sim: {name}" for name in names)
+    values = {name: {item.key for item in statuses[f"tissue_sim: {name}"].values} for name in names}
+    assert {"state", "poses", "refused.no_stamp", "pose_rate_hz"} <= values["tool left"]
+    assert {"region", "contact_count", "faults"} <= values["organ kidney"]
+    assert {"left.state", "left.refused.no_stamp", "right.pose_rate_hz", "region", "tick"} <= values["physics"]
+    assert statuses["tissue_sim: tool left"].level == DiagnosticStatus.WARN
+    assert statuses["tissue_sim: tool right"].level == DiagnosticStatus.OK
 
 
 @pytest.mark.parametrize("bad", [[0.0, 0.0], [0.0, float("nan"), 0.0], [0.0, 0.0, -1000.0]])
@@ -258,6 +313,7 @@ def test_diagnostics_tell_the_state_of_the_loop(client):
         assert int(values[key]) > 0, key
 
 
+ARM = "left.frame_id:=arm -p right.frame_id:=arm -p left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]"
 REFUSED_STARTS = {
     "organ_file:=nowhere.npz": "does not exist",
     "rate:=1.0": "outside",
@@ -267,6 +323,9 @@ REFUSED_STARTS = {
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",
     "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a quaternion of zero",
+    "organ_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'organ_pose' is the pose of 'organ' in base_frame, which names",
+    f"{ARM}": "'left.base_pose' and 'right.base_pose' place the frame 'arm' differently",
+    "left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'left.base_pose' would move 'organ', which has its place",
     "scene_file:=none.yaml": "none.yaml can't be read",
     "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both given",
 }

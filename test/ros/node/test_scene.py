@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from sensor_msgs.msg import JointState, PointCloud2
 from shape_msgs.msg import Mesh
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from helpers.ros.clients import Client
 from helpers.ros.processes import UNHURRIED, Process, running_node, start_node
@@ -110,11 +111,41 @@ def test_breathing_is_shown_and_is_no_displacement(client):
     assert span("kidney/surface") < 0.002, "it only hangs on the other"
 
 
+def test_ligaments_are_lines_between_the_nodes_that_they_join(client):
+    clouds = heard(client, PointCloud2, ["liver/surface", "kidney/surface"], beside.stream_qos())
+    lines = heard(client, MarkerArray, ["ligaments"], beside.latched_qos())["ligaments"]
+    assert client.spin_until(lambda: lines and all(clouds.values()))
+    (marker,) = lines[-1].markers
+    assert (marker.type, marker.header.frame_id) == (Marker.LINE_LIST, "organ")
+    ends = np.array([(point.x, point.y, point.z) for point in marker.points]).reshape(-1, 2, 3)
+    assert len(ends) > 3
+    rest = [ball(2).surface_positions, ball(2).surface_positions + [0.0592, 0.0, 0.0]]
+    for side, surface in enumerate(rest):  # the breath moves them by at most 5 mm
+        assert cKDTree(surface).query(ends[:, side])[0].max() < 0.006
+
+
 def test_tools_touch_any_organ_and_the_parameters_tell_their_names(client):
+    clouds = heard(client, PointCloud2, ["left/contacts"], 10)["left/contacts"]
     # Again where poses were lost before the node had discovered who sends them.
     assert client.spin_until(lambda: min(press(client, (0.0, 0.0), (0.0592, 0.0))) > 0.05), "N"
     assert client.spin_until(lambda: "liver.region" in client.diagnostics)
-    assert {"kidney.contact_count", "pair_searches", "skipped.organs_far"} <= client.diagnostics.keys()
+
+    def touched(organ):
+        """The contact points of an organ that were heard."""
+        points = np.concatenate([beside.cloud_array(cloud) for cloud in clouds])
+        return points[points[:, 9] == organ]
+
+    for organ, middle in enumerate((0.0, 0.0592)):
+        assert client.spin_until(lambda organ=organ, x=middle: press(client, (x, 0.0)) and len(touched(organ)) > 0)
+        own = touched(organ)
+        assert np.abs(own[:, 0] - middle).max() < 0.015, "m: where that organ was pressed"
+        assert own[:, 5].mean() > 0.5, "from above"
+    assert {
+        "kidney.contact_count",
+        "kidney.skipped.unfelt",
+        "pair_searches",
+        "skipped.organs_far",
+    } <= client.diagnostics.keys()
 
 
 def test_a_bag_of_a_scene_repeats_to_the_last_bit(client, capsys):

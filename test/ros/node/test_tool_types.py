@@ -1,6 +1,8 @@
 """Every message type in and out, transforms and tf: one node with a tool for each, and its bag."""
 
 import os
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +18,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from helpers.ros.clients import LATCHED, MOMENT, Client
 from helpers.ros.processes import FAKE_TF, UNHURRIED, poke_path, running_node, shipped
 from tissue_sim.cli import main
+from tissue_sim.ros.bags.recording import Recording
 from tissue_sim.ros.shared.tool_messages import POSE_TYPES
 
 TURN = Rotation.from_euler("zyx", (90.0, 20.0, -35.0), degrees=True)  # of a device's base in the base frame
 OFFSET = np.array([0.2, -0.3, 0.1])
 ORGAN = np.array([0.5, 0.1, -0.2])  # the organ in the base frame
+ORGAN_ELSEWHERE = np.array([-0.2, 0.3, 0.4])
 HELD = Rotation.from_euler("xyz", (40.0, 10.0, 160.0), degrees=True)
 DEPTH = 0.003
 
@@ -31,15 +35,18 @@ def numbers(values) -> str:
 
 BASE_POSE = numbers([*OFFSET, *TURN.as_quat()])
 PARAMETERS = (
-    "tools:=[plain, named, odometry, led]",
+    "tools:=[plain, named, odometry, led, pen]",
     "base_frame:=world",
     f"organ_pose:={numbers([*ORGAN, 0.0, 0.0, 0.0, 1.0])}",
     *("plain.frame_id:=arm_base", "plain.pose_type:=Pose", "plain.wrench_type:=Wrench", "plain.force_type:=Wrench"),
+    "plain.external_cf:=plain/external_cf",
     f"plain.base_pose:={BASE_POSE}",
     *("named.frame_id:=arm_base", "named.pose_type:=TransformStamped", "named.wrench_type:=Float64MultiArray"),
     *("named.array_length:=7", "named.wrench_frame:=body", "named.reliable:=true", f"named.base_pose:={BASE_POSE}"),
     *("odometry.pose_type:=Odometry", "odometry.motion_scale:=0.5", "odometry.frame_id:=world"),
+    f"odometry.wrench_rotation:={numbers(TURN.as_quat())}",
     "led.frame_id:=elsewhere",
+    "pen.wrench_frame:=body",
     UNHURRIED,
 )
 
@@ -54,14 +61,16 @@ class Tools(Client):
 
     def __init__(self) -> None:
         super().__init__()
-        self.felt: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": []}
+        self.felt: dict[str, list[np.ndarray]] = {"plain": [], "named": [], "odometry": [], "led": [], "pen": []}
+        self.axes: dict[str, str] = {}  # by tool, the frame that its newest wrench names
         node, best_effort = self.node, qos_profile_sensor_data
-        types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry, "led": PoseStamped}
+        types = {"plain": Pose, "named": TransformStamped, "odometry": Odometry}
+        types |= {"led": PoseStamped, "pen": PoseStamped}
         self.poses = {
             tool: node.create_publisher(kind, f"{tool}/measured_cp", 10 if tool == "named" else best_effort)
             for tool, kind in types.items()
         }
-        self.forces = node.create_publisher(Wrench, "plain/measured_cf", best_effort)
+        self.forces = node.create_publisher(Wrench, "plain/external_cf", best_effort)
         self.tf = node.create_publisher(TransformStamped, "/tf_static", LATCHED)
         self.frames: dict[tuple[str, str], np.ndarray] = {}  # parent, child: the newest pose (7,) heard from tf
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -71,8 +80,21 @@ class Tools(Client):
         subscribe = node.create_subscription
         subscribe(Wrench, "plain/servo_cf", lambda m: keep["plain"](six(m)), best_effort)
         subscribe(Float64MultiArray, "named/servo_cf", lambda m: keep["named"](np.array(m.data)), 10)
-        subscribe(WrenchStamped, "odometry/servo_cf", lambda m: keep["odometry"](six(m.wrench)), best_effort)
-        subscribe(WrenchStamped, "led/servo_cf", lambda m: keep["led"](six(m.wrench)), best_effort)
+        for tool in ("odometry", "led", "pen"):
+            subscribe(WrenchStamped, f"{tool}/servo_cf", partial(self._on_stamped, tool), best_effort)
+
+    def _on_stamped(self, tool: str, message: WrenchStamped) -> None:
+        self.axes[tool] = message.header.frame_id
+        self.felt[tool].append(six(message.wrench))
+
+    def turn_to_organ(self, frame: str) -> Rotation:
+        """From the axes of a frame to the organ's, as tf has them."""
+        if frame == "organ":
+            return Rotation.identity()
+        if ("organ", frame) in self.frames:
+            return Rotation.from_quat(self.frames["organ", frame][3:])
+        of_organ, of_frame = (Rotation.from_quat(self.frames["world", one][3:]) for one in ("organ", frame))
+        return of_organ.inv() * of_frame
 
     def _on_transform(self, message: TransformStamped) -> None:
         offset, turn = message.transform.translation, message.transform.rotation
@@ -204,6 +226,8 @@ def bag(node, tools):
     felt["plain"] = tools.press("plain", in_device, TURN.inv() * HELD, force=pull)
     felt["named"] = tools.press("named", in_device, TURN.inv() * HELD)
     felt["odometry"] = tools.press("odometry", lambda point: (point + ORGAN) / 0.5, HELD)
+    assert tools.axes["odometry"] == "odometry_wrench"
+    felt["odometry"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["odometry"][:3])
     transform = TransformStamped(child_frame_id="camera")
     transform.header.frame_id = "world"
     translation, rotation = transform.transform.translation, transform.transform.rotation
@@ -211,6 +235,13 @@ def bag(node, tools):
     rotation.x, rotation.y, rotation.z, rotation.w = map(float, TURN.as_quat())
     tools.tf.publish(transform)
     felt["led"] = tools.press("led", in_device, TURN.inv() * HELD, frame="camera")
+    assert tools.axes["led"] == "camera", "the frame of its poses, not the one that led.frame_id names"
+    # The organ is registered anew, while the node runs, and then as it was.
+    assert tools.set_parameter("organ_pose", [*ORGAN_ELSEWHERE, *TURN.as_quat()]).successful
+    felt["registered"] = tools.press("odometry", lambda point: (TURN.apply(point) + ORGAN_ELSEWHERE) / 0.5, HELD)
+    assert tools.spin_until(lambda: np.allclose(tools.frames["world", "organ"][:3], ORGAN_ELSEWHERE)), "tf is told"
+    felt["registered"][:3] = tools.turn_to_organ("odometry_wrench").apply(felt["registered"][:3])
+    assert tools.set_parameter("organ_pose", [*ORGAN, 0.0, 0.0, 0.0, 1.0]).successful
     stopped = tools.record(False)
     assert stopped.success
     return stopped.message, felt
@@ -245,18 +276,41 @@ def test_tools_are_shown_in_the_organs_frame(tools):
     assert ball.header.frame_id == "organ"
     assert (ball.pose.position.x, ball.pose.position.y, ball.pose.position.z) == pytest.approx(place, abs=1e-9)
     assert ball.scale.x == 0.01
-    assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led"}
+    assert {m.ns for m in seen[-1].markers} == {"plain", "named", "odometry", "led", "pen"}
     # Nobody moves it any more.
     gone = tools.spin_until(lambda: all(m.action == Marker.DELETE for m in seen[-1].markers))
     assert gone, "a tool that nobody moves is still shown"
 
 
-def test_odometry_with_motion_scaled(bag):
+def test_odometry_with_motion_scaled_and_the_wrench_turned_into_a_frame_that_tf_has(bag):
     assert is_outward(bag[1]["odometry"][:3])
 
 
 def test_frame_that_tf_knows_is_looked_up(bag):
     assert is_outward(TURN.apply(bag[1]["led"][:3]))
+
+
+@pytest.mark.parametrize("frame", ["organ", "world"])
+def test_the_wrench_of_a_body_names_its_tip_which_tf_has(tools, frame):
+    """Whichever frame the poses come in, also where the organ's is a tool's own and stands elsewhere in the base."""
+    place, turn = np.array([0.3, -0.2, 0.1]), Rotation.from_euler("y", 0.7)
+
+    def is_heard():
+        tools.send("pen", place if frame == "organ" else place + ORGAN, turn, frame=frame)
+        tools.spin(0.02)
+        tip = tools.frames.get(("organ", "pen_tip"))
+        return tools.axes.get("pen") == "pen_tip" and tip is not None and np.allclose(tip, [*place, *turn.as_quat()])
+
+    assert tools.spin_until(is_heard), tools.frames
+
+
+def test_an_organ_that_is_registered_anew_is_where_it_is_and_bags_tell_the_tick(bag):
+    assert is_outward(bag[1]["registered"][:3])
+    recording = Recording.read(Path(bag[0]))
+    ticks, poses = zip(*recording.registrations, strict=True)
+    at_first = [*ORGAN, 0.0, 0.0, 0.0, 1.0]
+    np.testing.assert_allclose(poses, [at_first, [*ORGAN_ELSEWHERE, *TURN.as_quat()], at_first])
+    assert ticks[0] < recording.first_tick < ticks[1] < ticks[2]
 
 
 def test_all_feel_the_same_tissue(bag):
@@ -271,7 +325,7 @@ def test_bag_holds_poses_and_forces_in_the_organs_frame_and_replays_bit_for_bit(
     with Reader(bag[0]) as reader:
         for connection, _, raw in reader.messages():
             topic = connection.topic
-            if topic.endswith(("measured_cp", "measured_cf", "servo_cf")):
+            if topic.endswith(("measured_cp", "external_cf", "servo_cf")):
                 message = store.deserialize_cdr(raw, connection.msgtype)
                 kinds[topic] = connection.msgtype
                 assert message.header.frame_id == "organ", topic
@@ -279,13 +333,15 @@ def test_bag_holds_poses_and_forces_in_the_organs_frame_and_replays_bit_for_bit(
                     place = message.pose.position
                     depth = (np.array([place.x, place.y, place.z]) - touch) @ inward
                     deepest[topic] = max(deepest.get(topic, -1.0), depth)
-                elif topic.endswith("measured_cf"):
+                elif topic.endswith("external_cf"):
                     force = message.wrench.force
                     assert [force.x, force.y, force.z] == pytest.approx([0.0, 0.0, 0.02])
     for tool in ("plain", "named", "odometry", "led"):
         assert kinds[f"/tissue_sim/{tool}/measured_cp"] == "geometry_msgs/msg/PoseStamped"
         assert kinds[f"/tissue_sim/{tool}/servo_cf"] == "geometry_msgs/msg/WrenchStamped"
         assert deepest[f"/tissue_sim/{tool}/measured_cp"] == pytest.approx(DEPTH, abs=1e-6)
-    assert kinds["/tissue_sim/plain/measured_cf"] == "geometry_msgs/msg/WrenchStamped"
+    assert kinds["/tissue_sim/plain/external_cf"] == "geometry_msgs/msg/WrenchStamped"
     assert main(["replay", bag[0], "--force-tolerance", "0", "--position-tolerance", "0"]) == 0
-    assert "repeats" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "repeats" in said
+    assert said.count("organ_pose: [") == 2, "both changes, with their ticks"

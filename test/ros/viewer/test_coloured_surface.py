@@ -46,3 +46,13 @@ def test_light_is_that_of_a_screens_colours():
     np.testing.assert_allclose(light_of([0, 255]), [0.0, 1.0])
     assert light_of(188) == pytest.approx(0.5, abs=0.005)
     assert light_of(5) == pytest.approx(5 / 255 / 12.92)
+
+
+def test_of_a_translucent_surface_what_is_farthest_is_drawn_first():
+    mesh = trimesh.creation.icosphere(2, 0.03)
+    eye = np.array([0.1, -0.2, 0.05])
+    surface = ColouredSurface(np.asarray(mesh.vertices), np.asarray(mesh.faces), opacity=0.5)
+    found = read(surface.message(mesh.vertices, np.zeros((162, 3)), eye))
+    away = np.linalg.norm(np.asarray(found.vertices)[found.faces].mean(axis=1) - eye, axis=1)
+    assert (np.diff(away) <= 1e-8).all()
+    assert sorted(map(tuple, found.faces)) == sorted(map(tuple, mesh.faces))

@@ -1,5 +1,6 @@
 """Who may load the page and open its websocket: real requests to a real viewer."""
 
+import gzip
 import http.client
 import re
 import signal
@@ -17,7 +18,7 @@ from helpers.ros.processes import Process
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.ros.probes.graph import free_port
-from tissue_sim.ros.viewer.guard import Guard, guarding
+from tissue_sim.ros.viewer.guard import Guard, guarding, titled
 from tissue_sim.ros.viewer.tokens import chosen_token
 
 VISER = f"viser-v{viser.__version__}"
@@ -157,3 +158,11 @@ def test_a_token_that_could_be_guessed_is_wrong_use(token, capfd):
 def test_a_viser_that_cannot_be_guarded_is_not_served():
     with pytest.raises(UserError, match="install viser"), guarding(Guard(None, 8080)):
         pass
+
+
+def test_the_page_has_our_name_and_all_else_stays():
+    page = b"<html><title>Viser</title></html>"
+    assert titled(page) == b"<html><title>tissue_sim</title></html>"
+    assert gzip.decompress(titled(gzip.compress(page))) == titled(page)
+    for other in (b"", b"{}", gzip.compress(b"window.title")):
+        assert titled(other) == other

@@ -8,6 +8,7 @@ from nav_msgs.msg import Odometry
 from scipy.spatial.transform import Rotation
 
 from helpers.patience import wait_for
+from helpers.ros.participant import Participant
 from helpers.ros.processes import STAND_IN, UNHURRIED, Process, running_node
 from tissue_sim.contact.tools import Tool
 from tissue_sim.ros.shared.frames import Transform
@@ -85,6 +86,23 @@ def node(tmp_path_factory):
 @pytest.mark.parametrize("kind", [KINDS[0], *(pytest.param(kind, marks=pytest.mark.extended) for kind in KINDS[1:])])
 def test_a_tool_of_any_type_can_be_poked_with(kind, node, open_page):
     open_page(kind).press_and_let_go()
+
+
+def test_an_organ_that_is_registered_anew_is_poked_where_it_is_now(node, open_page):
+    page, participant = open_page(KINDS[0]), Participant("surgeon")
+
+    def to_organ() -> Transform | None:
+        return page.poke._tool._link.to_organ if page.poke._tool._link is not None else None
+
+    try:
+        assert page.wait(lambda: to_organ() is not None)
+        before = to_organ()
+        assert participant.set_parameter("organ_pose", [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]).successful
+        assert page.wait(lambda: to_organ() != before)
+        assert to_organ().translation[2] == pytest.approx(before.translation[2] - 0.1)
+    finally:
+        participant.set_parameter("organ_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        participant.close()
 
 
 def test_another_frame_has_the_tool_let_go(graph):

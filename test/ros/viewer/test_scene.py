@@ -9,7 +9,7 @@ pytest.importorskip("viser")
 from helpers.ros.stand_in import ball
 from tissue_sim.ros.shared.appearance import SCALE, TISSUE
 from tissue_sim.ros.viewer.coloured_surface import light_of
-from tissue_sim.ros.viewer.scene import InclusionView, OrganView
+from tissue_sim.ros.viewer.scene import LABEL_GAP, VIEW, InclusionView, LigamentView, OrganView, label_place
 
 
 class Handle:
@@ -37,6 +37,9 @@ class Server:
 
     def add_label(self, name, text, **given):
         return self.drawn.setdefault(name, Handle(text=text, **given))
+
+    def add_line_segments(self, name, points, colors, **given):
+        return self.drawn.setdefault(name, Handle(points=points, **given))
 
     def seen(self):
         """The surface that is seen."""
@@ -87,6 +90,30 @@ def test_what_the_breath_carries_has_not_moved_in_itself():
     np.testing.assert_allclose(positions, vertices + [0.0, 0.0, 0.02], atol=1e-7)
     assert np.ptp(colours, axis=0).max() == 0.0
     assert server.drawn["/organ/liver/name"].text == "liver"
+
+
+def test_a_name_is_not_hidden_by_another_organ():
+    """Two balls, one behind the other and higher up in the front: the name of the one behind goes below it."""
+    vertices, _ = ball()
+    away = VIEW / np.linalg.norm(VIEW)
+    right = np.cross([0.0, 0.0, 1.0], away)
+    up = np.cross(away, right / np.linalg.norm(right))
+    size = np.ptp(vertices, axis=0).max()
+    front = vertices + size * away + 0.5 * size * up
+    np.testing.assert_allclose(label_place(front, vertices), front[np.argmax(front @ up)] + LABEL_GAP * up)
+    np.testing.assert_allclose(label_place(vertices, front), vertices[np.argmin(vertices @ up)] - LABEL_GAP * up)
+
+
+def test_ligaments_are_lines_that_follow():
+    server = Server()
+    view = LigamentView(server)
+    ends = np.arange(12.0).reshape(2, 2, 3)
+    view.show(ends)
+    np.testing.assert_array_equal(server.drawn["/ligaments"].points, ends)
+    view.show(ends + 1.0)
+    np.testing.assert_array_equal(server.drawn["/ligaments"].points, ends + 1.0)
+    view.show(ends[:0])
+    assert server.drawn["/ligaments"].removed
 
 
 def test_another_opacity_is_drawn_anew_once():

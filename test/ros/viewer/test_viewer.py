@@ -22,7 +22,7 @@ from helpers.ros.stand_in import ball, cloud
 from tissue_sim.cli import main
 from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.shared import client
-from tissue_sim.ros.shared.appearance import SCALE
+from tissue_sim.ros.shared.appearance import SCALE, tissue_colour
 from tissue_sim.ros.viewer import scene as drawing
 from tissue_sim.ros.viewer.tool_view import ToolView, arrow
 
@@ -31,19 +31,25 @@ from tissue_sim.ros.viewer import panel
 
 
 # the picture -----------------------------------------------------------------------------------
-def test_the_camera_sees_all_of_the_organ():
+@pytest.mark.parametrize("size", [(900, 700), (1400, 900), (2500, 900), (400, 800)])
+def test_the_camera_sees_all_of_the_organ_beside_the_panel(size):
     vertices, _ = ball()
     vertices = vertices + 3.0
-    position, looked_at = drawing.camera_for(vertices)
+    position, looked_at = drawing.camera_for(vertices, size)
     forward = (looked_at - position) / np.linalg.norm(looked_at - position)
     rays = vertices - position
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    tangent = np.tan(0.5 * drawing.FIELD_OF_VIEW)
-    depth = rays @ forward
+    depth, (width, height) = rays @ forward, size
     assert depth.min() > 0.02  # beyond the near plane
-    assert np.abs(rays @ np.cross(right, forward) / depth).max() < tangent
-    assert np.abs(rays @ right / depth).max() < tangent
+    focal = 0.5 * height / np.tan(0.5 * drawing.FIELD_OF_VIEW)
+    across = 0.5 * width + focal * (rays @ right) / depth
+    down = 0.5 * height - focal * (rays @ np.cross(right, forward)) / depth
+    panel = drawing.PANEL if width > drawing.NARROW else 0
+    assert 0.0 < across.min() < across.max() < width - panel
+    assert 0.0 < down.min() < down.max() < height
+    assert across.min() + across.max() == pytest.approx(width - panel, abs=0.03 * width), "in the middle"
+    assert max(np.ptp(across) / (width - panel), np.ptp(down) / height) > 0.6, "as large as there is room"
 
 
 def test_an_arrow_starts_at_the_tool_and_is_as_long_as_the_force():
@@ -161,12 +167,20 @@ def test_meshes_and_clouds_become_arrays():
     assert np.array_equal(client.cloud_array(cloud(columns)), columns)
 
 
-def test_the_headline_is_as_high_whatever_it_says():
-    warned = panel.headline("tissue_sim", 1, "a < b, " * 50)
-    assert "a &lt; b" in warned
-    assert "warns" in warned
-    height = [re.search(r"height:([^;]+);", panel.headline_html(line))[1] for line in ("", warned)]
+def test_the_headline_is_as_high_whatever_it_says_and_the_details_are_complete():
+    assert "warns: a &lt; b</span> (2 more below)" in panel.headline("tissue_sim", 1, "a < b; c; d")
+    assert "fails: e</span>" in panel.headline("tissue_sim", 2, "e")
+    height = [re.search(r"height:([^;]+);", panel.headline_html(line))[1] for line in ("", "warned " * 50)]
     assert height[0] == height[1]
+    said = panel.detail(1, "; ".join(f"warning {k}: a < b" for k in range(20)))
+    assert all(f"warning {k}: a &lt; b" in said for k in range(20))
+    assert said.count("<br>") == 19
+
+
+def test_organs_are_named_beside_their_colours():
+    legend = panel.organs_html(["liver", "left<kidney"])
+    assert f"rgb{tissue_colour('liver')}" in legend
+    assert "left&lt;kidney" in legend
 
 
 def test_the_newest_status_of_the_right_node_counts():
@@ -204,7 +218,9 @@ def test_the_page_is_there_before_the_node_and_after_it(start):
     viewer.wait_for(f"http://127.0.0.1:{port}")
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=LIMIT) as page:
         assert page.status == 200
-        assert b"<html" in page.read()
+        said = page.read()
+        assert b"<html" in said
+        assert b"<title>tissue_sim</title>" in said
     for words in ([STAND_IN], [STAND_IN, "--smaller"]):  # a node comes, and then one with another organ
         node = start(*words)
         node.wait_for("up")

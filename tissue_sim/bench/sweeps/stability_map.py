@@ -10,7 +10,7 @@ from tissue_sim.bench.sweeps.trial import Record
 from tissue_sim.errors import UserError
 
 COLOURS = {"stable": "#7fbf8e", "guarded": "#f2c14e", "diverged": "#c8432f"}
-_LED_BACK = "////"
+_RECOVERED = "////"
 
 
 def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
@@ -22,9 +22,9 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
 
     axes = [axis for axis in AXES if any(record.axis == axis for record in records)]
     rows = list(dict.fromkeys((record.integrator, record.local_region) for record in records))
-    across = min(3, len(axes))
+    across = min(2, len(axes))  # so that words are read at the width of a page
     down = -(-len(axes) // across)
-    figure = Figure(figsize=(2.2 + 5.2 * across, 1.4 + (1.2 + 0.26 * len(rows)) * down), layout="constrained")
+    figure = Figure(figsize=(1.7 + 3.6 * across, 1.6 + (0.9 + 0.24 * len(rows)) * down), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(down, across, squeeze=False)
     for index, panel in enumerate(panels.ravel()):
@@ -42,7 +42,7 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
                     1.0,
                     facecolor=COLOURS[record.outcome],
                     edgecolor="white" if not record.snaps else "#303030",
-                    hatch=_LED_BACK if record.snaps else None,
+                    hatch=_RECOVERED if record.snaps else None,
                     linewidth=0.6,
                 )
             )
@@ -53,27 +53,27 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
         panel.set_facecolor("#eeeeee")
         panel.set_xlim(-0.5, len(values) - 0.5)
         panel.set_ylim(len(rows) - 0.5, -0.5)
-        panel.set_xticks(range(len(values)), [f"{value:g}" for value in values], fontsize=8)
+        panel.set_xticks(range(len(values)), [f"{value:g}" for value in values], fontsize=10)
         labels = [f"{integrator}, {region}" for integrator, region in rows] if index % across == 0 else []
-        panel.set_yticks(range(len(rows)), labels or [""] * len(rows), fontsize=8)
+        panel.set_yticks(range(len(rows)), labels or [""] * len(rows), fontsize=10)
         panel.tick_params(length=0)
-        panel.set_xlabel(AXES[axis].title, fontsize=9)
+        panel.set_xlabel(AXES[axis].title, fontsize=11)
         for edge in range(1, len(rows)):
             if rows[edge][0] != rows[edge - 1][0]:
                 panel.axhline(edge - 0.5, color="black", linewidth=1.0)
     figure.legend(
         handles=[
             *(Patch(facecolor=colour, label=outcome) for outcome, colour in COLOURS.items()),
-            Patch(facecolor="white", edgecolor="#303030", hatch=_LED_BACK, label="led back from a false rest shape"),
+            Patch(facecolor="white", edgecolor="#303030", hatch=_RECOVERED, label="recovered from a false rest shape"),
             Line2D([], [], linestyle="", marker="x", color="black", label="diverged with default settings"),
-            Line2D([], [], linestyle="", marker=".", color="#303030", label="not watched until rest"),
+            Line2D([], [], linestyle="", marker=".", color="#303030", label="not run until it rests"),
         ],
         loc="outside lower center",
-        ncols=6 if across > 2 else 2,
-        fontsize=9,
+        ncols=2,
+        fontsize=10,
         frameon=False,
     )
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(title, fontsize=13)
     try:
         figure.savefig(path, dpi=130)
     except OSError as error:

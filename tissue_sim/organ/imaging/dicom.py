@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
-from tissue_sim.errors import UserError
+from tissue_sim.errors import UserError, shown
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.silence import silenced
 from tissue_sim.organ.imaging.voxel_files import check_count
@@ -29,6 +31,9 @@ _TILT = 0.5  # pixels that slices may drift sideways over the whole stack
 _FEW = 3  # slices: fewer beside a stack are localizers or scraps
 _SPARE = 1 << 27  # bytes of address space that GDCM and ITK may reserve beside those of a file
 _SHOWN = 12  # series named in a message
+
+# Storage classes of segmentations: of a bit or a share for each segment, and of labels.
+SEGMENTATIONS = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +53,7 @@ class _Slice:
     series: str
     description: str
     kind: str  # DICOM's image type
+    storage: str  # UID of its storage class
     instance: str
     size: tuple[int, ...]
     components: int
@@ -93,7 +99,7 @@ def read_stack(folder: Path, series: str | None = None) -> Stack:
     if frames > 1:
         if len(slices) > 1:
             raise UserError(f"DICOM folder {folder} is 4-D: {len(slices)} files of {frames} slices; keep one of them")
-        return _read_frames(folder, slices[0], tuple(notes))
+        return read_frames(Path(slices[0].file), tuple(notes))
     slices, more = _without_copies(slices)
     return _read_slices(folder, slices, tuple(notes + more))
 
@@ -119,6 +125,7 @@ def _read_header(file: str) -> _Slice | None:
         series=text("0020|000e"),
         description=text("0008|103e"),
         kind=text("0008|0008").upper(),
+        storage=text("0008|0016"),
         instance=text("0008|0018"),
         size=tuple(int(n) for n in size),
         components=int(components),
@@ -265,16 +272,119 @@ def _decoded(file: str, voxels: int) -> Any:
         raise UserError(f"DICOM slice {file} can't be decoded; export the series again, uncompressed") from None
 
 
-def _read_frames(folder: Path, found: _Slice, notes: tuple[str, ...]) -> Stack:
-    """A volume in one file of many frames, as GDCM places it."""
-    check_count(folder, found.size)
-    image = _decoded(found.file, math.prod(found.size))
-    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
-        raise UserError(f"DICOM folder {folder} holds no volume; name the folder that holds the slices")
-    return Stack(
-        sitk.GetArrayFromImage(image),
-        np.array(image.GetSpacing()),
-        np.array(image.GetOrigin()),
-        np.array(image.GetDirection()).reshape(3, 3),
-        notes,
-    )
+# one file of many frames ---------------------------------------------------------------------------
+
+
+class FrameGrid(NamedTuple):
+    """Where the frames of a DICOM file lie.
+
+    image: what highdicom reads of the file; size: voxels along x, y, z; spacing, origin (3,) mm and direction (3, 3) in
+    LPS; place: the slice of each frame; rescales: different rescale slopes and intercepts of frames.
+    """
+
+    image: Any
+    size: tuple[int, int, int]
+    spacing: Floats
+    origin: Floats
+    direction: Floats
+    place: list[int]
+    rescales: int
+
+
+def is_dicom(file: Path) -> bool:
+    """Return whether a file has the mark that a DICOM file begins with."""
+    if not file.is_file():
+        return False
+    with file.open("rb") as opened:
+        return opened.read(132)[128:] == b"DICM"
+
+
+@contextmanager
+def decoding(file: Path, voxels: int = 0) -> Iterator[None]:
+    """While entered, nothing is printed or warned of, and there is as much room as a DICOM file can need."""
+    with silenced(), warnings.catch_warnings(), limited(_room(str(file), voxels)):
+        warnings.simplefilter("ignore")
+        yield
+
+
+def functional_group(image: Any, frame: int, name: str) -> Any:
+    """Return what a DICOM file of many frames says about one of them, or about all; KeyError where it says nothing."""
+    for groups in (
+        image.get("PerFrameFunctionalGroupsSequence", ())[frame : frame + 1],
+        image.get("SharedFunctionalGroupsSequence", ())[:1],
+    ):
+        if groups and name in groups[0]:
+            return groups[0][name][0]
+    raise KeyError(name)
+
+
+def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
+    """Read where the frames of a DICOM file lie, from their positions: GDCM takes the spacing of some kinds for 1 mm.
+
+    whole: whether each slice must have one frame; otherwise it may have several or none. Raises UserError naming the
+    file where it can't be read, or its frames don't lie on one regular stack.
+    """
+    import highdicom
+
+    try:
+        with decoding(file):
+            image = highdicom.Image.from_file(file)
+            geometry = image.get_volume_geometry(allow_missing_positions=not whole, allow_duplicate_positions=not whole)
+            count = int(image.NumberOfFrames)
+            groups = [functional_group(image, frame, "PlanePositionSequence") for frame in range(count)]
+            positions = np.array([list(map(float, group.ImagePositionPatient)) for group in groups]).reshape(count, 3)
+            rescales = {_rescale(image, frame) for frame in range(count)}
+    except Exception as error:  # highdicom and pydicom raise anything on damaged files
+        raise UserError(
+            f"DICOM file {file} doesn't say where its frames lie ({shown(str(error) or type(error).__name__)});"
+            " export it again"
+        ) from None
+    if geometry is None:
+        raise UserError(
+            f"DICOM file {file} has frames that are no regular stack: some are missing, tilted, or at one position;"
+            " resample it first"
+        )
+    matrix = geometry.affine[:, [2, 1, 0, 3]]  # highdicom counts slices, rows, columns
+    nz, ny, nx = geometry.spatial_shape
+    check_count(file, (nx, ny, nz))
+    if np.linalg.det(matrix[:3, :3]) < 0.0:  # along the normal of rows and columns, as slices of a folder
+        matrix[:3, 3] += (nz - 1) * matrix[:3, 2]
+        matrix[:3, 2] *= -1.0
+    at = (positions - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T
+    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    place = [int(slot) for slot in np.round(at[:, 2])]
+    return FrameGrid(image, (nx, ny, nz), spacing, matrix[:3, 3], matrix[:3, :3] / spacing, place, len(rescales))
+
+
+def _rescale(image: Any, frame: int) -> tuple[str, str]:
+    """The slope and intercept of a frame, as they are written; empty where it has none."""
+    try:
+        found = functional_group(image, frame, "PixelValueTransformationSequence")
+    except KeyError:
+        return "", ""
+    return str(found.get("RescaleSlope", "")), str(found.get("RescaleIntercept", ""))
+
+
+def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
+    """Read a DICOM file that holds a volume in many frames; notes: remarks that go on to the result.
+
+    Raises UserError naming the file when it holds no whole upright volume, can't be decoded, or is a segmentation.
+    """
+    header = _read_header(str(file))
+    if header is None:
+        raise UserError(f"DICOM file {file} can't be read as an image; export it again, uncompressed")
+    if header.components != 1:
+        raise UserError(f"DICOM file {file} holds colour pictures, not a CT")
+    if len(header.size) < 3 or header.size[2] < 2:
+        raise UserError(f"{file} is a single slice, a 3-D volume is needed; name the folder that holds the series")
+    if header.storage in SEGMENTATIONS:
+        raise UserError(f"DICOM file {file} is a segmentation, not a CT; give it to --mask")
+    grid = read_frame_grid(file, whole=True)
+    if grid.rescales > 1:  # GDCM takes the first for all
+        raise UserError(f"DICOM file {file} has frames of several rescale slopes or intercepts; export them as slices")
+    frames = sitk.GetArrayFromImage(_decoded(str(file), math.prod(header.size)))
+    if frames.shape[::-1] != grid.size:
+        raise UserError(f"DICOM file {file} is damaged: it holds {len(frames)} frames for {grid.size[2]} slices")
+    array = np.empty_like(frames)
+    array[grid.place] = frames
+    return Stack(array, grid.spacing, grid.origin, grid.direction, notes)

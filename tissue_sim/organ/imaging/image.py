@@ -8,7 +8,6 @@ them into LPS on reading. Lengths are millimetres in headers and here, metres in
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,21 +21,21 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
-from tissue_sim.organ.imaging.dicom import read_stack
-from tissue_sim.organ.imaging.meta_header import check_meta_header
-from tissue_sim.organ.imaging.nifti_header import check_nifti_header
-from tissue_sim.organ.imaging.nrrd_header import check_nrrd_header
+from tissue_sim.organ.imaging.dicom import Stack, is_dicom, read_frames, read_stack
+from tissue_sim.organ.imaging.meta_header import read_meta_header
+from tissue_sim.organ.imaging.nifti_header import read_nifti_header
+from tissue_sim.organ.imaging.nrrd_header import read_nrrd_header
 from tissue_sim.organ.imaging.silence import silenced
-from tissue_sim.organ.imaging.voxel_files import check_count, check_room
+from tissue_sim.organ.imaging.voxel_files import Header, check_count, check_room
 
 MM = 1e-3  # metres in a millimetre
 AIR = -1024.0  # HU, for voxels without a value
-_MOST_LABELS = 200
-_LARGEST_AXIS = 1e6  # of a number in a direction, or of mm in a NIfTI's row
+_LARGEST_AXIS = 1e9  # mm, of a step between voxels
 _LARGEST_SKEW = 1e-3  # cosine between two axes
 _PAIR = re.compile(r"\.(hdr|img)(\.gz)?$", re.IGNORECASE)  # NIfTI in two files
-_PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"
-_FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
+_PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"  # how skewed a NIfTI is, is checked here
+_UNSCALED = (".tif", ".tiff", ".lsm")  # ITK takes the distance of their slices for 1 mm
+FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # ITK's multi-line warnings; what matters is checked here
 
@@ -129,13 +128,13 @@ def from_sitk(image: sitk.Image, name: str = "", *, mask: bool = False) -> Volum
     view = sitk.GetArrayViewFromImage(image)  # one copy less than an array of its own
     with np.errstate(over="ignore", invalid="ignore"):  # infinity and NaN, which are looked for
         array = view != 0 if mask else view.astype(np.float32)
-    return Volume(
-        array=array,
-        spacing=np.array(image.GetSpacing()),
-        origin=np.array(image.GetOrigin()),
-        direction=np.array(image.GetDirection()).reshape(3, 3),
-        name=name,
-    )
+    return placed(array, image, name)
+
+
+def placed(array: NDArray[Any], image: sitk.Image, name: str, notes: tuple[str, ...] = ()) -> Volume:
+    """Return an array (nz, ny, nx) as a Volume that lies where a SimpleITK image does."""
+    direction = np.array(image.GetDirection()).reshape(3, 3)
+    return Volume(array, np.array(image.GetSpacing()), np.array(image.GetOrigin()), direction, name, notes)
 
 
 def read_image(path: str | Path, series: str | None = None) -> Volume:
@@ -148,10 +147,16 @@ def read_image(path: str | Path, series: str | None = None) -> Volume:
     """
     source = Path(path)
     if not source.exists():
-        raise UserError(f"image {source} does not exist; name a {_FORMATS}")
+        raise UserError(f"image {source} does not exist; name a {FORMATS}")
     if series is not None and not source.is_dir():
         raise UserError(f"--series chooses a series in a DICOM folder; {source} is a file")
-    volume = _read_folder(source, series) if source.is_dir() else from_sitk(_read_file(source), source.name)
+    if source.is_dir():
+        volume = of_stack(read_stack(source, series), source.name)
+    elif is_dicom(source):
+        volume = of_stack(read_frames(source), source.name)
+    else:
+        image, notes = read_file(source)
+        volume = replace(from_sitk(image, source.name), notes=notes)
     bad = 0
     for layer in volume.array:  # slice by slice: no second volume in memory
         wrong = ~np.isfinite(layer)
@@ -164,144 +169,93 @@ def read_image(path: str | Path, series: str | None = None) -> Volume:
     return replace(volume, notes=(*volume.notes, note)) if bad else volume
 
 
-def read_mask(path: str | Path, label: int | None = None) -> Volume:
-    """Read a segmentation as a bool Volume: voxels equal to `label`, or the only non-zero value.
+def of_stack(stack: Stack, name: str) -> Volume:
+    """Return a DICOM series, or the frames of a DICOM file, as a Volume."""
+    return Volume(stack.array, stack.spacing, stack.origin, stack.direction, name, stack.notes)
 
-    Raises UserError naming the file and the labels it holds when the choice isn't clear.
+
+def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[str, ...]]:
+    """Read a 3-D image file: its voxels, placed in mm in LPS as its header says, and remarks, one line each.
+
+    layers: whether voxels may hold several values, as segmentations whose segments overlap do. Raises UserError naming
+    the file when it can't be read, isn't 3-D, or has axes that are not at right angles, to within a thousandth.
     """
-    return read_masks(path, label, ())[0]
-
-
-def read_masks(path: str | Path, label: int | None, parts: Sequence[int]) -> list[Volume]:
-    """Read an organ's segmentation with further labels for parts of it: the whole organ, then each part.
-
-    Raises UserError as read_mask does.
-    """
-    source = Path(path)
-    if not source.exists():
-        raise UserError(f"mask {source} does not exist; name a {_FORMATS}")
-    image = None if source.is_dir() else _read_file(source)
-    found = _read_folder(source, None) if image is None else from_sitk(image, source.name, mask=True)
-    array = found.array if image is None else sitk.GetArrayViewFromImage(image)
-    labels = _labels(array, str(source))
-    if len(labels) == 0:
-        raise UserError(f"mask {source} is empty: it holds no value other than 0")
-    shown = ", ".join(f"{value:g}" for value in labels[:20])
-    for wanted in (label, *parts):
-        if wanted is not None and wanted not in labels:
-            raise UserError(f"mask {source} has no label {wanted}; it holds {shown}")
-    own = [value for value in labels if value not in parts] if label is None else [label]
-    if len(own) != 1:
-        raise UserError(f"mask {source} holds several labels ({shown}); choose one with --label")
-    masks = [replace(found, array=array == part) for part in (*own, *parts)]
-    for part in masks[1:]:
-        masks[0].array[part.array] = True
-    return masks
-
-
-def _labels(array: NDArray[Any], name: str) -> list[float]:
-    """Values other than 0, in order."""
-    found: set[float] = set()
-    for layer in array:
-        found.update(float(value) for value in np.unique(layer) if value != 0 and np.isfinite(value))
-        if len(found) > _MOST_LABELS:
-            raise UserError(
-                f"mask {name} holds over {_MOST_LABELS} different values; it looks like an image, not a mask"
-            )
-    return sorted(found)
-
-
-def _read_folder(folder: Path, series: str | None) -> Volume:
-    stack = read_stack(folder, series)
-    return Volume(stack.array, stack.spacing, stack.origin, stack.direction, folder.name, stack.notes)
-
-
-def _read_file(path: Path) -> sitk.Image:
-    """Read a 3-D image file; its axes are at right angles, to within a thousandth."""
-    try:
-        try:
-            image = _read_strictly(path)
-        except _SkewedError:
-            # ITK takes rounding errors past 1e-5 in a NIfTI header only then; how skewed it is, is checked here.
-            with environment({_PERMISSIVE: "ON"}):
-                image = _read_strictly(path)
-        if _skew(image) <= _LARGEST_SKEW:
-            return image
-    except _SkewedError:  # axes that can't be straightened
-        pass
-    raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
-
-
-class _SkewedError(Exception):
-    """ITK finds no orthonormal axes in a NIfTI header."""
-
-
-def _skew(image: sitk.Image) -> float:
-    """Largest cosine between two of the axes: the header's own where ITK has straightened a NIfTI's."""
-    axes = np.array(image.GetDirection()).reshape(3, 3)
-    rows = [f"srow_{axis}" for axis in "xyz"]
-    if image.HasMetaDataKey("ITK_sform_corrected") and all(image.HasMetaDataKey(row) for row in rows):
-        axes = np.array([[float(value) for value in image.GetMetaData(row).split()[:3]] for row in rows])
-    if not np.all(np.abs(axes) < _LARGEST_AXIS):
-        return math.inf
-    length = np.maximum(np.linalg.norm(axes, axis=0), 1e-12)
-    return float(np.abs(np.triu((axes / length).T @ (axes / length), 1)).max())
-
-
-def _read_strictly(path: Path) -> sitk.Image:
+    if path.suffix.lower() in _UNSCALED:
+        raise UserError(f"{path} is a TIFF, which doesn't say how far its slices lie apart; save it as NRRD or MHA")
+    header = _header(path)
+    if header is not None and header.affine is not None:
+        _check_axes(path, header.affine[:3, :3])  # ITK finds no direction in some that are not at right angles
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
-    beside = _checked_header(path)
     try:
-        with silenced():
+        with silenced(), environment({_PERMISSIVE: "ON"}):
             reader.ReadImageInformation()
         size, dimension = reader.GetSize(), reader.GetDimension()
         components = reader.GetNumberOfComponents()
     except RuntimeError as error:
-        if "orthonormal" in str(error):
-            raise _SkewedError from None
-        raise UserError(f"{path} can't be read as an image ({_reason(error)}); name a {_FORMATS}") from None
-    if components != 1:
+        raise UserError(f"{path} can't be read as an image ({_reason(error)}); name a {FORMATS}") from None
+    if components != 1 and not layers:
         raise UserError(f"{path} has {components} values a voxel; a CT or mask has one")
     if dimension > 3 and any(n != 1 for n in size[3:]):
         shape = " x ".join(str(n) for n in size)
         raise UserError(f"{path} is {dimension}-D ({shape}); extract one 3-D volume first")
     if dimension < 3 or min(size[:3]) < 2:
         shape = " x ".join(str(n) for n in size)
-        hint = "; name the folder that holds the series" if path.suffix.lower() in (".dcm", ".ima", "") else ""
-        raise UserError(f"{path} is a single slice ({shape}), a 3-D volume is needed{hint}")
-    if beside is None:
+        raise UserError(f"{path} is a single slice ({shape}), a 3-D volume is needed")
+    if header is None:
         check_count(path, size)
     else:
-        check_room(path, beside, size, sitk.Image([1, 1], reader.GetPixelID()).GetSizeOfPixelComponent())
+        check_room(path, header.beside, size, sitk.Image([1, 1], reader.GetPixelID()).GetSizeOfPixelComponent())
     try:
-        with silenced():
+        with silenced(), environment({_PERMISSIVE: "ON"}):
             image = reader.Execute()
     except (RuntimeError, MemoryError) as error:
         raise UserError(f"{path} is damaged or truncated ({_reason(error)})") from None
-    return image if dimension == 3 else image[(slice(None),) * 3 + (0,) * (dimension - 3)]
+    image = image if dimension == 3 else image[(slice(None),) * 3 + (0,) * (dimension - 3)]
+    _place(path, image, header or Header())
+    return image, header.notes if header else ()
 
 
-def _checked_header(path: Path) -> tuple[Path, ...] | None:
-    """The files of voxels beside an image; None where it is packed in an unknown way. Raises UserError, see there."""
+def _place(path: Path, image: sitk.Image, header: Header) -> None:
+    """Put an image where its header says, in mm. Raises UserError as _check_axes does."""
+    axes = np.array(image.GetDirection()).reshape(3, 3) * image.GetSpacing() * header.unit
+    origin = np.array(image.GetOrigin()) * header.unit
+    if header.affine is not None:
+        axes, origin = header.affine[:3, :3], header.affine[:3, 3]
+    spacing = _check_axes(path, axes)
+    image.SetSpacing(spacing.tolist())
+    image.SetOrigin(origin.tolist())
+    image.SetDirection((axes / spacing).ravel().tolist())
+
+
+def _check_axes(path: Path, axes: Floats) -> Floats:
+    """The lengths (3,) of the columns of axes (3, 3); raises UserError where they are huge, or not at right angles."""
+    if not np.all(np.abs(axes) <= _LARGEST_AXIS):
+        raise UserError(f"{path} has a damaged header: its axes hold numbers that are not finite, or huge")
+    length = np.linalg.norm(axes, axis=0)
+    unit = axes / np.maximum(length, 1e-300)
+    if length.min() <= 0.0 or np.abs(np.triu(unit.T @ unit, 1)).max() > _LARGEST_SKEW:
+        raise UserError(f"{path} has skewed axes (a tilted gantry); resample it onto an upright grid first")
+    return length
+
+
+def _header(path: Path) -> Header | None:
+    """What an image's header says; None where it is packed in an unknown way. Raises UserError as the readers do."""
     if not path.is_file():
         return None
     name = path.name.lower()
     if name.endswith((".mha", ".mhd")):
-        return check_meta_header(path)
+        return read_meta_header(path)
     if name.endswith((".nrrd", ".nhdr")):
-        return check_nrrd_header(path)
+        return read_nrrd_header(path)
     if name.endswith((".nii", ".nii.gz")):
-        check_nifti_header(path)
-        return ()
+        return read_nifti_header(path)
     if not _PAIR.search(name):
         return None
     stem = _PAIR.sub("", str(path))
     pair = [Path(f"{stem}{suffix}") for suffix in (".hdr", ".hdr.gz", ".img", ".img.gz")]
-    for header in pair[:2]:
-        if header.is_file():
-            check_nifti_header(header)
-    return tuple(pair[2:])
+    found = [read_nifti_header(header) for header in pair[:2] if header.is_file()]
+    return (found[0] if found else Header())._replace(beside=tuple(pair[2:]))
 
 
 def _reason(error: BaseException) -> str:

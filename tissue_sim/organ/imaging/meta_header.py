@@ -7,22 +7,30 @@ import re
 from pathlib import Path
 
 from tissue_sim.errors import UserError, shown
-from tissue_sim.organ.imaging.voxel_files import LONGEST_HEADER, MOST_VOXELS, data_file
+from tissue_sim.organ.imaging.voxel_files import (
+    LONGEST_HEADER,
+    MOST_VOXELS,
+    Header,
+    data_file,
+    millimetres,
+    unscaled,
+)
 
 _LINE = re.compile(r"\s*(\w+)\s*[=:]\s*(.*)")
 _MOST_AXES = 10
 _LOCAL = ("local", "Local", "LOCAL")
 _PACKED = ("", ".gz", ".Z")  # suffixes that ITK tries after the name
+_SPACINGS = ("ElementSpacing", "ElementSize")  # ITK takes the second where the first is missing
 
 
-def check_meta_header(path: Path) -> tuple[Path, ...]:
-    """The files of voxels beside a MetaImage.
+def read_meta_header(path: Path) -> Header:
+    """Read the files of voxels beside a MetaImage, and its unit of length, which ITK has no regard to.
 
-    Raises UserError naming the line of its header that no image has, or the file that isn't in its folder.
+    Raises UserError naming the line of its header that no image has, the file that isn't in its folder, or the unit.
     """
     with path.open("rb") as file:
         text = file.read(LONGEST_HEADER).decode("latin-1")
-    packed = ""
+    packed, unit, scaled = "", 1.0, False
     for line in re.split(r"[\r\n]", text):
         found = _LINE.match(line)
         key, value = found.groups() if found else ("", "")
@@ -31,6 +39,12 @@ def check_meta_header(path: Path) -> tuple[Path, ...]:
             raise _damaged(path, key, value, f"1 to {_MOST_AXES}")
         if key == "DimSize" and not _is_size(value.split()):
             raise _damaged(path, key, value, "positive numbers")
+        if key in _SPACINGS:
+            scaled = True
+            if not _are_lengths(value.split()):
+                raise _damaged(path, key, value, "a number other than 0 for each axis")
+        if key == "DistanceUnits":
+            unit = millimetres(path, [value], key)
         if key == "CompressedDataSize":
             packed = value
         if key == "ElementDataFile":  # the last one
@@ -38,7 +52,7 @@ def check_meta_header(path: Path) -> tuple[Path, ...]:
             held = sum(one.stat().st_size for one in (path, *files))
             if packed and not _is_within(packed, held):
                 raise _damaged(path, "CompressedDataSize", packed, f"at most the {held} bytes that there are")
-            return files
+            return Header(files, unit, notes=() if scaled else (unscaled(path),))
     raise UserError(f"{path} has a damaged header: it has no ElementDataFile")
 
 
@@ -55,6 +69,13 @@ def _is_size(words: list[str]) -> bool:
     if not words or not all(word.isdecimal() and len(word) <= 10 for word in words):
         return False
     return 0 < math.prod(map(int, words)) <= MOST_VOXELS
+
+
+def _are_lengths(words: list[str]) -> bool:
+    try:
+        return all(math.isfinite(length) and length != 0.0 for length in map(float, words))
+    except ValueError:
+        return False
 
 
 def _is_within(text: str, most: int) -> bool:

@@ -1,58 +1,80 @@
-"""Numbers in a NIfTI's header that ITK never comes to an end with."""
+"""Where a NIfTI's header places its voxels: numbers that ITK never comes to an end with, and forms that disagree."""
 
 from __future__ import annotations
 
 import gzip
-import struct
 import zlib
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from nibabel import Nifti1Header, Nifti2Header
+from nibabel.spatialimages import HeaderDataError
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.voxel_files import Header, millimetres
 
 _LARGEST = 1e9  # of a number in a transform
 _GZIP = b"\x1f\x8b"
+_KINDS = (Nifti1Header, Nifti2Header)
+_FORMS = {  # the fields of the numbers of each
+    "qform": ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z", "pixdim"),
+    "sform": ("srow_x", "srow_y", "srow_z"),
+}
+_RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
-class _Layout(NamedTuple):
-    """Of NIfTI 1 or 2: the header's length; the codes' type and where they are; the numbers' type, and where."""
+def read_nifti_header(path: Path) -> Header:
+    """Read where a NIfTI's header places its voxels: by its sform, or by its qform where that is alone.
 
-    length: int
-    code: str
-    qform_code: int
-    sform_code: int
-    number: str
-    quaternion: int  # with its offset, 6 numbers
-    rows: int  # 12 numbers
-
-
-_LAYOUTS = (_Layout(348, "h", 252, 254, "f4", 256, 280), _Layout(540, "i", 344, 348, "f8", 352, 400))
-
-
-def check_nifti_header(path: Path) -> None:
-    """Raise UserError where a transform that a NIfTI's header gives holds numbers that are not finite, or huge."""
+    Raises UserError where a transform holds numbers that are not finite, or huge, and where both are there and place
+    a corner of the image more than half a voxel apart: some programs take the one, and some the other.
+    """
     data = _head(path)
-    for layout in _LAYOUTS:
-        for order in "<>":
-            if len(data) >= layout.length and struct.unpack_from(f"{order}i", data)[0] == layout.length:
-                _check(path, data, layout, order)
+    for kind in _KINDS:
+        if kind.may_contain_header(data):
+            return _placed(path, kind(data[: kind.sizeof_hdr], check=False))
+    return Header()
 
 
-def _check(path: Path, data: bytes, layout: _Layout, order: str) -> None:
-    for code, at, count, name in (
-        (layout.qform_code, layout.quaternion, 6, "qform"),
-        (layout.sform_code, layout.rows, 12, "sform"),
-    ):
-        given = struct.unpack_from(f"{order}{layout.code}", data, code)[0] > 0
-        numbers = np.frombuffer(data, f"{order}{layout.number}", count, at)
-        if given and not np.all(np.abs(numbers) <= _LARGEST):
-            raise UserError(f"{path} has a damaged header: its {name} holds numbers that are not finite, or huge")
+def _placed(path: Path, header: Nifti1Header) -> Header:
+    for form, fields in _FORMS.items():
+        numbers = np.concatenate([np.ravel(header[field]) for field in fields])
+        if header[f"{form}_code"] > 0 and not np.all(np.abs(numbers) <= _LARGEST):
+            raise UserError(f"{path} has a damaged header: its {form} holds numbers that are not finite, or huge")
+    try:
+        sform, qform = header.get_sform(coded=True)[0], header.get_qform(coded=True)[0]
+        unit = millimetres(path, [header.get_xyzt_units()[0]], "xyzt_units")
+    except (HeaderDataError, KeyError, ValueError) as error:
+        raise UserError(f"{path} has a damaged header ({error})") from None
+    if sform is None and qform is None:
+        note = f"warning: {path.name} has neither a qform nor a sform, so which side is left is not known"
+        return Header(unit=unit, notes=(note,))
+    if sform is not None and qform is not None:
+        _check_agreement(path, header, sform, qform)
+    affine = _RAS_TO_LPS @ (qform if sform is None else sform)
+    affine[:3] *= unit
+    return Header(affine=affine)
+
+
+def _check_agreement(path: Path, header: Nifti1Header, sform: Floats, qform: Floats) -> None:
+    last = np.maximum(np.asarray(header["dim"][1:4], dtype=np.float64) - 1.0, 0.0)
+    corners = np.stack(np.meshgrid(*([0.0, n] for n in last)), axis=-1).reshape(-1, 3)
+    between = corners @ (sform - qform)[:3, :3].T + (sform - qform)[:3, 3]
+    spacing = [np.linalg.norm(form[:3, :3], axis=0) for form in (sform, qform)]
+    apart = float(np.linalg.norm(between, axis=1).max())
+    if apart <= 0.5 * min(float(one.min()) for one in spacing):
+        return
+    sizes = [" x ".join(f"{value:.3g}" for value in one) for one in spacing]
+    raise UserError(
+        f"{path} has a sform and a qform that place its corners up to {apart:.3g} mm apart (voxels of {sizes[0]} and of"
+        f" {sizes[1]}): it isn't clear which is meant; write the right one into both, with nibabel"
+        " image.set_qform(image.get_sform()) or image.set_sform(image.get_qform()), and save it"
+    )
 
 
 def _head(path: Path) -> bytes:
-    longest = max(layout.length for layout in _LAYOUTS)
+    longest = max(kind.sizeof_hdr for kind in _KINDS)
     with path.open("rb") as file:
         data = file.read(longest)
         if data[:2] != _GZIP:

@@ -6,13 +6,53 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
+from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError, shown
+from tissue_sim.organ.lengths import UNITS, metres
 
 MOST_VOXELS = 1 << 29  # of a volume: 512 x 512 x 2048, which take 2 GB as they are worked with
 LONGEST_HEADER = 1 << 20  # bytes of a text header
 _DEFLATE = 1032  # bytes that a byte of gzip unpacks to at the most
 _SPARE = 1 << 16  # bytes for which that doesn't matter
+_UNSPOKEN = ("", "?", "???", "none", "unknown")  # units that say none: millimetres, as everywhere in the field
+
+
+class Header(NamedTuple):
+    """What a header says that ITK leaves out, or doesn't check.
+
+    beside: files of voxels next to the image; unit: mm in the header's unit of length; affine: (4, 4) from voxel
+    indices x, y, z to mm in LPS, None where ITK's is right; notes: remarks, one line each.
+    """
+
+    beside: tuple[Path, ...] = ()
+    unit: float = 1.0
+    affine: Floats | None = None
+    notes: tuple[str, ...] = ()
+
+
+def millimetres(path: Path, units: Sequence[str], field: str) -> float:
+    """Return the mm in the unit of length that an image's header gives for its axes.
+
+    Raises UserError naming the header's field for units that differ between axes, or that are no units of length.
+    """
+    said = {unit.strip() for unit in units} - set(_UNSPOKEN)
+    if not said:
+        return 1.0
+    lengths = {metres(unit) for unit in said}
+    (length, *others) = lengths
+    if length is None or others:
+        raise UserError(
+            f"{path} has {field} {shown(', '.join(sorted(said)))}, no unit of length that all axes share; write one of"
+            f" {', '.join(UNITS)} there"
+        )
+    return length * 1e3
+
+
+def unscaled(path: Path) -> str:
+    """Return the note on an image whose header gives no size of its voxels."""
+    return f"warning: {path.name} doesn't say how large its voxels are: 1 mm was taken, so write their size into it"
 
 
 def data_file(path: Path, name: str) -> Path:

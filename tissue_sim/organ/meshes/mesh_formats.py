@@ -1,7 +1,7 @@
-"""Triangles from mesh files: trimesh's formats, and readers for VTK (legacy), Gmsh and SOFA's .trian.
+"""Triangles from mesh files: trimesh's formats, meshio's Gmsh, and readers for Gmsh 1, VTK (legacy) and SOFA's .trian.
 
-No kept library reads the last three as they occur: meshio 5.3 takes neither POLYDATA nor Gmsh 1, and VTK itself
-weighs 100 MB.
+No library that is small reads the last three as they occur: meshio 5.3 takes neither POLYDATA nor Gmsh 1, and VTK
+itself weighs 100 MB.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
+from tissue_sim.errors import shown
+from tissue_sim.memory import limited
+from tissue_sim.organ.imaging.silence import silenced
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints what it puts up with
 
@@ -140,6 +143,17 @@ class _Words:
         self.at = len(self.data) - (len(parts[count]) if len(parts) > count else 0)
         return _cast(np.array(parts[:count], dtype="f8"), kind)
 
+    def skip_strings(self, count: int) -> None:
+        """Go past strings of VTK's: one a line, or in binary each after its length."""
+        self.line()
+        for _ in range(count):
+            if self.binary:
+                width = 1 << 3 - (self.data[self.at] >> 6)  # bytes of the length, whose first two bits say how many
+                length = int.from_bytes(self.data[self.at : self.at + width], "big") & ((1 << 8 * width - 2) - 1)
+                self.at += width + length
+            else:
+                self.line()
+
 
 def _cast(values: Floats, kind: str) -> NDArray[Any]:
     """Numbers as a numpy type; raises ValueError where they are none of it, and makes infinity of what is too large."""
@@ -168,84 +182,47 @@ def _read_trian(source: Path) -> MeshFile:
 
 # Gmsh -----------------------------------------------------------------------------------------
 
-_GMSH_NODES = {1: 2, 2: 3, 3: 4, 4: 4, 5: 8, 6: 6, 7: 5, 8: 3, 9: 6, 10: 9, 11: 10, 15: 1}  # nodes of each type
-_TRIANGLE, _QUAD, _TETRA = 2, 3, 4
+_GMSH_KINDS = {2: "triangle", 3: "quad", 4: "tetra"}  # of version 1, as meshio names them
+_ROOM, _ROOM_PER_BYTE = 1 << 28, 64  # bytes that reading a file may need, whatever its counts say
 
 
 def _read_gmsh(source: Path) -> MeshFile:
-    """Gmsh's .msh, text, of versions 1, 2 and 4.1."""
+    """Gmsh's .msh: text of version 1, text and binary of versions 2 and 4."""
     text = source.read_bytes()
-    sections = {m[1].decode(): m[2] for m in re.finditer(rb"\$(\w+)\s(.*?)\$End\1", text, re.DOTALL | re.IGNORECASE)}
-    if "NOD" in sections and "ELM" in sections:
-        tags, positions = _gmsh_nodes(sections["NOD"])
-        cells = _gmsh_elements(sections["ELM"], version=1)
-    elif "MeshFormat" in sections:
-        version, binary = sections["MeshFormat"].split()[:2]
-        if binary != b"0":
-            raise ValueError("binary Gmsh; save it as text (Mesh.Binary = 0)")
-        if version.startswith(b"2"):
-            tags, positions = _gmsh_nodes(sections["Nodes"])
-            cells = _gmsh_elements(sections["Elements"], version=2)
-        elif version == b"4.1":
-            tags, positions, cells = _gmsh_4(sections)
-        else:
-            raise ValueError(f"Gmsh version {version.decode()}; save it as version 2.2")
+    if text.lstrip()[:4].upper() == b"$NOD":
+        positions, cells = _gmsh_1(text)
     else:
+        from meshio import gmsh
+
+        try:
+            with silenced(), np.errstate(all="ignore"), limited(_ROOM + _ROOM_PER_BYTE * len(text)):
+                mesh = gmsh.read(source)
+        except MemoryError:
+            raise ValueError("a count that is more than the file can hold") from None
+        positions, cells = np.asarray(mesh.points, dtype=np.float64), mesh.cells_dict
+    corners = [cells.get(kind) for kind in _GMSH_KINDS.values()]
+    return _surface_of_cells(positions, *(None if one is None else _checked(one, len(positions)) for one in corners))
+
+
+def _gmsh_1(text: bytes) -> tuple[Floats, dict[str, Longs]]:
+    """Points, and their numbers by kind of element, of lines `number type region region count nodes`."""
+    sections = {m[1].upper(): m[2] for m in re.finditer(rb"\$(\w+)\s(.*?)\$End\1", text, re.DOTALL | re.IGNORECASE)}
+    if not {b"NOD", b"ELM"} <= sections.keys():
         raise ValueError("no nodes and elements")
-    order = np.argsort(tags)
-    place = {}
-    for kind, nodes in cells.items():
-        flat = np.array(nodes, dtype=np.int64)
-        at = np.clip(np.searchsorted(tags, flat, sorter=order), 0, len(tags) - 1)
-        if not np.array_equal(tags[order[at]], flat):
-            raise ValueError("an element names a node that isn't there")
-        place[kind] = order[at].reshape(-1, _GMSH_NODES[kind])
-    return _surface_of_cells(positions, place.get(_TRIANGLE), place.get(_QUAD), place.get(_TETRA))
-
-
-def _gmsh_nodes(section: bytes) -> tuple[Longs, Floats]:
-    words = section.split()
+    words = sections[b"NOD"].split()
     table = np.array(words[1 : 1 + 4 * int(words[0])], dtype=np.float64).reshape(int(words[0]), 4)
-    return _cast(table[:, 0], "i8"), np.ascontiguousarray(table[:, 1:])
-
-
-def _gmsh_elements(section: bytes, version: int) -> dict[int, list[int]]:
-    """Nodes by element type. Version 1: number type region region count nodes; 2: number type count tags nodes."""
-    cells: dict[int, list[int]] = {}
-    words = [int(word) for word in section.split()]
+    place = {int(tag): k for k, tag in enumerate(_cast(table[:, 0], "i8"))}
+    found: dict[str, list[list[int]]] = {}
+    numbers = [int(word) for word in sections[b"ELM"].split()]
     at = 1
-    for _ in range(words[0]):
-        kind = words[at + 1]
-        first = at + (5 if version == 1 else 3 + words[at + 2])
-        count = words[at + 4] if version == 1 else _GMSH_NODES[kind]
-        if kind in (_TRIANGLE, _QUAD, _TETRA):
-            cells.setdefault(kind, []).extend(words[first : first + count])
-        at = first + count
-    return cells
-
-
-def _gmsh_4(sections: dict[str, bytes]) -> tuple[Longs, Floats, dict[int, list[int]]]:
-    words = sections["Nodes"].split()
-    tags, places, at = [], [], 4
-    for _ in range(int(words[0])):
-        parametric, count = int(words[at + 2]), int(words[at + 3])
-        width = 3 + (int(words[at]) if parametric else 0)
-        at += 4
-        tags.append(np.array(words[at : at + count], dtype=np.int64))
-        at += count
-        places.append(np.array(words[at : at + count * width], dtype=np.float64).reshape(count, width)[:, :3])
-        at += count * width
-    cells: dict[int, list[int]] = {}
-    words = sections["Elements"].split()
-    at = 4
-    for _ in range(int(words[0])):
-        kind, count = int(words[at + 2]), int(words[at + 3])
-        width = 1 + _GMSH_NODES[kind]
-        table = np.array(words[at + 4 : at + 4 + count * width], dtype=np.int64).reshape(count, width)
-        if kind in (_TRIANGLE, _QUAD, _TETRA):
-            cells.setdefault(kind, []).extend(table[:, 1:].ravel().tolist())
-        at += 4 + count * width
-    return np.concatenate(tags), np.concatenate(places), cells
+    for _ in range(numbers[0]):
+        kind, count = _GMSH_KINDS.get(numbers[at + 1], ""), numbers[at + 4]
+        nodes = numbers[at + 5 : at + 5 + count]
+        if not all(node in place for node in nodes):
+            raise ValueError("an element names a node that isn't there")
+        found.setdefault(kind, []).append([place[node] for node in nodes])
+        at += 5 + count
+    return table[:, 1:], {kind: np.array(rows, dtype=np.int64) for kind, rows in found.items() if kind}
 
 
 # VTK legacy -----------------------------------------------------------------------------------
@@ -264,52 +241,61 @@ _VTK_TYPES = {
     "char": "i1",
     "unsigned_char": "u1",
     "vtktypeint32": "i4",
+    "vtktypeint8": "i1",
+    "vtktypeuint8": "u1",
+    "vtktypeuint32": "u4",
+    "vtktypeuint64": "u8",
+    "signed_char": "i1",
 }
+_VTK_LINES = ("string", "variant")  # written one a line
 
 
 def _read_vtk(source: Path) -> MeshFile:
-    """Legacy VTK, text or binary, versions 1 to 5.1: the polygons of POLYDATA or the cells of UNSTRUCTURED_GRID."""
+    """Legacy VTK, text or binary, versions 1 to 5.1: polygons and strips of POLYDATA or cells of UNSTRUCTURED_GRID."""
     words = _Words(source.read_bytes())
     if "vtk datafile" not in words.line().lower():
         raise ValueError("no VTK file")
     title = words.line()
     words.binary = words.word().upper() == "BINARY"
-    positions, cells, kinds = np.empty((0, 3)), None, None
+    positions, kinds = np.empty((0, 3)), None
+    cells: dict[str, tuple[Longs, Longs]] = {}
     while word := words.word().upper():
         if word == "DATASET":
             if (dataset := words.word().upper()) not in ("POLYDATA", "UNSTRUCTURED_GRID"):
                 raise ValueError(f"a VTK {dataset}, no surface")
         elif word == "POINTS":
             count = words.count()
-            positions = words.numbers(3 * count, _VTK_TYPES[words.word().lower()]).reshape(count, 3).astype("f8")
-        elif word in ("VERTICES", "LINES", "POLYGONS", "CELLS"):
-            offsets, corners = _vtk_cells(words)
-            if word in ("POLYGONS", "CELLS"):
-                cells = (offsets, corners)
+            positions = words.numbers(3 * count, _vtk_type(words.word())).reshape(count, 3).astype("f8")
+        elif word in ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS"):
+            cells[word] = _vtk_cells(words)
         elif word == "CELL_TYPES":
             kinds = words.numbers(words.count(), "i4")
-        elif word == "TRIANGLE_STRIPS":
-            raise ValueError("triangle strips; save it as triangles")
         elif word == "FIELD":
             _skip_field(words)
         elif word == "METADATA":
-            end = words.data.find(b"\n\n", words.at)
-            words.at = len(words.data) if end < 0 else end
+            _skip_metadata(words)
         elif word in ("POINT_DATA", "CELL_DATA"):
             break
-    if cells is None:
-        raise ValueError("no polygons")
     space = "RAS" if "SPACE=RAS" in title.upper().replace(" ", "") else ""
     if space:
         positions = positions * np.array([-1.0, -1.0, 1.0])
-    offsets, corners = cells
-    corners = _checked(corners, len(positions))
-    if kinds is None:
-        found = MeshFile((Piece("", positions, _fans(offsets, corners)),))
-    else:
+    if kinds is not None and "CELLS" in cells:
+        offsets, corners = cells["CELLS"]
         parts = [_rows(offsets, corners, kinds == kind, width) for kind, width in ((5, 3), (9, 4), (10, 4))]
-        found = _surface_of_cells(positions, *parts)
+        found = _surface_of_cells(positions, *(_checked(part, len(positions)) for part in parts))
+    else:
+        faces = [split(*cells[word]) for word, split in _VTK_FACES.items() if word in cells]
+        if not faces:
+            raise ValueError("no polygons")
+        found = MeshFile((Piece("", positions, _checked(np.concatenate(faces), len(positions))),))
     return MeshFile(found.pieces, (*found.notes, "turned from RAS to LPS")) if space else found
+
+
+def _vtk_type(word: str) -> str:
+    """A type of VTK's as numpy has it."""
+    if word.lower() not in _VTK_TYPES:
+        raise ValueError(f"numbers of the type {shown(word)}")
+    return _VTK_TYPES[word.lower()]
 
 
 def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
@@ -317,9 +303,9 @@ def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
     first, second = words.count(), words.count()
     start = words.at
     if words.word().upper() == "OFFSETS":
-        offsets = words.numbers(first, _VTK_TYPES[words.word().lower()]).astype(np.int64)
+        offsets = words.numbers(first, _vtk_type(words.word())).astype(np.int64)
         words.word()  # CONNECTIVITY
-        return offsets, words.numbers(second, _VTK_TYPES[words.word().lower()]).astype(np.int64)
+        return offsets, words.numbers(second, _vtk_type(words.word())).astype(np.int64)
     words.at = start
     if first > second:
         raise ValueError("more polygons than numbers that describe them")
@@ -337,20 +323,46 @@ def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
 def _skip_field(words: _Words) -> None:
     words.word()
     for _ in range(words.count()):
-        words.word()
-        parts, count = words.count(), words.count()
-        words.numbers(parts * count, _VTK_TYPES[words.word().lower()])
+        if words.word().upper() == "METADATA":  # of the array before
+            _skip_metadata(words)
+            words.word()
+        count, kind = words.count() * words.count(), words.word().lower()
+        if kind in _VTK_LINES:
+            words.skip_strings(count)
+        elif kind == "bit":
+            words.numbers((count + 7) // 8 if words.binary else count, "i1")
+        else:
+            words.numbers(count, _vtk_type(kind))
+
+
+def _skip_metadata(words: _Words) -> None:
+    end = words.data.find(b"\n\n", words.at)
+    words.at = len(words.data) if end < 0 else end
 
 
 def _fans(offsets: Longs, corners: Longs) -> Longs:
+    """Triangles (t, 3) of polygons: each a fan around its first corner."""
+    return _split(offsets, corners, lambda k: [0, k + 1, k + 2])
+
+
+def _strips(offsets: Longs, corners: Longs) -> Longs:
+    """Triangles (t, 3) of strips: each corner from the third on makes one with the two before, every other turned."""
+    return _split(offsets, corners, lambda k: [k, k + 1, k + 2] if k % 2 == 0 else [k + 1, k, k + 2])
+
+
+_VTK_FACES = {"POLYGONS": _fans, "TRIANGLE_STRIPS": _strips}
+
+
+def _split(offsets: Longs, corners: Longs, triangle: Callable[[int], list[int]]) -> Longs:
+    """The triangles of faces of any number of corners; triangle: which corners of a face its k-th has."""
     size = np.diff(offsets)
     if np.any(size < 3):
         raise ValueError("polygons with fewer than three corners")
-    fans = []
+    found = []
     for width in np.unique(size):
         rows = _rows(offsets, corners, size == width, int(width))
-        fans.append(np.stack([rows[:, [0, k, k + 1]] for k in range(1, int(width) - 1)], axis=1).reshape(-1, 3))
-    return np.concatenate(fans) if fans else np.empty((0, 3), dtype=np.int64)
+        found.append(np.stack([rows[:, triangle(k)] for k in range(int(width) - 2)], axis=1).reshape(-1, 3))
+    return np.concatenate(found) if found else np.empty((0, 3), dtype=np.int64)
 
 
 def _rows(offsets: Longs, corners: Longs, chosen: NDArray[np.bool_], width: int) -> Longs:

@@ -12,6 +12,7 @@ from scipy import ndimage
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
+from tissue_sim.organ.lengths import UNITS, is_organ
 from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, read_pieces
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, longest_side
@@ -19,8 +20,6 @@ from tissue_sim.organ.meshes.mesh_union import merged
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
 from tissue_sim.organ.organ import signed_volume
 
-UNITS = {"mm": MM, "cm": 1e-2, "m": 1.0, "um": 1e-6, "in": 0.0254}
-ORGAN_SIZE = (0.005, 1.0)  # m, longest side
 _METRES = (".glb", ".gltf")  # the format fixes the unit
 _LONGEST_AXIS = 128  # voxels along the longest side
 _MOST_VOXELS = 3e5  # inside
@@ -116,7 +115,7 @@ def _scale(source: Path, unit: str | None, longest: float | None) -> float | Non
     if longest is not None:
         if unit is not None:
             raise UserError("--unit and --length were given; choose one")
-        if not (np.isfinite(longest) and ORGAN_SIZE[0] <= longest <= ORGAN_SIZE[1]):
+        if not is_organ(longest):
             raise UserError(f"--length {longest:g} m is no organ's longest side; give metres, 0.005 to 1")
         return None
     if unit is None and suffix not in _METRES:
@@ -132,7 +131,9 @@ def _load(source: Path) -> MeshFile:
         found = read_pieces(source)
     except ValueError as error:
         raise UserError(f"surface {source} can't be read as a mesh ({_reason(error)}); export it again") from None
-    except Exception as error:  # trimesh and its loaders raise anything on damaged files
+    except ModuleNotFoundError:
+        raise
+    except Exception as error:  # trimesh, meshio and their loaders raise anything on damaged files
         raise UserError(f"surface {source} can't be read as a mesh ({type(error).__name__}); export it again") from None
     if not any(len(piece.triangles) for piece in found.pieces):
         raise UserError(f"surface {source} holds no triangles")
@@ -151,10 +152,9 @@ def _reason(error: ValueError) -> str:
 
 
 def _check_size(name: str, size: float, unit: str | None) -> None:
-    low, high = ORGAN_SIZE
-    if low <= size <= high:
+    if is_organ(size):
         return
-    fits = [other for other, scale in UNITS.items() if low <= size / UNITS[unit or "m"] * scale <= high]
+    fits = [other for other, scale in UNITS.items() if is_organ(size / UNITS[unit or "m"] * scale)]
     units = f"--unit {' or '.join(fits)}, or " if fits else ""
     raise UserError(
         f"surface {name} is {size:.3g} m long{f' with --unit {unit}' if unit else ''}, an organ is 5 mm to 1 m;"

@@ -9,6 +9,7 @@ import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.mask_parts import DOMINANT
 from tissue_sim.organ.meshes.mesh_formats import Piece
 from tissue_sim.organ.meshes.mesh_repair import (
     WIDEST_HOLE,
@@ -26,7 +27,6 @@ from tissue_sim.organ.meshes.mesh_repair import (
 )
 from tissue_sim.organ.winding import winding_number
 
-_DOMINANT = 0.9  # of the volume of all parts: the largest is meant, the others are scraps
 _HOLLOW = 0.5  # of the outer surface's volume: an inner surface that takes more makes a shell
 _SHOWN = 8  # parts named in a message
 
@@ -138,7 +138,7 @@ def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
     cavities = [other for other, inner in zip(others, within, strict=True) if inner]
     beside = [other for other, inner in zip(others, within, strict=True) if not inner]
     aside = sum(other.volume for other in beside)
-    if aside > (1.0 - _DOMINANT) * (main.volume + aside):
+    if aside > (1.0 - DOMINANT) * (main.volume + aside):
         raise UserError(
             f"surface {name} has {len(parts)} separate parts: {_listed(parts)};"
             " choose one with --part N, or join them with --merge-parts"

@@ -11,6 +11,8 @@ from skimage.measure import marching_cubes
 
 from tissue_sim.array_types import Floats, Longs, Mask
 from tissue_sim.errors import UserError
+from tissue_sim.organ.imaging.image import MM, Volume
+from tissue_sim.organ.imaging.mask_parts import DOMINANT, joined_parts
 from tissue_sim.organ.meshes.mesh_parts import Part
 from tissue_sim.organ.meshes.mesh_repair import capped_volume, components, fill
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
@@ -27,8 +29,9 @@ def merged(parts: Sequence[Part], name: str) -> Part:
 
     Every part is closed first, whatever the width of its holes: inside a union a cap does no harm. Chambers whose
     openings (vessels, valves) let no ball with a radius of a tenth of the longest side through are filled. Parts that
-    can't be closed, sheets thinner than three voxels and loose pieces are left out; all is told. The points are new.
-    Raises UserError where nothing is left.
+    can't be closed, sheets thinner than three voxels and loose pieces are left out where they hold less than a tenth of
+    the volume; larger loose pieces are joined across their gaps. All is told. The points are new. Raises UserError
+    where more can't be closed, where pieces lie too far apart, and where nothing is left.
     """
     points = np.concatenate([part.positions for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -37,27 +40,42 @@ def merged(parts: Sequence[Part], name: str) -> Part:
     size = np.ceil((high - low) / pitch).astype(np.int64) + 8
     union = np.zeros(tuple(size[::-1]), dtype=bool)
     capped, joined = 0, 0
+    skipped: list[Part] = []
     for part in parts:
         closed = None if part.flaw else fill(part.positions, part.triangles, part.gaps)
         if closed is None:
+            skipped.append(part)
             continue
         joined, capped = joined + 1, capped + len(part.gaps)
         inward = capped_volume(part.positions, closed, ()) < 0.0
         outward = (closed[:, ::-1] if inward else closed).astype(np.int32)
         union |= enclosed(off_grid((part.positions - origin) / pitch), np.ascontiguousarray(outward), size)
+    if skipped and sum(part.volume for part in skipped) >= (1.0 - DOMINANT) * sum(part.volume for part in parts):
+        flaw = skipped[0].flaw or "has a hole that is too long to fill"
+        raise UserError(
+            f"surface {name} can't be joined: its part {skipped[0].number} {flaw}; separate its solids there, or make"
+            " it one closed surface (in Blender: Remesh, Voxel)"
+        )
     sealed = without_chambers(union, _SEAL * _AXIS)
-    solid = _largest(_opened(sealed, _SPUR))
-    if not solid.any():
+    opened = _opened(sealed, _SPUR)
+    if not opened.any():
         raise UserError(f"surface {name} has no parts that enclose a solid")
     told = [f"joined {joined} parts on a grid of {pitch * 1e3:.2g} mm; the points are new"]
+    solid = _largest(opened)
+    if np.count_nonzero(solid) < DOMINANT * np.count_nonzero(opened):
+        bridged, how = joined_parts(Volume(opened, np.full(3, pitch / MM), origin, np.eye(3), name))
+        if bridged is None:
+            raise UserError(f"surface {name} {how}; build each with --part N, and put them into a scene")
+        solid = bridged
+        told += how
     if capped:
         told.append(f"capped {capped} holes of the parts")
     changes = {"filled chambers": sealed & ~union, "left out sheets and loose pieces": union & ~solid}
     for what, changed in changes.items():
         if changed.any():
             told.append(f"{what} of {np.count_nonzero(changed) * (pitch * 1e2) ** 3:.3g} mL")
-    if joined < len(parts):
-        told.append(f"left out {len(parts) - joined} parts that can't be closed")
+    if skipped:
+        told.append(f"left out {len(skipped)} parts that can't be closed")
     level = ndimage.gaussian_filter(solid.astype(np.float32), _SMOOTHING)
     corners, triangles, _, _ = marching_cubes(level, 0.5, allow_degenerate=False)
     positions = origin + corners[:, ::-1].astype(np.float64) * pitch

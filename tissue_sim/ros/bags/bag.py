@@ -19,8 +19,9 @@ from tissue_sim.npz import read_npz
 # Raised when an older replay could not read a newer bag; 1 held settings and state by position, 2 led tools without
 # regard to stamps, 3 did not tell what a state had taken up, 4 not where the breath had carried the organ, 5 not what
 # links ask of the step, 6 not whether an organ has had a fault since it was last as it is built, 7 not how far a tool
-# may go with a contact set.
-FORMAT = 8
+# may go with a contact set; 8 called external_cf measured_cf.
+FORMAT = 9
+READ = (8, FORMAT)
 
 OCTETS = "std_msgs/msg/UInt8MultiArray"
 # Topics of an organ, with their types: under its name, or the node's where it is the only one.
@@ -36,7 +37,10 @@ ORGAN_TOPICS = {
     "markers": "visualization_msgs/msg/MarkerArray",
 }
 # Under the node's name.
-NODE_TOPICS = {"config": "std_msgs/msg/String"}  # JSON
+NODE_TOPICS = {
+    "config": "std_msgs/msg/String",  # JSON
+    "organ_pose": OCTETS,  # npz: the pose (7,) of the organ in base_frame, and the newest tick when it became that
+}
 SCENE_TOPICS = {
     "joined": OCTETS,  # npz: what joins the organs, at the tick of their states
     "pair_set": OCTETS,  # npz: pairs found from a surface before the state

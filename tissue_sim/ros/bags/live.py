@@ -11,6 +11,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
@@ -58,9 +59,10 @@ class _Live:
         self._node = node
         self._shapes: dict[int, np.ndarray] = {}
         self._tools: list[ScriptedTool] = []
+        self._frames: list[str] = []  # that each tool's poses and forces come in
         self._wrenches: list[client.Inbox] = []
         self._felt: list[dict[int, np.ndarray]] = []
-        self._forces: list[Any] = []
+        self._forces: list[Publisher | None] = []
         self._shift: dict[int, int] = {}  # ns from the recording's stamps to those sent, by tool
 
     def play(self) -> tuple[list[str], Shown]:
@@ -92,13 +94,14 @@ class _Live:
             link = ToolLink.told(values, tool.name, target)
             if link is None:
                 raise UserError(f"/{target} has no tool '{tool.name}', which the bag has")
-            if link.topics.wrench_type != "WrenchStamped" or not link.to_organ.is_identity:
-                raise UserError(f"--live needs tool '{tool.name}' with WrenchStamped, and poses in the organ's frame")
+            if link.topics.wrench_type != "WrenchStamped" or link.topics.turns_wrench or not link.to_organ.is_identity:
+                raise UserError(f"--live needs tool '{tool.name}' with WrenchStamped, and both ways the organ's frame")
             self._tools.append(ScriptedTool(self._node, link, tool.shape == "gripper"))
+            self._frames.append(link.topics.frame_id)
             name = link.topics.names
             self._wrenches.append(client.Inbox(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
             self._felt.append({})
-            self._forces.append(self._node.create_publisher(WrenchStamped, name["measured_cf"], client.stream_qos()))
+            self._forces.append(self._force_publisher(tool.name, name["external_cf"]))
         self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not hear the poses")
         self._wait(self._is_followed, f"/{target} tells nothing on /diagnostics")
         reset = self._node.create_client(Trigger, f"/{target}/reset")
@@ -111,6 +114,14 @@ class _Live:
         if len(np.unique(rows["settings"])) > 1 or len(np.unique(rows["resets"])) > 1:
             notes.append("the recording has changes of parameters or resets, which the node is not sent")
         return notes
+
+    def _force_publisher(self, tool: str, topic: str) -> Publisher | None:
+        """What sends a tool's external forces; None for one without."""
+        if topic:
+            return self._node.create_publisher(WrenchStamped, topic, client.stream_qos())
+        if self._recording.forces[len(self._forces)]:
+            raise UserError(f"the bag has external forces of tool '{tool}': give the node {tool}.external_cf, a topic")
+        return None
 
     def _differing(self, values: dict[str, Any], vertices: np.ndarray) -> list[str]:
         recorded = Described.recorded(self._recording.config)
@@ -180,10 +191,11 @@ class _Live:
         return send
 
     def _push(self, tool: int, force: np.ndarray, stamp: int) -> None:
-        message = WrenchStamped()
-        message.header.frame_id, message.header.stamp = "organ", Time(nanoseconds=stamp).to_msg()
+        publisher, message = self._forces[tool], WrenchStamped()
+        message.header.frame_id, message.header.stamp = self._frames[tool], Time(nanoseconds=stamp).to_msg()
         message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = map(float, force)
-        self._forces[tool].publish(message)
+        if publisher is not None:
+            publisher.publish(message)
 
     def _answered(self) -> None:
         """Wait until a wrench answers; not for long, as one may be lost, and forces have no answer."""

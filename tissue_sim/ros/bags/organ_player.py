@@ -53,6 +53,12 @@ class OrganPlayer:
         self, recording: OrganRecording, organ: Organ, config: dict[str, Any], tools: ToolSet, tool_inputs: ToolInputs
     ) -> None:
         parameters = config["parameters"]
+        nodes = len(recording.state["position"])
+        if nodes != organ.n_nodes:
+            raise UserError(
+                f"the bag was recorded with an organ of {nodes} nodes, '{organ.name}' has {organ.n_nodes}: replay it"
+                " with one of the same nodes, such as another calibration of the recorded organ"
+            )
         self.recording, self.n_surface, self._tool_inputs = recording, organ.n_surface, tool_inputs
         self.simulation = Simulation(
             organ,

@@ -47,6 +47,8 @@ def replay_bag(path: Path, asked: Asked, prefix: str = "") -> Outcome:
     started, recording = time.monotonic(), Recording.read(path)
     recorded = Described.recorded(recording.config)
     notes = differences(recorded, recorded.replayed(asked.organ))
+    for tick, pose in recording.registrations[1:]:
+        notes.append(f"organ_pose: [{', '.join(f'{value:g}' for value in pose.tolist())}] after tick {tick}")
     wanted = recording.shown()
     if asked.against is not None:
         other = Recording.read(asked.against)

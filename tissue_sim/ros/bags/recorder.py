@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,7 @@ class Recorder:
         self._tool_topics: dict[str, str] = {}  # tool/topic to the name in a bag
         self._tool_qos: dict[str, QoSProfile] = {}  # by the name in a bag
         self._wrenches: list[tuple[int, int]] = []  # rows that wait for the journal
+        self._organ_pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         self._polling = threading.Lock()
         self._journal_at = 0.0  # monotonic s, when the journal was last written
         self._has_state = False
@@ -124,6 +125,7 @@ class Recorder:
                 one.begin()
             for name, (_, raw) in newest.items():
                 messages.put(name, raw)
+            self._put_organ_pose()
             messages.recording = True
             for one in self.of_organ:
                 one.begin_inputs()
@@ -160,10 +162,10 @@ class Recorder:
     def _poll(self) -> None:
         now = time.monotonic()
         if not self._has_state and now - self._started > SETTLE_TIME:
-            self._organs.loop.take_snapshots()
-            tick = min([one.state() for one in self.of_organ])
-            if self.joined is not None:
-                self.joined.state(tick)
+            with self._organs.loop.snapshots():
+                tick = min([one.state() for one in self.of_organ])
+                if self.joined is not None:
+                    self.joined.state(tick)
             self._has_state, self._journal_at, self._hurry = True, 0.0, True
         if now - self._journal_at < JOURNAL_EVERY:
             return
@@ -192,6 +194,21 @@ class Recorder:
         report.problems["lost_bag_messages"] = self.lost
         if self.error:
             report.failures.append(self.error)
+
+    def organ_pose(self, pose: Sequence[float]) -> None:
+        """Note where the organ is in base_frame, (7,) m and a quaternion xyzw, now and when a bag begins.
+
+        Poses and forces are recorded in the organ's frame, so that a replay has no need of it.
+        """
+        with self.together:
+            self._organ_pose = np.array(pose, dtype=np.float64)
+            if self.active:
+                self._put_organ_pose()
+
+    def _put_organ_pose(self) -> None:
+        tick = self._organs.each[0].results().status.tick
+        fields = {"tick": np.array(tick, dtype=np.int64), "organ_pose": self._organ_pose}
+        self._messages.packed(self._names["organ_pose"], fields)
 
     # what happens ------------------------------------------------------------------------------
     def received(self, name: str, raw: bytes) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from tissue_sim.ros.shared.cdr import (
     check_force,
     check_position,
     parse_number,
+    parse_octets,
     parse_stamped,
     parse_text,
     unit_pose,
@@ -46,6 +47,9 @@ class Recording:
     config: dict[str, Any]
     organs: list[OrganRecording]
     joined: JoinedRecording | None  # of a scene
+    registrations: list[tuple[int, Floats]] = field(
+        default_factory=list
+    )  # from which tick on organ_pose was what, (7,)
     poses: list[dict[int, Floats]] = field(default_factory=list)  # per tool, by sequence
     stamps: list[dict[int, int]] = field(default_factory=list)  # ns, of the poses
     angles: list[dict[int, float]] = field(default_factory=list)  # rad of a gripper, as its poses
@@ -69,10 +73,10 @@ class Recording:
         if name is None:
             raise UserError(f"bag {path} was not recorded by a tissue_sim node: it has no configuration")
         config = read_config(parse_text(messages[f"{name}/config"][0]))
-        if config["format"] != bag.FORMAT:
+        if config["format"] not in bag.READ:
             raise UserError(
                 f"bag {path} has format {config['format']} (tissue_sim {shown(config['package_version'])}), this"
-                f" package reads {bag.FORMAT}: replay it with that version, or record it again"
+                f" package reads {' and '.join(map(str, bag.READ))}: replay it with that version, or record it again"
             )
         check_config(config)
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
@@ -80,20 +84,20 @@ class Recording:
         organs = [OrganRecording.parsed(path, messages, one, n_bodies) for one in below]
         sizes = [len(one.state["position"]) for one in organs]
         joined = JoinedRecording.parsed(messages, name, sizes) if "organs" in config else None
-        recording = cls(config, organs, joined)
+        recording = cls(config, organs, joined, [_registration(raw) for raw in messages[f"{name}/organ_pose"]])
         for tool in config["tools"]:
-            topics = {topic: config["topics"][f"{tool}/{topic}"] for topic in TOOL_TOPICS}
+            topics = {topic: _topic(config["topics"], tool, topic) for topic in TOOL_TOPICS}
             first = {topic: int(config["first"].get(name, 1)) for topic, name in topics.items()}
             came = [parse_stamped(raw, 7) for raw in messages[topics["measured_cp"]]]
             poses = [_pose_of(message.values) for message in came]
-            forces = [_force_of(parse_stamped(raw, 6).values) for raw in messages[topics["measured_cf"]]]
+            forces = [_force_of(parse_stamped(raw, 6).values) for raw in messages[topics["external_cf"]]]
             recording.poses.append(dict(enumerate(poses, start=first["measured_cp"])))
             stamps = [message.stamp for message in came]
             recording.stamps.append(dict(enumerate(stamps, start=first["measured_cp"])))
             angles = messages[config["topics"].get(f"{tool}/measured_js", "")]
             values = [_finite(parse_number(raw)) for raw in angles]
             recording.angles.append(dict(enumerate(values, start=first["measured_cp"])))
-            recording.forces.append(dict(enumerate(forces, start=first["measured_cf"])))
+            recording.forces.append(dict(enumerate(forces, start=first["external_cf"])))
             recording.wrenches.append([np.array(parse_stamped(r, 6).values) for r in messages[topics["servo_cf"]]])
         rate = float(config["parameters"]["rate"])
         for one in organs:
@@ -145,6 +149,22 @@ def tools_of(config: dict[str, Any]) -> list[Tool]:
         )
         for name in config["tools"]
     ]
+
+
+def _registration(raw: bytes) -> tuple[int, Floats]:
+    """Return the tick of a message on organ_pose and the pose (7,); raises ValueError for one that no node writes."""
+    found = bag.unpack(parse_octets(raw))
+    tick, pose = found["tick"], found["organ_pose"]
+    if tick.shape != () or tick.dtype.kind != "i" or pose.shape != (7,) or pose.dtype.kind != "f":
+        raise ValueError("its organ_pose is of another type")
+    return int(tick), _pose_of(pose.tolist())
+
+
+def _topic(names: Mapping[str, str], tool: str, topic: str) -> str:
+    """Return what a tool's topic is called in a bag; empty for external forces where it has none."""
+    if topic != "external_cf":
+        return names[f"{tool}/{topic}"]
+    return names.get(f"{tool}/{topic}", names.get(f"{tool}/measured_cf", ""))  # its name in format 8
 
 
 def _pose_of(values: Sequence[float]) -> Floats:

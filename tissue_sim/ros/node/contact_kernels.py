@@ -13,6 +13,7 @@ from pathlib import Path
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.node.contact_points import warm_up
 from tissue_sim.ros.shared.children import Child
 from tissue_sim.unexpected import catch_all
 
@@ -27,6 +28,7 @@ def main(organ_file: str) -> None:
     organ = Organ.load(organ_file)
     finder = ContactFinder(organ, ToolSet([Tool("left")]))
     finder.warm_up(organ.rest_positions)
+    warm_up(finder.tools.shapes)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,16 +52,15 @@ class ContactSearch:
         served: ServedOrgan,
         ports: Sequence[ToolPort],
         recorder: OrganRecorder,
-        warn: Callable[[str], None],
     ) -> None:
         self.unchanged_skips = self.dropped = 0
-        self.finder, self._physics, self._recorder, self._warn = finder, served.physics, recorder, warn
+        self.finder, self._physics, self._recorder = finder, served.physics, recorder
         self._organ = f"organ '{served.name}'" if served.name else "the organ"
         self._port_of = [port for port in ports for _ in port.bodies]  # of each body
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
-        self._reported = [False] * n_bodies  # whether it was reported as held off
+        self._told = np.full(n_bodies, -1)  # the life, by `releases`, of which it was told that a body is held off
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()
@@ -100,7 +99,7 @@ class ContactSearch:
         for body in np.flatnonzero(looked & (bodies.engaged == 0) & (bodies.resisted == 0)).tolist():
             if self.finder.is_inside(body, self._positions, places[body]):
                 engaged[body] = Engaged.HELD_OFF
-        self._report_held_off(engaged)
+        self._tell_held_off(engaged, bodies)
         releases = bodies.releases.copy()
         found = self.finder.find(self._positions, Sought(places.copy(), margins, engaged, now.pushing, releases))
         self._last_empty = found.header.points == 0 and bool(np.all(found.tip_node < 0))
@@ -111,17 +110,15 @@ class ContactSearch:
             self._recorder.contacts(sequence, (tick, int(results.status.tick)), found, rows)
         return True
 
-    def _report_held_off(self, engaged: Longs) -> None:
-        """Warn of bodies that nothing resists, once each until they have been outside."""
-        for body, state in enumerate(engaged.tolist()):
-            if state == Engaged.HELD_OFF and not self._reported[body]:
-                name, stale_time = self._port_of[body].name, self._physics.stale_time
-                self._warn(
-                    f"tool '{name}' appeared inside {self._organ} and feels nothing until it has been outside:"
-                    f" send a pose outside first, and the next within stale_time ({stale_time:g} s)"
-                )
-            if state != Engaged.NO:
-                self._reported[body] = state == Engaged.HELD_OFF
+    def _tell_held_off(self, engaged: Longs, bodies: Any) -> None:
+        """Tell ports of bodies that nothing resists: each time that one was outside before, stopped or was reset."""
+        outside = engaged == Engaged.YES
+        held_off = ~outside & ((engaged == Engaged.HELD_OFF) | bodies.held_off.astype(bool))
+        is_new = held_off & (self._told != bodies.releases)
+        self._told[is_new] = bodies.releases[is_new]
+        self._told[outside] = -1
+        for port in {id(port): port for port, new in zip(self._port_of, is_new.tolist(), strict=True) if new}.values():
+            port.was_held_off(self._organ)
 
 
 class PairSearch:

@@ -25,34 +25,39 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._clock = node.get_clock()
         # With the namespace, if there is one: several nodes share the topic.
-        self._name = f"{node.get_fully_qualified_name().strip('/')}: physics"
+        self._node = node.get_fully_qualified_name().strip("/")
         self._hardware_id = hardware_id
-        self._last_problems: dict[str, int] = {}
+        self._last_problems: dict[str, dict[str, int]] = {}  # by what is reported of
 
     def publish(self, report: Report) -> None:
-        """Publish a report: WARN with a warning or a problem that has grown since the last, ERROR with a failure."""
-        problems = report.problems
-        status = DiagnosticStatus(name=self._name, hardware_id=self._hardware_id)
-        grown = [name for name, count in problems.items() if count > self._last_problems.get(name, 0)]
-        self._last_problems = dict(problems)
-        status.level = DiagnosticStatus.OK
-        status.message = "running"
+        """Publish a report as the status "physics", and its parts as one each."""
+        statuses = [self._status("physics", report.whole())]
+        statuses += [self._status(called, part) for called, part in report.parts.items()]
+        message = DiagnosticArray(status=statuses)
+        message.header.stamp = self._clock.now().to_msg()
+        self._publisher.publish(message)
+
+    def _status(self, called: str, report: Report) -> DiagnosticStatus:
+        """WARN with a warning or a problem that has grown since the last report, ERROR with a failure."""
+        last, self._last_problems[called] = self._last_problems.get(called, {}), dict(report.problems)
+        grown = [name for name, count in report.problems.items() if count > last.get(name, 0)]
+        status = DiagnosticStatus(name=f"{self._node}: {called}", hardware_id=self._hardware_id)
+        status.level, status.message = DiagnosticStatus.OK, report.state
         lines = [*report.warnings, *(["new since last second: " + ", ".join(grown)] if grown else [])]
         if lines:
             status.level, status.message = DiagnosticStatus.WARN, "; ".join(lines)
         if report.failures:
             status.level, status.message = DiagnosticStatus.ERROR, report.failures[0]
-        status.values = [KeyValue(key=key, value=_text(value)) for key, value in {**report.values, **problems}.items()]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self._clock.now().to_msg()
-        self._publisher.publish(message)
+        told = {**report.values, **report.problems}
+        status.values = [KeyValue(key=key, value=_text(value)) for key, value in told.items()]
+        return status
 
 
 class LoopReport:
-    """Tells how the physics loop keeps time, and what it did. names: of the organs, or one that is empty."""
+    """Tells how the physics loop keeps time, and what it did. titles: of the organs; names: or one that is empty."""
 
-    def __init__(self, organs: Organs, names: Sequence[str]) -> None:
-        self._organs, self._names = organs, names
+    def __init__(self, organs: Organs, names: Sequence[str], titles: Sequence[str]) -> None:
+        self._organs, self._names, self._titles = organs, names, titles
         self._timing = TimingReader(organs)
 
     def report(self, report: Report) -> None:
@@ -71,8 +76,12 @@ class LoopReport:
             "behind_ms": 1e3 * timing.behind,
             "load": timing.load,
         }
-        for name, one in zip(self._names, results, strict=True):
-            _add_organ(report, f"{name}." if name else "", one)
+        joined = self._organs.loop.joined
+        for number, (name, title, one) in enumerate(zip(self._names, self._titles, results, strict=True)):
+            part = report.part(f"organ {title}", f"{name}." if name else "")
+            _add_organ(part, one)
+            if joined is not None:
+                part.values["skipped.unfelt"] = int(joined.unfelt.ticks[number])
         if len(results) > 1:
             _add_all(report, results)
         report.problems["dropped_ticks"] = timing.dropped
@@ -89,10 +98,10 @@ class LoopReport:
             report.failures.append(STARVED)
 
 
-def _add_organ(report: Report, before: str, results: Results) -> None:
-    """What an organ did; `before` stands in front of each name."""
+def _add_organ(report: Report, results: Results) -> None:
+    """What an organ did."""
     status, count = results.status, results.count
-    values = {
+    report.values |= {
         "region": "asleep" if status.asleep else ("whole", "frozen", "modal")[status.region],
         "active_nodes": status.active,
         "contact_count": status.touching,
@@ -106,14 +115,13 @@ def _add_organ(report: Report, before: str, results: Results) -> None:
         "skipped.asleep": count.asleep_ticks,
         "skipped.small_load": count.frozen_ticks + count.modal_ticks,
     }
-    problems = {
+    report.problems |= {
         "faults": count.faults,
         "slipped_tools": count.slips,
         "false_rest_shapes": count.snaps,
         "clamped_ticks": count.clamped_ticks,
     }
-    report.values |= {f"{before}{name}": value for name, value in values.items()}
-    report.problems |= {f"{before}{name}": value for name, value in problems.items()}
+    report.state = report.values["region"]
 
 
 def _add_all(report: Report, results: Sequence[Results]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.shared.organs import Organs
@@ -11,19 +12,22 @@ FIRST_PERIOD = 1e-3  # s between two messages, until they come
 LONGEST_PERIOD = 0.1  # s between two messages of a stream
 LONGEST_DELAY = 0.1  # s, above which an age tells of clocks that differ
 NEW = 0.02  # weight of the newest message in averages
+LONGEST_GAP, GAPS = 1.0, 8  # s between messages of one stream, however slow; gaps that tell that it is slow
 
 
 class Freshness:
     """When the newest pose, or force, of a tool came, by simulated time, and what follows from that.
 
-    While the clock stands nothing counts, so that no tool bears on the organ at once when it goes on; a clock that
-    jumps back, or is exchanged, begins anew.
+    While /clock stands nothing counts, so that no tool bears on the organ at once when it goes on; a clock that jumps
+    back, or is exchanged, begins anew. While the loop is held, what is fresh stays so: contacts are found for the ticks
+    that it is given.
     """
 
     def __init__(self, clock: SimClock, organs: Organs) -> None:
         self._clock, self._organs = clock, organs
         self._came, self._stamp = -math.inf, 0  # s, ns
         self._period, self._delay = FIRST_PERIOD, 0.0  # s, on average
+        self._gaps: deque[float] = deque(maxlen=GAPS)  # s
         clock.jumped.append(self._forget)
 
     def came(self, stamp: int) -> None:
@@ -31,6 +35,10 @@ class Freshness:
         now = self._clock.now()
         if 0.0 < (gap := now - self._came) < LONGEST_PERIOD:  # several at one time of /clock are one to the ticks
             self._period += NEW * (gap - self._period)
+        if 0.0 < gap < LONGEST_GAP:
+            self._gaps.append(gap)
+        elif gap > 0.0:
+            self._gaps.clear()
         age = self._clock.age_of(stamp) if stamp > 0 else 0.0
         self._delay += NEW * ((age if 0.0 <= age <= LONGEST_DELAY else 0.0) - self._delay)
         self._came, self._stamp = now, stamp
@@ -43,22 +51,29 @@ class Freshness:
     @property
     def is_fresh(self) -> bool:
         """True until `stale_time` has gone by without a message."""
-        return not self._organs.loop.standing and self.age <= self._organs.stale_time
+        return not self._organs.loop.clock_stands and self.age <= self._organs.stale_time
 
     @property
     def counts(self) -> bool:
         """True until what is stale has faded too, a `ramp_time` later."""
-        return not self._organs.loop.standing and self.age < self._organs.stale_time + self._organs.ramp_time
+        return not self._organs.loop.clock_stands and self.age < self._organs.stale_time + self._organs.ramp_time
 
     @property
     def last_stamp(self) -> int:
         """Stamp in ns before which the next message can't be; 0 for a stream that begins anew, with any stamp."""
-        return self._stamp if self.counts else 0
+        return self._stamp if self.counts and not self._organs.loop.standing else 0
 
     @property
     def period(self) -> float:
         """Seconds between two messages, on average."""
         return self._period
+
+    @property
+    def too_slow(self) -> float:
+        """Seconds between messages that come on and on, where each is stale before the next; 0 where they don't."""
+        gaps = sorted(self._gaps)
+        gap = gaps[len(gaps) // 2] if len(gaps) == GAPS and self.age < LONGEST_GAP else 0.0
+        return gap if gap > self._organs.stale_time else 0.0
 
     @property
     def delay(self) -> float:
@@ -70,3 +85,4 @@ class Freshness:
 
     def _forget(self) -> None:
         self._came, self._stamp = -math.inf, 0
+        self._gaps.clear()

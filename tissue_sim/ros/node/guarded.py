@@ -12,17 +12,38 @@ from functools import wraps
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 
 from tissue_sim.ros.shared.report import Mishaps
 
 
 class GuardedNode(Node):
-    """A node with `mishaps`, which notes what its callbacks raise."""
+    """A node with `mishaps`, which notes what its callbacks raise, and which tells of topics that don't match.
+
+    remedies: by a topic's name as the graph has it, what makes its QoS another one. decided: what comes of setting a
+    parameter, or None where rclpy is to decide.
+    """
 
     def __init__(self, name: str) -> None:
         self.mishaps = Mishaps("callback", lambda line: self.get_logger().error(line))
+        self.remedies: dict[str, str] = {}
+        self.decided: Callable[[Parameter], SetParametersResult | None] = lambda _: None
         super().__init__(name)
+
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """As rclpy's, but for what is decided here."""
+        return [self.decided(one) or super(GuardedNode, self).set_parameters([one])[0] for one in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """As rclpy's, but for what is decided here."""
+        decided = [(one, self.decided(one)) for one in parameter_list]
+        if refused := [result for _, result in decided if result is not None and not result.successful]:
+            return refused[0]
+        left = [one for one, result in decided if result is None]
+        return super().set_parameters_atomically(left) if left else SetParametersResult(successful=True)
 
     def guarded[**P](self, callback: Callable[P, object]) -> Callable[P, None]:
         """A callback whose errors are noted."""
@@ -36,9 +57,41 @@ class GuardedNode(Node):
 
         return call
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *args: Any, **named: Any) -> Any:
-        """As rclpy's, guarded."""
-        return super().create_subscription(msg_type, topic, self.guarded(callback), *args, **named)
+    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **named: Any) -> Any:
+        """As rclpy's, guarded; who offers less than it asks for is told of."""
+        tell = self.guarded(lambda event: self._tell_of_qos(topic, qos_profile, event, publishes=False))
+        named.setdefault("event_callbacks", SubscriptionEventCallbacks(incompatible_qos=tell))
+        return super().create_subscription(msg_type, topic, self.guarded(callback), qos_profile, **named)
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **named: Any) -> Any:
+        """As rclpy's; who asks for more than it offers is told of."""
+        tell = self.guarded(lambda event: self._tell_of_qos(topic, qos_profile, event, publishes=True))
+        named.setdefault("event_callbacks", PublisherEventCallbacks(incompatible_qos=tell))
+        return super().create_publisher(msg_type, topic, qos_profile, **named)
+
+    def _tell_of_qos(self, topic: str, given: QoSProfile | int, event: Any, publishes: bool) -> None:
+        """Say who isn't heard or doesn't hear, as its QoS doesn't match, and what helps."""
+        own = QoSProfile(depth=given) if isinstance(given, int) else given
+        name = self.resolve_topic_name(topic)
+        policy = event.last_policy_kind.name.lower().removeprefix("rmw_qos_policy_")
+        ends = (self.get_subscriptions_info_by_topic if publishes else self.get_publishers_info_by_topic)(name)
+        pairs = [(own, end.qos_profile) if publishes else (end.qos_profile, own) for end in ends]
+        wrong = [
+            f"{end.node_namespace.rstrip('/')}/{end.node_name}"
+            for end, pair in zip(ends, pairs, strict=True)
+            if qos_check_compatible(*pair)[0] == QoSCompatibility.ERROR and "UNKNOWN" not in end.node_name
+        ]
+        who = ", ".join(sorted(set(wrong))) or "another node"  # it may be found before its name
+        is_reliable = own.reliability == ReliabilityPolicy.RELIABLE
+        mine, theirs = ("reliable", "best effort") if is_reliable else ("best effort", "reliable")
+        remedy = self.remedies.get(name, "")
+        if policy != "reliability":
+            mine, theirs, remedy = f"one {policy}", "another", ""
+        line = f"this node offers {mine}, and {who} asks for {theirs}: it hears nothing"
+        if not publishes:
+            line = f"this node asks for {mine}, and {who} offers {theirs}: it is not heard"
+        remedy = remedy or "let the other have the QoS that this node has"
+        self.get_logger().warning(f"the QoS on {name} does not match: {line}; {remedy}")
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **named: Any) -> Any:
         """As rclpy's, guarded."""
@@ -66,6 +119,9 @@ def failed(response: Any, request: Any, line: str) -> Any:
         response.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=line)
+    elif hasattr(getattr(response, "result", None), "error_message"):  # of simulation_interfaces
+        result = response.result
+        result.result, result.error_message = result.RESULT_OPERATION_FAILED, line
     elif hasattr(response, "failure_reason"):
         response.successful, response.failure_reason = False, line
     return response

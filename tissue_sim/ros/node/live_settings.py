@@ -122,8 +122,10 @@ class LiveSettings:
         if self.level != degrade.NONE:
             report.warnings.append(f"degraded: {self.describe()}")
         for tool, poses in zip(self._parameters.tools, self.poses, strict=True):
-            report.values[f"{tool}.pose_rate_hz"] = 1.0 / poses.period if poses.counts else 0.0
-            report.values[f"{tool}.delay_ms"] = 1e3 * poses.delay
+            report.part(f"tool {tool}", f"{tool}.").values |= {
+                "pose_rate_hz": 1.0 / poses.period if poses.counts else 0.0,
+                "delay_ms": 1e3 * poses.delay,
+            }
         if self.coupling_stiffness < self._parameters["coupling_stiffness"]:
             report.warnings.append(self._softer())
 

@@ -11,6 +11,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.ros.shared.organs import Organs
 
+LEAST_ELAPSED = 50_000_000  # ns, over which simulated time is compared with the clock
 MOST_BEHIND = 0.005  # s that simulated and wall time may be apart before it is told
 
 
@@ -27,7 +28,7 @@ class Timing:
     dropped_ticks: int  # ticks that were given up
     overruns: int  # ticks that began more than a period late, in all
     dropped: int  # ticks given up because the loop was too far behind, in all
-    real_time_factor: float  # simulated time over that of the clock; 1 while the clock stands
+    real_time_factor: float  # simulated time over that of the clock; 1 while that stands
 
     @property
     def rate(self) -> float:
@@ -55,6 +56,7 @@ class TimingReader:
     def read(self) -> Timing:
         """Timing since the last call."""
         control, last = self._words.control, self._last
+        held = self._organs.loop.hold.active  # before and after: the loop may begin to be held, or end, in between
         due, napping = int(control.due), int(control.napping)
         new = self._last = self._look()
         first = max(last.ticks, new.ticks - mb.TIMING_ROWS + 64)
@@ -62,9 +64,9 @@ class TimingReader:
         late, busy = 1e-9 * rows["late"], 1e-9 * rows["duration"]
         behind = float(late.max(initial=0.0))
         # Posted times come in steps; the loop itself notes how far it was from one when the next one comes.
-        if due and not new.posted and not napping:
-            behind = max(behind, 1e-9 * (new.clock - due) - self._tick_time())
-        # After a change of the clock or a jump back there is nothing to compare.
+        if due and not new.posted and not napping and not held:
+            behind = max(behind, new.wall - 1e-9 * due - self._tick_time())
+        # After a change of the clock, a jump back, or for as good as no time there is nothing to compare.
         elapsed = new.clock - last.clock if new.posted == last.posted else 0
         return Timing(
             ticks=new.ticks - last.ticks,
@@ -76,16 +78,17 @@ class TimingReader:
             dropped_ticks=new.dropped - last.dropped,
             overruns=new.overruns,
             dropped=new.dropped,
-            real_time_factor=(new.simulated - last.simulated) / elapsed if elapsed > 0 else 1.0,
+            real_time_factor=(new.simulated - last.simulated) / elapsed if elapsed > LEAST_ELAPSED else 1.0,
         )
 
     def _look(self) -> _Counters:
         control = self._words.control
-        posted = int(control.sim_time)
+        hold = self._organs.loop.hold
+        posted = int(control.sim_time and not hold.active)
         return _Counters(
             wall=time.monotonic(),
             posted=posted,
-            clock=int(control.posted_time) if posted else time.monotonic_ns(),
+            clock=int(control.posted_time) if posted else round(1e9 * hold.now()),
             ticks=int(control.loop_ticks),
             simulated=int(control.simulated),
             overruns=int(control.overruns),

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 import tissue_sim
@@ -27,17 +28,21 @@ from tissue_sim.ros.bags import bag
 from tissue_sim.ros.bags.bound import Bound
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.writer import Split
+from tissue_sim.ros.node import simulation_services
 from tissue_sim.ros.node.answers import Answers
 from tissue_sim.ros.node.backlog import Backlog, executor_of
 from tissue_sim.ros.node.contact_kernels import compile_beside
+from tissue_sim.ros.node.contact_points import ContactPoints, warm_up
 from tissue_sim.ros.node.contact_search import ContactSearch, PairSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.diagnostics import Diagnostics, LoopReport
+from tissue_sim.ros.node.entities import Entities
 from tissue_sim.ros.node.guarded import GuardedNode
 from tissue_sim.ros.node.live_settings import LiveSettings
 from tissue_sim.ros.node.namesakes import Namesakes
 from tissue_sim.ros.node.outlet import Outlet
 from tissue_sim.ros.node.passivity import DevicePort
+from tissue_sim.ros.node.pausing import NEXT_TICK, Pausing
 from tissue_sim.ros.node.presenter import OrganPresenter, ScenePresenter
 from tissue_sim.ros.node.respiration import RespirationInput
 from tissue_sim.ros.node.served_organ import ServedOrgan, ServedScene, told
@@ -52,6 +57,7 @@ from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frames, tool_of, topics_of
 from tissue_sim.ros.shared.priority import below, prefer
+from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports
 
 NAME = "tissue_sim"
@@ -67,6 +73,7 @@ class TissueNode(GuardedNode):
     def __init__(self) -> None:
         super().__init__(NAME)
         self.parameters = Parameters(self)
+        self.decided = self.parameters.decided
         values = self.parameters
         self.frame_id: str = values["frame_id"]
         tools = ToolSet([tool_of(values, name) for name in values.tools])
@@ -92,7 +99,7 @@ class TissueNode(GuardedNode):
         self.ports = [self._port(index, name, tools) for index, name in enumerate(values.tools)]
         warn, of_organ = self.get_logger().warning, self.recorder.of_organ
         searches = [
-            ContactSearch(self._finder(one.organ, tools), one, self.ports, recorder, warn)
+            ContactSearch(self._finder(one.organ, tools), one, self.ports, recorder)
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         joined = self.recorder.joined
@@ -106,20 +113,30 @@ class TissueNode(GuardedNode):
         self.respiration = None
         if joined is not None and self.scene.joined is not None and self.scene.joined.carried.breath.follows:
             self.respiration = RespirationInput(self, self.loop, joined, self.sim_clock)
-        broadcast = None
-        if values["broadcast_tf"] and tf_installed():
-            broadcast = TfBroadcast(self, self.frame_id, values.tools, placed_frames(values, values.tools))
+        self._broadcast = TfBroadcast(self) if values["broadcast_tf"] and tf_installed() else None
+        self._registrations = 0  # how often organ_pose changed
+        self._place_frames()
         self.presenters: list[OrganPresenter | ScenePresenter] = [
             OrganPresenter(self, one, self.frame_id, self.ports, recorder, values)
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         if self.scene.is_scene:
-            self.presenters.append(ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, values))
-        self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, broadcast)
+            self.presenters.append(
+                ScenePresenter(self, self.served, self.frame_id, self.ports, self.organs, self.scene.joined, values)
+            )
+        self.tool_presenter = ToolPresenter(self, self.frame_id, self.organs, self.ports, tools, self._broadcast)
+        self.contact_points = ContactPoints(self, self.frame_id, self.organs, tools)
+        self._warm_up.append(partial(warm_up, tools.shapes))
+        self._ready = self.create_publisher(Bool, "~/ready", LATCHED)
+        self._ready.publish(Bool(data=False))
         self.diagnostics = Diagnostics(self, self.scene.title)
         freshness = [port.pose_freshness for port in self.ports]
         self.live = LiveSettings(self.scene, values, self._post_settings, freshness)
         self.namesakes = Namesakes(self)
+        self.pausing = Pausing(self, self.loop, self.sim_clock, lambda: values["step_ticks"])
+        if simulation_services.installed():
+            entities = Entities(self, values, self.served, self.ports)
+            simulation_services.SimulationServices(self, self.loop, self.pausing, entities)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/record", self._on_record)
         self._bags = Bound(values["record_folder"])
@@ -134,21 +151,24 @@ class TissueNode(GuardedNode):
         self.live.update()
         self.loop.start()
         self.answers.start()
-        for warm_up in self._warm_up:  # after the tick, beside which its kernels were compiled
-            warm_up()
+        for compile_kernels in self._warm_up:  # after the tick, beside which they were compiled
+            compile_kernels()
         self._prefer(self.parameters["realtime_priority"])
         tools = self.tool_presenter
-        show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips, self.recorder.poll]
+        show = [*(one.present for one in self.presenters), tools.present, tools.broadcast_tips]
+        show += [self.contact_points.present, self.recorder.poll]
         outlet = self._outlet = Outlet(
             self.organs, self.ports, show, self.live, self.sim_clock, self.backlog, self._report, self.get_logger()
         )
         self._parts = [
-            LoopReport(self.organs, self.scene.names),
+            *self.ports,
+            self.contact_points,
+            LoopReport(self.organs, self.scene.names, [one.name or one.organ.name for one in self.served]),
             self.sim_clock,
+            self.pausing,
             self.backlog,
             self.live,
             self.namesakes,
-            *self.ports,
             self.recorder,
             self.contacts,
             self.answers,
@@ -170,6 +190,8 @@ class TissueNode(GuardedNode):
             f" {substeps} substeps; tools: {', '.join(self.parameters.tools)}; {told_reach()}"
         )
 
+        self._ready.publish(Bool(data=True))
+
     def _warn_of_fine_tools(self) -> None:
         """Name tools that are finer than the coarsest organ's surface can tell, and what helps."""
         coarsest = max(self.scene.organs, key=mean_edge)
@@ -180,6 +202,7 @@ class TissueNode(GuardedNode):
 
     def close(self) -> None:
         """Leave no force standing, close the bag, delete the markers, end the threads; well under a second."""
+        self.pausing.close()
         noted = self.mishaps.noted  # where one of them fails, the others are done
         if self._outlet is not None:
             self._outlet.stop()
@@ -187,6 +210,8 @@ class TissueNode(GuardedNode):
         for port in self.ports:
             with noted():
                 port.output.publish_zero()
+        with noted():
+            self._ready.publish(Bool(data=False))
         for presenter in (*self.presenters, self.tool_presenter):
             with noted():
                 presenter.close()
@@ -220,6 +245,11 @@ class TissueNode(GuardedNode):
         values = self.parameters
         topics, frames = topics_of(values, name), frames_of(values, name, self._lookup)
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
+        other = "false" if topics.reliable else "true"
+        for topic in filter(None, topics.names.values()):
+            self.remedies[self.resolve_topic_name(topic)] = (
+                f"{name}.reliable:={other} makes it match, or another QoS there"
+            )
         port = ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
         port.output.device = DevicePort(
             port.pose_freshness,
@@ -248,7 +278,8 @@ class TissueNode(GuardedNode):
     # services and parameters -------------------------------------------------------------------
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.loop.reset()
-        response.success, response.message = True, "the organ is back at rest"
+        response.success = True
+        response.message = NEXT_TICK if self.pausing.paused else "the organ is back at rest"
         return response
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -274,7 +305,23 @@ class TissueNode(GuardedNode):
         with self.recorder.together:
             self.recorder.of_organ[organ].settings(self.organs.each[organ].post_settings(settings), settings)
 
-    def _on_parameters(self, _: set[str]) -> None:
+    def _place_frames(self) -> None:
+        """Tell tf and bags where the organ is."""
+        if self._broadcast is not None:
+            placed = placed_frames(self.parameters, self.parameters.tools)
+            self._broadcast.fix(self.get_clock().now().nanoseconds, placed)
+        self.recorder.organ_pose(self.parameters["organ_pose"])
+
+    def _register(self) -> None:
+        """Take poses and wrenches to and from the organ where it is now."""
+        for port in self.ports:
+            port.renew_frames(frames_of(self.parameters, port.name, self._lookup))
+        self._place_frames()
+        self._registrations += 1
+
+    def _on_parameters(self, names: set[str]) -> None:
+        if "organ_pose" in names:
+            self._register()
         self.contacts.rate = self.parameters["contact_rate"]
         for port in self.ports:
             port.output.device.most = self.parameters[f"{port.name}.passivity_damping"]
@@ -284,6 +331,7 @@ class TissueNode(GuardedNode):
         if self.parameters["coupling_stiffness"] > 0.0:
             self.live.update()  # poses may come at another rate now
         report = Report()
+        report.values["registrations"] = self._registrations
         for part in self._parts:
             part.report(report)
         self.diagnostics.publish(report)

@@ -11,7 +11,9 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import MarkerArray
 
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
+from tissue_sim.ros.node.ligaments import Ligaments
 from tissue_sim.ros.node.served_organ import ServedOrgan
 from tissue_sim.ros.node.shapes_shown import ShapesShown, Touches
 from tissue_sim.ros.node.tool_port import ToolPort
@@ -117,7 +119,7 @@ class OrganPresenter:
 
 
 class ScenePresenter:
-    """Publishes the markers of all organs of a scene as one array, while somebody looks."""
+    """Publishes the markers of all organs of a scene as one array, and its ligaments, while somebody looks."""
 
     def __init__(
         self,
@@ -126,6 +128,7 @@ class ScenePresenter:
         frame_id: str,
         ports: Sequence[ToolPort],
         organs: Organs,
+        joined: Joined | None,
         values: Values,
     ) -> None:
         self._values, self._clock = values, node.get_clock()
@@ -134,18 +137,35 @@ class ScenePresenter:
         self._shown = ShapesShown(frame_id, named, organs.each, Touches(ports, organs), len(ports))
         self._sent: tuple[object, ...] = ()
         self._had = 0
+        self._ligaments: Ligaments | None = None
+        if joined is not None and len(joined.links.slack):
+            self._ligaments = Ligaments(frame_id, joined, self._shown.first_rows)
+            self._lines = node.create_publisher(MarkerArray, "~/ligaments", LATCHED)
+        self._lines_sent: tuple[int, ...] = ()
 
     def present(self) -> None:
-        """Publish all organs when one has moved since, or somebody has just come."""
+        """Publish all organs when one has moved since, or somebody has just come; ligaments when their organs moved."""
         count, colour = self._markers.get_subscription_count(), self._values["marker_colour"]
         came, self._had = count > self._had, count
-        sent = (colour, self._shown.sequence)
-        if count == 0 or (sent == self._sent and not came):
+        sequence = self._shown.sequence
+        sent = (colour, sequence)
+        shows = count > 0 and (sent != self._sent or came)
+        # Latched: whoever comes gets the last ones.
+        draws = (
+            self._ligaments is not None and sequence != self._lines_sent and self._lines.get_subscription_count() > 0
+        )
+        if not (shows or draws) or self._shown.refresh() < 0:
             return
-        if self._shown.refresh() >= 0:
-            self._markers.publish(self._shown.markers(self._clock.now().nanoseconds, colour))
+        stamp = self._clock.now().nanoseconds
+        if shows:
+            self._markers.publish(self._shown.markers(stamp, colour))
             self._sent = sent
+        if draws and self._ligaments is not None:
+            self._lines.publish(self._ligaments.message(stamp, self._shown.positions))
+            self._lines_sent = sequence
 
     def close(self) -> None:
         """Delete the markers in every viewer."""
         self._markers.publish(self._shown.deletion())
+        if self._ligaments is not None:
+            self._lines.publish(self._ligaments.deletion())

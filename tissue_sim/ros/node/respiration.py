@@ -61,7 +61,7 @@ class RespirationInput:
         if not math.isfinite(share) or not 0.0 <= share <= 1.0:
             return "no_share", f"its position is {share:g}; wanted: 0, breathed out, to 1, breathed in"
         if stamp == 0:
-            return "no_stamp", "its stamp is 0, which marks invalid data"
+            return "no_stamp", "its stamp is 0, which marks invalid data; let header.stamp say when it was measured"
         if self._clock.now() - self._came < PAUSE and stamp < self._stamp:
             return "backward_stamp", f"its stamp is {1e-9 * (self._stamp - stamp):.3f} s before the last one"
         return None

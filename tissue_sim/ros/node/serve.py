@@ -10,9 +10,11 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
+import tissue_sim
 from tissue_sim import progress
-from tissue_sim.errors import UserError, give_up_output
+from tissue_sim.errors import UserError, give_up_output, shown
 from tissue_sim.ros.node.node import NAME, TissueNode
 from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.ending import Ending, Interrupted
@@ -22,6 +24,8 @@ from tissue_sim.unexpected import tell, told
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 PROGRAM = "tissue_node"
+# Those of rcl that people give without --ros-args before them.
+ROS_OPTIONS = ("-p", "--param", "--params-file", "-r", "--remap", "-e", "--enclave", "--log-level")
 SPIN, AFTER_FAILURE = 0.1, 0.01  # s for an event to come; until the next try where rclpy fails
 TURN = 0.0005  # s at the GIL, ten times shorter than Python's own: a pose must not wait for a diagnostics message
 
@@ -35,17 +39,19 @@ def serve(arguments: list[str], ending: Ending) -> int:
 
     arguments: the program's name, and behind it what ROS takes.
     """
-    if any(word in ("-h", "--help") for word in arguments[1:]):
+    asked = {"-h": usage, "--help": usage, "--version": lambda: f"{PROGRAM} {tissue_sim.__version__}"}
+    for answer in (asked[word] for word in arguments[1:] if word in asked):
         try:
-            print(usage(), flush=True)
+            print(answer(), flush=True)
         except BrokenPipeError:  # piped into head: the rest has nowhere to go
             give_up_output()
         return 0
     sys.setswitchinterval(TURN)
-    dds.prepare()
     node = None
     try:
+        dds.prepare()
         _start_rclpy(arguments)
+        _check_own(arguments)
         progress.tell_by(get_logger(NAME).info)
         with progress.task("starting"):
             node = TissueNode()
@@ -103,7 +109,8 @@ def usage() -> str:
 
     return "\n".join(
         [
-            "usage: tissue_node [--ros-args -p PARAMETER:=VALUE ... --params-file FILE -r OLD:=NEW ...]",
+            "usage: tissue_node [--help | --version]",
+            "       tissue_node [--ros-args -p PARAMETER:=VALUE ... --params-file FILE -r OLD:=NEW ...]",
             "",
             "Serves a deformable organ at a fixed rate: tool poses in, wrenches and the deformed mesh out.",
             "Parameters (defaults: the kidney that ships, 1000 Hz, spherical tools 'left' and 'right' of 5 mm):",
@@ -114,11 +121,26 @@ def usage() -> str:
     )
 
 
+def _check_own(arguments: list[str]) -> None:
+    """Raise UserError for arguments that are none of ROS's: the node has no others."""
+    own = remove_ros_args(args=arguments)[1:]
+    if not own:
+        return
+    if own[0] in ROS_OPTIONS or ":=" in own[0]:
+        meant = " ".join(own if own[0] in ROS_OPTIONS else ["-p", *own])
+        raise UserError(
+            f"'{shown(own[0])}' is for ROS, which wants --ros-args: {PROGRAM} --ros-args {shown(meant, 200)}"
+        )
+    raise UserError(f"argument '{shown(own[0])}' is unknown; '{PROGRAM} --help' lists what there is")
+
+
 def _start_rclpy(arguments: list[str]) -> None:
     """Raises UserError for arguments that rcl can't use."""
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except (RCLError, UnknownROSArgsError) as error:
+    except UnknownROSArgsError as error:
+        raise UserError(f"ROS does not know {shown(str(error).strip('[]'), 200)} behind --ros-args") from None
+    except RCLError as error:
         reason = str(error).split(", at /")[0]  # where in rcl's sources
         hint = "; write each number of a list as 0.0, not 0" if "same type" in reason else ""
         raise UserError(f"{reason}{hint}") from None

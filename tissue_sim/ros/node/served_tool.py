@@ -12,7 +12,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.contact.gripper import about
 from tissue_sim.contact.quaternions import Vector
 from tissue_sim.contact.tools import ToolSet
-from tissue_sim.ros.shared.frames import Frames, Transform
+from tissue_sim.ros.shared.frames import Frames, Placed, Transform, tip_frame, wrench_frame
 from tissue_sim.ros.shared.tool_messages import ToolTopics
 
 
@@ -42,15 +42,30 @@ class ServedTool:
 
     @property
     def is_unmoved(self) -> bool:
-        """True when its poses come in the organ's frame."""
-        return self.frames.to_organ(self.topics.frame_id).is_identity
+        """True when its poses come in the organ's frame, under that name, and are not scaled."""
+        topics = self.topics
+        return topics.frame_id == self.organ_frame and self.frames.to_organ(topics.frame_id).is_identity
 
     @property
     def nowhere(self) -> NewestPose:
         """What stands for its newest pose before there is one."""
         pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         to_organ = self.frames.to_organ(self.topics.frame_id)
-        return NewestPose(0, pose, np.tile(pose, (len(self.bodies), 1)), to_organ, b"", b"")
+        return NewestPose(0, pose, np.tile(pose, (len(self.bodies), 1)), self.topics.frame_id, to_organ, b"", b"")
+
+    def axes(self, pose: NewestPose) -> str:
+        """Return the frame along whose axes the wrench goes out that answers a pose."""
+        return wrench_frame(self.name) if self.topics.has_axes_of_its_own else self._unturned_axes(pose)
+
+    def _unturned_axes(self, pose: NewestPose) -> str:
+        return tip_frame(self.name) if self.topics.wrench_frame == "body" else pose.frame_id
+
+    def moving_frames(self, pose: NewestPose) -> Placed:
+        """Return the frames that a pose places: the tip, and the wrench's axes where no other frame has them."""
+        found: Placed = {tip_frame(self.name): (self.organ_frame, pose.pose.tolist())}
+        if self.topics.has_axes_of_its_own and hasattr(self.topics.outgoing(), "header"):
+            found[wrench_frame(self.name)] = (self._unturned_axes(pose), (0.0, 0.0, 0.0, *self.topics.wrench_rotation))
+        return found
 
     def wrench(self, of_bodies: Floats, pose: NewestPose) -> Floats:
         """The tool's wrench (6,), N and N m about its origin, of those of all bodies, (B, 6)."""
@@ -65,7 +80,8 @@ class NewestPose(NamedTuple):
     sequence: int
     pose: Floats  # (7,)
     placed: Floats  # (b, 7) of the tool's bodies
-    to_organ: Transform  # from the frame that it came in
+    frame_id: str  # that it came in
+    to_organ: Transform  # from that frame
     raw: bytes
     angle: bytes  # of a gripper
 

@@ -59,6 +59,11 @@ class ShapesShown:
         self._coloured: OrganMarkers | None = None  # made when it is wanted: it takes a while
 
     @property
+    def first_rows(self) -> list[int]:
+        """Return the row of each organ's first node in `positions`."""
+        return [part.start for part in self._parts]
+
+    @property
     def sequence(self) -> tuple[int, ...]:
         """Another one whenever any organ moved."""
         return tuple(one.surface_sequence for one in self._physics)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from rclpy.clock import ClockChange, JumpThreshold, TimeJump
@@ -19,20 +18,20 @@ class SimClock:
     """Hands every time of /clock to the loop. Without a clock there is no tick; a jump back resets the organ.
 
     What is in `jumped` is called when times begin anew: after a jump back, before the organ goes back to rest, and
-    when ticks follow another clock.
+    when ticks follow another clock. active: whether they follow /clock.
     """
 
     def __init__(self, node: GuardedNode, loop: Loop) -> None:
         self._clock, self._log, self._loop = node.get_clock(), node.get_logger(), loop
         self.jumped: list[Callable[[], None]] = []
-        self._active = self._waiting = self._stood = False
+        self.active = self._waiting = self._stood = False
         threshold = JumpThreshold(min_forward=NANOSECOND, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._handle = self._clock.create_jump_callback(threshold, post_callback=node.guarded(self._on_jump))
         self._follow(bool(node.get_parameter("use_sim_time").value))
 
     def now(self) -> float:
-        """Seconds on the clock that ticks follow: of /clock, or monotonic."""
-        return 1e-9 * self._clock.now().nanoseconds if self._active else time.monotonic()
+        """Seconds on the clock that ticks follow: of /clock, or monotonic, which stands while the loop is held."""
+        return 1e-9 * self._clock.now().nanoseconds if self.active else self._loop.hold.now()
 
     def age_of(self, stamp: int) -> float:
         """Seconds since a stamp, ns, by ROS's clock; negative for one of a clock that is ahead."""
@@ -40,11 +39,11 @@ class SimClock:
 
     def state(self) -> str:
         """wall, /clock, or why nothing ticks: no /clock yet, /clock stands."""
-        if not self._active:
+        if not self.active:
             return "wall"
         if self._waiting:
             return "no /clock yet"
-        return "/clock stands" if self._loop.standing else "/clock"
+        return "/clock stands" if self._loop.clock_stands else "/clock"
 
     def report(self, report: Report) -> None:
         """Add the state."""
@@ -52,7 +51,7 @@ class SimClock:
 
     def watch(self) -> None:
         """Say once when the clock stands, and when it goes on; call it often."""
-        stands = self._active and not self._waiting and self._loop.standing
+        stands = self.active and not self._waiting and self._loop.clock_stands
         if stands and not self._stood:
             self._log.info("/clock stands: no ticks, and no forces until it goes on")
         self._stood = stands
@@ -61,7 +60,7 @@ class SimClock:
         if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
             self._follow(jump.clock_change == ClockChange.ROS_TIME_ACTIVATED)
             return
-        if not self._active:
+        if not self.active:
             return
         if self._waiting:
             self._waiting = False
@@ -75,7 +74,7 @@ class SimClock:
         self._loop.post_time(self._clock.now().nanoseconds)
 
     def _follow(self, active: bool) -> None:
-        self._active = active
+        self.active = active
         self._begin_anew()
         posted = self._clock.now().nanoseconds if active else 0
         self._waiting = active and posted == 0

@@ -9,46 +9,34 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.time import Time
 
-from tissue_sim.array_types import Floats
-from tissue_sim.ros.shared.frames import Transform
-
-
-def tip_frame(tool: str) -> str:
-    """The frame at a tool's tip, its origin, along the tool's own axes."""
-    return f"{tool}_tip"
+from tissue_sim.ros.shared.frames import Placed
 
 
 class TfBroadcast:
-    """Broadcasts the frames that parameters place, once and latched; the tools' tips as they move.
+    """Broadcasts the frames that parameters place, latched, and those that move.
 
-    placed: for each frame its parent and the transform to that. To be made where tf_installed() alone.
+    To be made where tf_installed() alone.
     """
 
-    def __init__(
-        self, node: Node, organ_frame: str, tools: Sequence[str], placed: dict[str, tuple[str, Transform]]
-    ) -> None:
+    def __init__(self, node: Node) -> None:
         import tf2_ros
 
-        self._organ_frame, self._tips = organ_frame, [tip_frame(tool) for tool in tools]
         self._static = tf2_ros.StaticTransformBroadcaster(node)
         self._moving = tf2_ros.TransformBroadcaster(node)
-        now = node.get_clock().now().nanoseconds
-        messages = [
-            transform_message(now, parent, child, (*transform.translation, *transform.rotation))
-            for child, (parent, transform) in placed.items()
-        ]
-        if messages:
-            self._static.sendTransform(messages)
 
-    def tips(self, stamp: int, poses: Sequence[Floats | None]) -> None:
-        """Broadcast the tips for a stamp in ns: poses (7,) in the organ's frame, or None for one that did not move."""
-        messages = [
-            transform_message(stamp, self._organ_frame, tip, pose.tolist())
-            for tip, pose in zip(self._tips, poses, strict=True)
-            if pose is not None
-        ]
-        if messages:
-            self._moving.sendTransform(messages)
+    def fix(self, stamp: int, placed: Placed) -> None:
+        """Broadcast where frames stay, for a stamp in ns."""
+        if placed:
+            self._static.sendTransform(_messages(stamp, placed))
+
+    def move(self, stamp: int, placed: Placed) -> None:
+        """Broadcast where frames are for a stamp in ns."""
+        if placed:
+            self._moving.sendTransform(_messages(stamp, placed))
+
+
+def _messages(stamp: int, placed: Placed) -> list[TransformStamped]:
+    return [transform_message(stamp, parent, child, pose) for child, (parent, pose) in placed.items()]
 
 
 def transform_message(stamp: int, parent: str, child: str, pose: Sequence[float]) -> Any:

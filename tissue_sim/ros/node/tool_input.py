@@ -12,7 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
@@ -39,7 +39,9 @@ class Refused(Exception):
 
 
 class ToolInput:
-    """Subscribes a tool's measured_cp, measured_cf and, of a gripper, measured_js; posts them to the loop and the bag.
+    """Subscribes a tool's measured_cp, external_cf where it has a name, and of a gripper measured_js.
+
+    Posts what comes to the loop and the bag.
 
     Inside, and in a bag, a pose is a PoseStamped and a force a WrenchStamped, both in the organ's frame.
     pose_came is called after each pose, force_came after each force that was taken up. While the executor is behind by
@@ -61,7 +63,7 @@ class ToolInput:
         self._pose_freshness, self._force_freshness = freshness
         self._pose_gate, self._force_gate = Turnstile(backlog), Turnstile(backlog)
         self._pose_came, self._force_came = pose_came, force_came
-        self._log, self._clock = node.get_logger(), node.get_clock()
+        self._log, self._clock, self._count_publishers = node.get_logger(), node.get_clock(), node.count_publishers
         self.newest, self._angle = tool.nowhere, 0.0  # rad between a gripper's jaws
         self._newest_force: tuple[int, bytes] = (0, b"")
         self.poses = 0
@@ -74,15 +76,19 @@ class ToolInput:
         self._bag_force = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
         self._bag_angle = NumbersTemplate(Float64MultiArray(data=[0.0]), 1)
         qos, names = RELIABLE if topics.reliable else STREAM, topics.names
-        poses, forces, *_ = self._subscriptions = [
-            node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True),
-            node.create_subscription(self._force_type.message, names["measured_cf"], self._on_force, qos, raw=True),
-        ]
-        pose_as_bagged = tool.is_unmoved and topics.pose_type == "PoseStamped"
-        force_as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
-        pose_name, force_name = poses.topic_name if pose_as_bagged else "", forces.topic_name if force_as_bagged else ""
-        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", pose_name, qos)
-        self._bagged_force = recorder.add_topic(tool.name, "measured_cf", force_name, qos)
+        poses = node.create_subscription(self._pose_type.message, names["measured_cp"], self._on_pose, qos, raw=True)
+        self._subscriptions = [poses]
+        as_bagged = tool.is_unmoved and topics.pose_type == "PoseStamped"
+        self._bagged_pose = recorder.add_topic(tool.name, "measured_cp", poses.topic_name if as_bagged else "", qos)
+        if names["external_cf"]:
+            kind = self._force_type.message
+            forces = node.create_subscription(kind, names["external_cf"], self._on_force, qos, raw=True)
+            self._subscriptions.append(forces)
+            as_bagged = tool.is_unmoved and topics.force_type == "WrenchStamped"
+            name = forces.topic_name if as_bagged else ""
+            self._bagged_force = recorder.add_topic(tool.name, "external_cf", name, qos)
+        self.enabled = True
+        self._subscriptions.append(node.create_subscription(Bool, f"~/{tool.name}/enable", self._on_enable, RELIABLE))
         if tool.is_gripper:
             self._subscriptions.append(
                 node.create_subscription(JointState, names["measured_js"], self._on_angle, qos),
@@ -93,6 +99,23 @@ class ToolInput:
     def passed_over(self) -> int:
         """Poses and forces that were not looked at, as the executor was behind."""
         return self._pose_gate.passed_over + self._force_gate.passed_over
+
+    @property
+    def topic(self) -> str:
+        """The full name of the topic of its poses."""
+        return str(self._subscriptions[0].topic_name)
+
+    @property
+    def bridges(self) -> int:
+        """Publishers of its poses."""
+        return self._count_publishers(self.topic)
+
+    def place(self, values: tuple[float, ...]) -> None:
+        """Take up a pose (7,) in the organ's frame that no message brought. Raises Refused where it can't be used."""
+        if not all(map(math.isfinite, values)):
+            raise Refused("nan_pose", "it holds a value that is not finite")
+        before = self._tool.nowhere
+        self._take(Stamped(UNSTAMPED, "", values), before.frame_id, before.to_organ, b"")
 
     def newest_messages(self) -> dict[str, tuple[int, bytes]]:
         """Sequence number and bytes of what came last, by its topic in a bag."""
@@ -105,31 +128,46 @@ class ToolInput:
             found[self._bagged_force] = self._newest_force
         return found
 
+    def _on_enable(self, message: Bool) -> None:
+        """A clutch: while it is false, poses and forces are passed over, and the tool lets go as if these stopped."""
+        if message.data != self.enabled:
+            self.enabled = bool(message.data)
+            name, now = self._tool.name, "enabled" if self.enabled else "disabled: its poses are passed over"
+            self._log.info(f"tool '{name}' is {now} (~/{name}/enable)")
+
     def _on_pose(self, raw: bytes) -> None:
-        if not self._pose_gate.passes():
+        if not self.enabled or not self._pose_gate.passes():
             return
-        tool = self._tool
         with self._refusing("pose"):
-            message, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
+            message, frame_id, to_organ = self._read(raw, self._pose_type, N_POSE, "pose", self._pose_freshness)
             if not to_organ.is_identity:
                 message = message._replace(values=to_organ.of(message.values))
-            with self._as("zero_quaternion"):
-                pose = unit_pose(np.array(message.values))
-            with self._as("far_pose"):
-                check_position(pose[:3])
-            stamp = self._stamp(message)
-            if not self._is_as_bagged(message, to_organ) or self._pose_type is not POSE_TYPES["PoseStamped"]:
-                raw = self._bag_pose.message(stamp, message.values)
-            angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
-            placed = tool.tools.poses(tool.index, pose, self._angle)
-            self._recorder.received(self._bagged_pose, raw)
-            if tool.is_gripper:
-                self._recorder.received(self._bagged_angle, angle)
-            sequence = self._organs.post_poses(tool.bodies, placed, stamp)
-            self.newest = NewestPose(sequence, pose, placed, to_organ, raw, angle)
-            self._pose_freshness.came(message.stamp)
-            self.poses += 1
-            self._pose_came()
+            is_as_bagged = self._is_as_bagged(message, to_organ) and self._pose_type is POSE_TYPES["PoseStamped"]
+            self._take(message, frame_id, to_organ, raw if is_as_bagged else b"")
+
+    def _take(self, message: Stamped, frame_id: str, to_organ: Transform, raw: bytes) -> None:
+        """Take up a pose in the organ's frame that came in frame_id; raw: its bytes where a bag holds these.
+
+        Raises Refused.
+        """
+        tool = self._tool
+        with self._as("zero_quaternion"):
+            pose = unit_pose(np.array(message.values))
+        with self._as("far_pose"):
+            check_position(pose[:3])
+        stamp = self._stamp(message)
+        if not raw:
+            raw = self._bag_pose.message(stamp, message.values)
+        angle = self._bag_angle.message(0, [self._angle]) if tool.is_gripper else b""
+        placed = tool.tools.poses(tool.index, pose, self._angle)
+        self._recorder.received(self._bagged_pose, raw)
+        if tool.is_gripper:
+            self._recorder.received(self._bagged_angle, angle)
+        sequence = self._organs.post_poses(tool.bodies, placed, stamp)
+        self.newest = NewestPose(sequence, pose, placed, frame_id, to_organ, raw, angle)
+        self._pose_freshness.came(message.stamp)
+        self.poses += 1
+        self._pose_came()
 
     def _on_angle(self, message: JointState) -> None:
         """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""
@@ -141,10 +179,10 @@ class ToolInput:
             self._angle = float(message.position[0])
 
     def _on_force(self, raw: bytes) -> None:
-        if not self._force_gate.passes():
+        if not self.enabled or not self._force_gate.passes():
             return
         with self._refusing("force"):
-            message, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
+            message, _, to_organ = self._read(raw, self._force_type, N_WRENCH, "force", self._force_freshness)
             self._force_freshness.came(message.stamp)
             if not self._is_as_bagged(message, to_organ) or self._force_type is not FORCE_TYPES["WrenchStamped"]:
                 message = message._replace(values=turned(message.values, lambda v: rotate(to_organ.rotation, v)))
@@ -158,34 +196,39 @@ class ToolInput:
 
     def _read(
         self, raw: bytes, kind: Incoming, n_values: int, what: str, freshness: Freshness
-    ) -> tuple[Stamped, Transform]:
-        """A message whose values can be used, and the transform from its frame to the organ's."""
+    ) -> tuple[Stamped, str, Transform]:
+        """A message whose values can be used, the frame that they are in, and the transform from it to the organ's."""
         tool = self._tool
+        usual = tool.topics.frame_id
         with self._as("malformed"):
             message = kind.parse(raw, n_values)
         if not all(map(math.isfinite, message.values)):
             raise Refused(f"nan_{what}", "it holds a value that is not finite")
         if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
-            return message, tool.frames.to_organ(tool.topics.frame_id)
+            return message, usual, tool.frames.to_organ(usual)
         try:
             unnamed = not message.frame_id and tool.topics.allow_empty_frame
-            to_organ = tool.frames.to_organ(tool.topics.frame_id if unnamed else message.frame_id)
+            frame_id = usual if unnamed else message.frame_id
+            to_organ = tool.frames.to_organ(frame_id)
         except UnknownFrame as error:
             remedy = "frame_id names another" if message.frame_id else "allow_empty_frame takes it for that"
             raise Refused(
                 "unknown_frame",
-                f"its frame is '{shown(message.frame_id)}', expected '{tool.topics.frame_id}'"
+                f"its frame is '{shown(message.frame_id)}', expected '{usual}'"
                 f" (parameter {tool.name}.{remedy}); {error}",
             ) from None
+        if message.stamp == 0 and tool.topics.allow_zero_stamp:
+            return message._replace(stamp=UNSTAMPED), frame_id, to_organ
         if message.stamp == 0:
-            raise Refused("no_stamp", "its stamp is 0, which marks invalid data")
+            remedy = f"parameter {tool.name}.allow_zero_stamp takes the time of its arrival"
+            raise Refused("no_stamp", f"its stamp is 0, which marks invalid data ({remedy})")
         if (before := freshness.last_stamp - message.stamp) > 0:
             raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")
-        return message, to_organ
+        return message, frame_id, to_organ
 
     def _is_as_bagged(self, message: Stamped, to_organ: Transform) -> bool:
         """Whether a bag may hold it as it came; there everything has the organ's frame."""
-        return to_organ.is_identity and bool(message.frame_id)
+        return to_organ.is_identity and message.frame_id == self._tool.organ_frame and message.stamp != UNSTAMPED
 
     def _stamp(self, message: Stamped) -> int:
         return message.stamp if message.stamp != UNSTAMPED else int(self._clock.now().nanoseconds)

@@ -23,7 +23,7 @@ from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
 
 class ToolOutput:
-    """Publishes a tool's servo_cf, and hands it to the bag as a WrenchStamped in the organ's frame.
+    """Publishes a tool's servo_cf, and what the tissue does to it in the organ's frame, which a bag holds.
 
     A wrench goes out in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
     rate when poses stop, until the wrench is zero.
@@ -38,10 +38,9 @@ class ToolOutput:
         self.force = 0.0  # N, magnitude last published
         self.not_finite = 0  # wrenches that were zeroed
         topics = tool.topics
-        frame_id = tool.name if topics.wrench_frame == "body" else topics.frame_id
-        n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
-        self._template = NumbersTemplate(topics.outgoing(), n_numbers, frame_id)
+        self._axes, self._template = "", self._template_for("")
         self._bag_wrench = NumbersTemplate(WrenchStamped(), N_WRENCH, tool.organ_frame)
+        self._in_organ_frame = node.create_publisher(WrenchStamped, f"~/{tool.name}/wrench", RELIABLE)
         self._lock = threading.Lock()
         self._published = -math.inf  # monotonic s
         qos = RELIABLE if topics.reliable else STREAM
@@ -57,6 +56,11 @@ class ToolOutput:
             self._pose = pose
             tick, wrench = self._newest()
             self._send(tick, wrench, self.device.felt(pose.pose[:3], wrench))
+
+    def renew(self, pose: NewestPose) -> None:
+        """Take the frames of the newest pose anew."""
+        with self._lock:
+            self._pose = pose
 
     def keep_publishing(self, silence: float) -> bool:
         """Publish the newest wrench if nothing went out for `silence` s and the last one wasn't zero.
@@ -88,14 +92,25 @@ class ToolOutput:
             wrench = felt = np.zeros(6)
             self.not_finite += 1
         stamp = self._clock.now().nanoseconds
+        if (axes := self._tool.axes(self._pose)) != self._axes:
+            self._axes, self._template = axes, self._template_for(axes)
         raw = self._template.message(stamp, self._along_axes(felt))
         self._servo.publish(raw)
+        if self._in_organ_frame.get_subscription_count() > 0:
+            self._in_organ_frame.publish(self._bag_wrench.message(stamp, wrench))
         self.force = math.sqrt(float(felt[:3] @ felt[:3]))
         self._published = time.monotonic()
         if self._recorder.active:
-            if not (self._as_bagged and self._pose.to_organ.is_identity and felt is wrench):
+            is_in_organ_frame = self._axes == self._tool.organ_frame and self._pose.to_organ.is_identity
+            if not (self._as_bagged and is_in_organ_frame and felt is wrench):
                 raw = self._bag_wrench.message(stamp, wrench)
             self._recorder.wrench(self._bagged, self._tool.index, tick, raw)
+
+    def _template_for(self, axes: str) -> NumbersTemplate:
+        """A message whose numbers are along the axes of a frame."""
+        topics = self._tool.topics
+        n_numbers = topics.array_length if topics.wrench_type == "Float64MultiArray" else N_WRENCH
+        return NumbersTemplate(topics.outgoing(), n_numbers, axes)
 
     def _along_axes(self, wrench: Floats) -> Sequence[float] | Floats:
         """A wrench in the organ's axes, along those that the bridge takes it in; about the tool's origin still."""

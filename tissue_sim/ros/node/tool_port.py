@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
 
+import numpy as np
 from rclpy.node import Node
 
 from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.freshness import Freshness
@@ -14,8 +20,11 @@ from tissue_sim.ros.node.served_tool import NewestPose, ServedTool
 from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.node.tool_input import ToolInput
 from tissue_sim.ros.node.tool_output import ToolOutput
+from tissue_sim.ros.shared.frames import Frames, Placed, Transform, UnknownFrame
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.report import Report
+
+SAY_EVERY = 1.0  # s between two lines that a tool is held off
 
 
 class ToolPort:
@@ -37,6 +46,11 @@ class ToolPort:
     ) -> None:
         self._tool, self._organs, self._woken = tool, organs, woken
         self._answered = 0  # sequence number of the pose
+        self._log = node.get_logger()
+        self._was_slow = False
+        self.held_off, self._said = 0, -math.inf  # how often; monotonic s of the last line about it
+        self._unsaid: list[str] = []  # organs that it appeared in since that
+        self._saying = threading.Lock()
         self.pose_freshness, self.force_freshness = Freshness(clock, organs), Freshness(clock, organs)
         self.output = ToolOutput(node, tool, organs, recorder)
         freshness = self.pose_freshness, self.force_freshness
@@ -57,30 +71,111 @@ class ToolPort:
         """The newest pose that was taken up."""
         return self.input.newest
 
+    @property
+    def extents(self) -> Floats:
+        """Radii (b,) m of the balls about the origins of its bodies that hold them."""
+        return np.asarray(self._tool.tools.shapes.extent[self.bodies])
+
+    def place(self, frame_id: str, pose: Sequence[float]) -> None:
+        """Take up a pose (7,), m and quaternion xyzw, in a frame, as if its bridge had sent it but for motion_scale.
+
+        Raises UserError while a bridge publishes, UnknownFrame for a frame that nothing leads from to the organ, and
+        Refused for a pose that can't be used.
+        """
+        if self.input.bridges:
+            raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
+        tool = self._tool
+        to_organ = Transform() if frame_id == tool.organ_frame else tool.frames.to_organ(frame_id).scaled(1.0)
+        self.input.place(to_organ.of(pose))
+
+    def renew_frames(self, frames: Frames) -> None:
+        """Lead poses to the organ as other frames do, from the next one on, and wrenches at once.
+
+        To be called by the executor's thread, which takes the poses.
+        """
+        self._tool.frames.become(frames)
+        with suppress(UnknownFrame):  # one that tf no longer has: the next pose is refused
+            newest = self.input.newest
+            self.input.newest = newest._replace(to_organ=frames.to_organ(newest.frame_id))
+            self.output.renew(self.input.newest)
+
+    def moving_frames(self, pose: NewestPose) -> Placed:
+        """The frames that a pose of the tool places."""
+        return self._tool.moving_frames(pose)
+
     def wrench(self, of_bodies: Floats) -> Floats:
         """The tool's wrench (6,), N and N m about its origin, in the organ's axes, of those of all bodies, (B, 6)."""
         return self._tool.wrench(of_bodies, self.newest)
 
     def state(self) -> str:
-        """none, fresh, stale, or refused (held off until it leaves the organ)."""
+        """disabled, none, fresh, stale, or held_off (until it leaves the organ)."""
+        if not self.input.enabled:
+            return "disabled"
         if self.input.poses == 0:
             return "none"
         if not self.pose_freshness.is_fresh:
             return "stale"
-        return "refused" if self._organs.hold_off(self.bodies) else "fresh"
+        return "held_off" if self._organs.hold_off(self.bodies) else "fresh"
+
+    def was_held_off(self, organ: str) -> None:
+        """Say that the tool appeared inside an organ, and is not resisted until it has been outside.
+
+        Where that happens many times a second, as with poses that come more seldom than `stale_time`, a line tells of
+        all of them.
+        """
+        with self._saying:
+            self.held_off += 1
+            self._unsaid.append(organ)
+        self._say_held_off()
+
+    def _say_held_off(self) -> None:
+        """Log that the tool was held off since it was said last, no more than once in SAY_EVERY."""
+        with self._saying:
+            now, organs = time.monotonic(), self._unsaid
+            if not organs or now - self._said < SAY_EVERY:
+                return
+            self._said, self._unsaid = now, []
+        times = f" ({len(organs)} times since the last such line)" if len(organs) > 1 else ""
+        self._log.warning(
+            f"tool '{self.name}' is held off: it appeared inside {organs[-1]} and feels nothing until it has been"
+            f" outside; send a pose outside first, the next within stale_time ({self._organs.stale_time:g} s){times}"
+        )
+
+    def _too_slow(self) -> str:
+        """What is wrong with poses that are stale before the next one comes; logged once when it begins."""
+        gap, was_slow = self.pose_freshness.too_slow, self._was_slow
+        self._was_slow = gap > 0.0
+        if gap == 0.0:
+            return ""
+        line = (
+            f"tool '{self.name}': poses come {1.0 / gap:.0f} times a second, and each counts for stale_time,"
+            f" {self._organs.stale_time:g} s: its force fades in between, and inside the organ it is held off;"
+            f" send more, or set stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
+        )
+        if not was_slow:
+            self._log.warning(line)
+        return line
 
     def report(self, report: Report) -> None:
         """Add the state, the force, the poses that came and what was refused."""
-        refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
-        report.values |= {
-            f"{self.name}.state": self.state(),
-            f"{self.name}.force_n": self.output.force,
-            f"{self.name}.poses": self.input.poses,
-            f"{self.name}.passed_over": self.input.passed_over,
-            f"{self.name}.damped_forces": self.output.device.damped,
-            "force_n": report.values.get("force_n", 0.0) + self.output.force,  # of all tools
+        self._say_held_off()
+        own = report.part(f"tool {self.name}", f"{self.name}.")
+        own.state = self.state()
+        if own.state == "held_off":
+            own.warnings.append(f"tool '{self.name}' is held off: it is inside, and feels nothing until it was outside")
+        if line := self._too_slow():
+            own.warnings.append(line)
+        own.values |= {
+            "state": own.state,
+            "force_n": self.output.force,
+            "poses": self.input.poses,
+            "passed_over": self.input.passed_over,
+            "damped_forces": self.output.device.damped,
         }
-        report.problems |= {f"{self.name}.refused.{why}": count for why, count in sorted(refused.items())}
+        refused = self.input.refused | ({"nan_wrench": self.output.not_finite} if self.output.not_finite else {})
+        own.problems["held_off"] = self.held_off
+        own.problems |= {f"refused.{why}": count for why, count in sorted(refused.items())}
+        report.values["force_n"] = report.values.get("force_n", 0.0) + self.output.force  # of all tools
 
     def answer(self, taken: int) -> None:
         """Publish the newest wrench, unless it answers no new pose; taken: number of the one that a tick took up."""

@@ -15,6 +15,7 @@ from tissue_sim.ros.node.shapes_shown import Touches
 from tissue_sim.ros.node.tf_broadcast import TfBroadcast
 from tissue_sim.ros.node.tool_markers import ToolMarkers
 from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.frames import Placed
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.qos import RELIABLE
 
@@ -61,11 +62,12 @@ class ToolPresenter:
         if self._broadcast is None:
             return
         newest = [port.newest for port in self._ports]
-        moved = [pose.sequence != sent for pose, sent in zip(newest, self._tips_sent, strict=True)]
-        if any(moved):
-            self._tips_sent = [pose.sequence for pose in newest]
-            poses = [pose.pose if is_new else None for pose, is_new in zip(newest, moved, strict=True)]
-            self._broadcast.tips(self._clock.now().nanoseconds, poses)
+        placed: Placed = {}
+        for port, pose, sent in zip(self._ports, newest, self._tips_sent, strict=True):
+            if pose.sequence != sent:
+                placed |= port.moving_frames(pose)
+        self._tips_sent = [pose.sequence for pose in newest]
+        self._broadcast.move(self._clock.now().nanoseconds, placed)
 
     def close(self) -> None:
         """Delete the markers in every viewer."""

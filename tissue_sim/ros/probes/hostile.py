@@ -52,7 +52,7 @@ class Hostile:
         points = self.rest = np.concatenate(list(rest.values()))
         self._low, self._high, self.middle = points.min(axis=0), points.max(axis=0), points.mean(axis=0)
         self.poses = {tool: node.create_publisher(PoseStamped, f"{tool}/measured_cp", KEPT) for tool in TOOLS}
-        self.forces = {tool: node.create_publisher(WrenchStamped, f"{tool}/measured_cf", KEPT) for tool in TOOLS}
+        self.forces = {tool: node.create_publisher(WrenchStamped, f"{tool}/external_cf", KEPT) for tool in TOOLS}
         self.angles = node.create_publisher(JointState, "jaws/gripper/measured_js", KEPT)
         self.breath = node.create_publisher(JointState, f"/{target}/respiration", KEPT) if len(organs) > 1 else None
         self._wrenches = {tool: client.Inbox(node, WrenchStamped, f"{tool}/servo_cf", ALL, raw=True) for tool in TOOLS}

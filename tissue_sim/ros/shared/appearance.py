@@ -14,6 +14,7 @@ BASE: dict[str, Colour] = {
     "spleen": (108, 44, 62),
     "kidney": TISSUE,
 }
+LIGAMENT: Colour = (226, 214, 188)
 # Where the surface has moved by so many mm it has this colour, and what is between them in between.
 SCALE: tuple[tuple[float, Colour], ...] = (
     (0.5, (176, 66, 48)),

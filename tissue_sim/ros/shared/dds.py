@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, MutableMapping
 
+from tissue_sim.errors import UserError, shown
 from tissue_sim.organ.shipped import shipped_file
 
 REACH = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 ONLY_HERE, PEERS, SERVER = "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
+
+DOMAIN = "ROS_DOMAIN_ID"
+LAST_DOMAIN, LAST_OWN_DOMAIN = 232, 101  # the last with ports (DDSI-RTPS 9.6.1), and below the ephemeral ones of Linux
 
 # Fast DDS 2 (Jazzy) reads the first, Fast DDS 3 the second.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -19,9 +23,23 @@ PROFILE, LOCAL_PROFILE = "config/fastdds.xml", "config/fastdds_local.xml"
 
 
 def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Before rclpy.init: be heard on this machine only, and carry large organs, unless the user chose otherwise."""
+    """Before rclpy.init: be heard on this machine only, and carry large organs, unless the user chose otherwise.
+
+    Raises UserError for a domain that there can't be.
+    """
+    check_domain(environment)
     keep_to_this_machine(environment)
     use_shipped_profile(environment)
+
+
+def check_domain(environment: Mapping[str, str] = os.environ) -> None:
+    """Raise UserError for a ROS_DOMAIN_ID whose ports don't exist, or that is no number."""
+    given = environment.get(DOMAIN, "").strip()
+    if given and not (given.isascii() and given.isdecimal() and int(given) <= LAST_DOMAIN):
+        raise UserError(
+            f"{DOMAIN} is '{shown(given)}'; wanted: a number from 0 to {LAST_DOMAIN}, or best one up to"
+            f" {LAST_OWN_DOMAIN}, beyond which Linux gives ports to other programs"
+        )
 
 
 def keep_to_this_machine(environment: MutableMapping[str, str] = os.environ) -> None:

@@ -7,8 +7,9 @@ import socket
 from contextlib import ExitStack
 
 from tissue_sim.errors import UserError
+from tissue_sim.ros.shared.dds import LAST_OWN_DOMAIN
 
-DOMAINS = range(1, 102)  # those whose ports lie below Linux's range of ephemeral ports
+DOMAINS = range(1, LAST_OWN_DOMAIN + 1)
 PARTICIPANTS = 4  # of a domain that are looked for
 
 

@@ -11,6 +11,16 @@ from tissue_sim.contact.quaternions import Quaternion, Vector, multiply, rotate,
 IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
+def tip_frame(tool: str) -> str:
+    """Return the frame at a tool's tip, its origin, along the tool's own axes."""
+    return f"{tool}_tip"
+
+
+def wrench_frame(tool: str) -> str:
+    """Return the frame of a tool's wrench where `wrench_rotation` turns that away from every other frame."""
+    return f"{tool}_wrench"
+
+
 class UnknownFrame(ValueError):
     """A frame that nothing leads from to the organ; the message is the end of a sentence that names the frame."""
 
@@ -71,6 +81,10 @@ class Transform(NamedTuple):
 UNMOVED = Transform()
 
 
+# Frames by name, each with its parent and its pose (7,) in that, m and quaternion xyzw.
+Placed = dict[str, tuple[str, Sequence[float]]]
+
+
 class Frames:
     """Leads the frames that a tool's poses may come in to the organ.
 
@@ -82,6 +96,10 @@ class Frames:
     ) -> None:
         self._known = {frame_id: transform.scaled(scale) for frame_id, transform in known.items()}
         self._scale, self._lookup = scale, lookup
+
+    def become(self, other: Frames) -> None:
+        """Lead as other frames do from now on."""
+        self._known, self._scale, self._lookup = other._known, other._scale, other._lookup
 
     def to_organ(self, frame_id: str) -> Transform:
         """The transform from a frame to the organ's; raises UnknownFrame."""

@@ -6,7 +6,8 @@ import ctypes
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from tissue_sim.model.records import copy_of, field_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.model.world import make_world
+from tissue_sim.ros.shared.hold import Hold
 from tissue_sim.ros.shared.priority import prefer
 
 _libc = ctypes.PyDLL(None)  # keeps the GIL: what is called here waits for nothing
@@ -49,8 +51,12 @@ class Loop:
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
+        self._snapshot_lock = threading.Lock()  # held while somebody reads the states that were asked for
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
+        # Settings of their own: those of a simulation change between ticks, when a parameter does.
+        self._settings = [copy_of(one.settings) for one in self.simulations]
+        self.hold = Hold(self)
 
     def _run(self) -> None:
         try:
@@ -60,10 +66,9 @@ class Loop:
         self.ended = not self.words.control.stop or self.failure is not None
 
     def _tick_on(self) -> None:
-        # Settings of their own: those of a simulation change between ticks, when a parameter does.
         worlds = [
-            handle(make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch))
-            for one in self.simulations
+            handle(make_world(one.model, one.state, one.shapes, settings, one.scratch))
+            for one, settings in zip(self.simulations, self._settings, strict=True)
         ]
         loop = row(worlds), row([handle(box) for box in self.boxes]), handle(self.words)
         if self.joined is not None:
@@ -113,8 +118,18 @@ class Loop:
 
     @property
     def standing(self) -> bool:
+        """True while no tick is due: the loop is held, or the clock stands that it follows."""
+        return self.hold.active or self.clock_stands
+
+    @property
+    def clock_stands(self) -> bool:
         """True while ticks follow a posted time that has not come yet, or that has stood still for half a second."""
-        return bool(self._standing[0])
+        return bool(self._standing[0]) and not self.hold.active
+
+    @property
+    def tick_time(self) -> float:
+        """Simulated time of the next tick, s, by the settings that the last one took up."""
+        return float(self._settings[0].tick_time)
 
     @property
     def ticks(self) -> int:
@@ -165,6 +180,16 @@ class Loop:
         end = time.monotonic_ns() + round(1e9 * longest)
         timespec = (ctypes.c_long * 2)(*divmod(end, 1_000_000_000))
         return bool(_waiting_libc.sem_clockwait(self._answered, rt.CLOCK_MONOTONIC, timespec) == 0)
+
+    @contextmanager
+    def snapshots(self, timeout: float = 1.0) -> Iterator[None]:
+        """The whole state after one tick is in the boxes of all organs in here, whoever else asks for it.
+
+        Raises TimeoutError when the loop doesn't answer.
+        """
+        with self._snapshot_lock:
+            self.take_snapshots(timeout)
+            yield
 
     def take_snapshots(self, timeout: float = 1.0) -> None:
         """Have the whole state after one tick in the boxes of all organs.

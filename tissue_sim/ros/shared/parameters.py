@@ -6,6 +6,7 @@ import array
 import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,7 +23,7 @@ from tissue_sim.model.assembly import MODEL_NAMES, RETURN_TARGETS
 from tissue_sim.model.settings import INTEGRATORS, LOCAL_REGIONS, Settings
 from tissue_sim.model.simulation import acceleration_of
 from tissue_sim.ros.shared.appearance import MARKER_COLOURS
-from tissue_sim.ros.shared.frames import IDENTITY, Frames, Transform
+from tissue_sim.ros.shared.frames import IDENTITY, Frames, Placed, Transform
 from tissue_sim.ros.shared.priority import HIGHEST
 from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, POSE_TYPES, WRENCH_FRAMES, WRENCH_TYPES, ToolTopics
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
@@ -59,7 +60,13 @@ NODE_SPECS = (
     Spec("scene_file", "", "scene (.yaml) of several organs, instead of organ_file; empty: an organ alone"),
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
     Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
-    Spec("organ_pose", list(IDENTITY), "organ in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
+    Spec(
+        "organ_pose",
+        list(IDENTITY),
+        "organ in base_frame, its registration: x, y, z (m), quaternion x, y, z, w",
+        live=True,
+        check=_check_pose,
+    ),
     Spec("broadcast_tf", True, "tell tf where organ, tools' frames and tips are; needs tf2_ros"),
     Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
     Spec(
@@ -96,6 +103,7 @@ NODE_SPECS = (
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
     Spec("gravity", [0.0, 0.0, 0.0], "m/s^2 in the organ's frame", live=True, check=_check_gravity),
     Spec("shape_is_unloaded", False, "the organ file's shape is the one without gravity, not the one under it"),
+    Spec("step_ticks", 1, "ticks that ~/step takes while the node is paused", 1, 100_000, live=True),
     Spec("record", False, "record a bag from the start"),
     Spec("record_folder", "recordings", "folder in which bags are made; while the node runs, one below it", live=True),
     Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
@@ -122,12 +130,15 @@ TOOL_SPECS = (
     ),
     Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
     Spec("allow_empty_frame", False, "take what comes without a frame_id as given in frame_id"),
+    Spec(
+        "allow_zero_stamp", False, "take what comes with a stamp of 0, which marks invalid data, as of when it arrived"
+    ),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
-    Spec("measured_cf", "", "topic of external forces at its tip; empty for <tool>/measured_cf"),
+    Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty: none are taken"),
     Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
     Spec("pose_type", "PoseStamped", "message type of measured_cp", choices=tuple(POSE_TYPES)),
-    Spec("force_type", "WrenchStamped", "message type of measured_cf", choices=tuple(FORCE_TYPES)),
+    Spec("force_type", "WrenchStamped", "message type of external_cf", choices=tuple(FORCE_TYPES)),
     Spec("wrench_type", "WrenchStamped", "message type of servo_cf", choices=tuple(WRENCH_TYPES)),
     Spec("array_length", 3, "numbers in a Float64MultiArray: 3 forces, then up to 3 torques, then a zero", 3, 7),
     Spec("base_pose", list(IDENTITY), "its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
@@ -143,6 +154,7 @@ TOOL_SPECS = (
 )
 
 
+RENAMED = {"measured_cf": "external_cf"}  # of a tool: what a parameter was called, and what it is called now
 OFF = "off"  # which YAML, and so rcl and the ros2 command line, take for false
 TOLD = "organs"  # a parameter that says what was found
 OF_RCLPY = ("qos_overrides.", "start_type_description_service", "use_sim_time")
@@ -162,13 +174,19 @@ def tool_of(values: Values, name: str) -> Tool:
 
 
 def usual_topics(tool: str) -> dict[str, str]:
-    """The names of a tool's topics where its parameters give none, by the topics of TOOL_TOPICS and measured_js."""
-    return {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS} | {"measured_js": f"{tool}/gripper/measured_js"}
+    """The names of a tool's topics where its parameters give none, by the topics of TOOL_TOPICS and measured_js.
+
+    External forces have none: in CRTK a device publishes its own force as measured_cf, which must not come back as one
+    on the tissue.
+    """
+    names = {topic: f"{tool}/{topic}" for topic in TOOL_TOPICS}
+    return names | {"external_cf": "", "measured_js": f"{tool}/gripper/measured_js"}
 
 
 def topics_of(values: Values, tool: str) -> ToolTopics:
     """How the bridge of a tool speaks."""
-    words = ("pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable", "allow_empty_frame")
+    words = ["pose_type", "force_type", "wrench_type", "array_length", "wrench_frame", "reliable"]
+    words += ["allow_empty_frame", "allow_zero_stamp"]
     return ToolTopics(
         names={topic: values[f"{tool}.{topic}"] or usual for topic, usual in usual_topics(tool).items()},
         frame_id=values[f"{tool}.frame_id"] or values["frame_id"],
@@ -179,33 +197,66 @@ def topics_of(values: Values, tool: str) -> ToolTopics:
 
 def frames_of(values: Values, tool: str, lookup: Callable[[str], Transform] | None) -> Frames:
     """The frames that a tool's poses may come in; lookup leads others to the node's `tf_target`, None without tf."""
-    organ_id, base_id = values["frame_id"], values["base_frame"]
+    organ_id, base_id = _organ_and_base(values)
     to_organ = Transform.of_pose(values["organ_pose"]).inverse()
-    known = {organ_id: Transform()}
-    if base_id:
-        known[base_id] = to_organ
-    known[values[f"{tool}.frame_id"] or organ_id] = to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"]))
-    if lookup is None:
-        return Frames(known, values[f"{tool}.motion_scale"])
-    # Without a name for the base, tf itself knows where the organ is.
-    led = (lambda frame_id: to_organ.after(lookup(frame_id))) if base_id else lookup
+    known = {base_id: to_organ, organ_id: Transform()}
+    known.setdefault(_frame_of(values, tool), to_organ.after(Transform.of_pose(values[f"{tool}.base_pose"])))
+    led = None if lookup is None else lambda frame_id: to_organ.after(lookup(frame_id))
     return Frames(known, values[f"{tool}.motion_scale"], led)
 
 
-def placed_frames(values: Values, tools: Sequence[str]) -> dict[str, tuple[str, Transform]]:
-    """The frames that parameters place in base_frame, each with its parent and the transform to that; none without it.
+def _organ_and_base(values: Values) -> tuple[str, str]:
+    """The names of the organ's frame and of the one that poses in parameters are in: the organ's, if it has no name."""
+    return values["frame_id"], values["base_frame"] or values["frame_id"]
+
+
+def _frame_of(values: Values, tool: str) -> str:
+    """The name of the frame that a tool's poses come in."""
+    return values[f"{tool}.frame_id"] or values["frame_id"]
+
+
+def check_organ_pose(values: Values, pose: Sequence[float]) -> None:
+    """Raise UserError for a pose (7,) of the organ where there is no other frame that it could be in."""
+    organ_id, base_id = _organ_and_base(values)
+    if base_id == organ_id and not Transform.of_pose(pose).is_identity:
+        raise UserError(
+            f"parameter 'organ_pose' is the pose of '{organ_id}' in base_frame, which names no other frame: name one"
+        )
+
+
+def check_frames(values: Values, tools: Sequence[str]) -> None:
+    """Raise UserError where parameters give a frame two places, so that what a header says would not be where it is."""
+    organ_id, base_id = _organ_and_base(values)
+    check_organ_pose(values, values["organ_pose"])
+    placed: dict[str, tuple[str, Transform]] = {}  # by frame: the tool that places it, and where
+    for tool in tools:
+        frame_id, pose = _frame_of(values, tool), Transform.of_pose(values[f"{tool}.base_pose"])
+        if frame_id in (organ_id, base_id):
+            if not pose.is_identity:
+                raise UserError(
+                    f"parameter '{tool}.base_pose' would move '{frame_id}', which has its place: let {tool}.frame_id"
+                    " name a frame of the tool's own"
+                )
+            continue
+        first, other = placed.setdefault(frame_id, (tool, pose))
+        if other != pose:
+            raise UserError(
+                f"parameters '{first}.base_pose' and '{tool}.base_pose' place the frame '{frame_id}' differently: let"
+                f" {first}.frame_id and {tool}.frame_id name two frames"
+            )
+
+
+def placed_frames(values: Values, tools: Sequence[str]) -> Placed:
+    """The frames that parameters place in base_frame, which is the organ's where none is named.
 
     A tool's frame without a base_pose is its driver's to tell.
     """
-    organ_id, base_id = values["frame_id"], values["base_frame"]
-    if not base_id or base_id == organ_id:
-        return {}
-    placed = {organ_id: (base_id, Transform.of_pose(values["organ_pose"]))}
-    for tool in tools:
-        frame_id, pose = values[f"{tool}.frame_id"], Transform.of_pose(values[f"{tool}.base_pose"])
-        if frame_id not in ("", base_id, organ_id) and not pose.is_identity:
-            placed[frame_id] = (base_id, pose)
-    return placed
+    organ_id, base_id = _organ_and_base(values)
+    poses = {_frame_of(values, tool): Transform.of_pose(values[f"{tool}.base_pose"]) for tool in tools}
+    moved = {frame_id: pose for frame_id, pose in poses.items() if not pose.is_identity}
+    if base_id != organ_id:
+        moved[organ_id] = Transform.of_pose(values["organ_pose"])
+    return {frame_id: (base_id, (*pose.translation, *pose.rotation)) for frame_id, pose in moved.items()}
 
 
 class Parameters:
@@ -218,7 +269,8 @@ class Parameters:
         self._node = node
         self._specs: dict[str, Spec] = {}
         self.changed: list[Callable[[set[str]], None]] = []  # called with the names after a live change
-        self.checks: dict[str, Callable[[Any], object]] = {}  # of live changes, by name; they raise UserError
+        # Of live changes, by name; they raise UserError.
+        self.checks: dict[str, Callable[[Any], object]] = {"organ_pose": partial(check_organ_pose, self)}
         for spec in NODE_SPECS:
             self._declare(spec.name, spec)
         self._declare("tools", Spec("tools", ["left", "right"], "names of the tools"))
@@ -228,8 +280,9 @@ class Parameters:
                 raise UserError(f"parameter 'tools': '{tool}' is no name of its own; use letters, digits and _")
             for spec in TOOL_SPECS:
                 self._declare(f"{tool}.{spec.name}", spec)
+        check_frames(self, self.tools)
         self._warn_of_unknown()
-        node.add_pre_set_parameters_callback(lambda given: [self._in_words(parameter) for parameter in given])
+        node.add_pre_set_parameters_callback(lambda given: [self._as_meant(parameter) for parameter in given])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._tell)
 
@@ -257,7 +310,7 @@ class Parameters:
         """Say what a scene's organs are called; none for one alone. Nobody sets that."""
         text = "names of a scene's organs, which their topics begin with; empty: an organ alone"
         # Dynamic: rclpy takes an empty list for one of bytes.
-        descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
+        descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
         self._node.declare_parameter(TOLD, list(names), descriptor, ignore_override=True)
         self._specs[TOLD] = Spec(TOLD, list(names), text)
 
@@ -267,9 +320,10 @@ class Parameters:
 
     # inside ------------------------------------------------------------------------------------
     def _declare(self, name: str, spec: Spec) -> None:
-        descriptor = ParameterDescriptor(description=spec.text)
-        if spec.choices:
-            descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
+        descriptor = ParameterDescriptor(description=spec.text, read_only=not spec.live)
+        told = ["one of " + ", ".join(spec.choices)] if spec.choices else []
+        told.append("may change while the node runs" if spec.live else "fixed when the node starts")
+        descriptor.additional_constraints = "; ".join(told)
         if spec.low is not None and spec.high is not None:
             if isinstance(spec.default, int):
                 bounds = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
@@ -282,7 +336,7 @@ class Parameters:
         self._specs[name] = spec
         given = self._node._parameter_overrides.get(name)  # rclpy shows no other way to it
         if given is not None:
-            self._node._parameter_overrides[name] = self._in_words(given)
+            self._node._parameter_overrides[name] = self._as_meant(given)
         try:
             self._node.declare_parameter(name, spec.default, descriptor)
         except InvalidParameterTypeException:
@@ -303,16 +357,45 @@ class Parameters:
         for name in self._node._parameter_overrides:
             if self._node.has_parameter(name) or name.startswith(OF_RCLPY) or name == TOLD:
                 continue
+            tool, _, was = name.partition(".")
+            if tool in self.tools and was in RENAMED:
+                now = f"{tool}.{RENAMED[was]}"
+                self._node.get_logger().warning(
+                    f"parameter '{name}' changes nothing: it is called '{now}' now, {self._specs[now].text}"
+                )
+                continue
             nearest = difflib.get_close_matches(name, self._specs, 1)
             hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"
             self._node.get_logger().warning(f"parameter '{name}' is unknown and changes nothing; {hint}")
 
-    def _in_words(self, parameter: Parameter) -> Parameter:
-        """A parameter whose choice YAML reads as its false, as the choice that was meant."""
+    def _as_meant(self, parameter: Parameter) -> Parameter:
+        """A parameter whose choice YAML reads as its false, or whose decimals as whole numbers, as what was meant."""
         spec = self._specs.get(parameter.name)
-        if spec is None or OFF not in spec.choices or parameter.value is not False:
+        if spec is None:
             return parameter
-        return Parameter(parameter.name, value=OFF)
+        if OFF in spec.choices and parameter.value is False:
+            return Parameter(parameter.name, value=OFF)
+        kind = Parameter.Type
+        if isinstance(spec.default, float) and parameter.type_ == kind.INTEGER:
+            return Parameter(parameter.name, value=float(parameter.value))
+        if _is_decimals(spec.default) and parameter.type_ == kind.INTEGER_ARRAY:
+            return Parameter(parameter.name, value=[float(value) for value in parameter.value])
+        return parameter
+
+    def decided(self, parameter: Parameter) -> SetParametersResult | None:
+        """Return what comes of setting a parameter that is fixed; None for one that isn't.
+
+        The value that it has is taken, as in a dump of the node's own that is loaded again; rclpy would refuse it.
+        """
+        spec = self._specs.get(parameter.name)
+        if spec is None or spec.live:
+            return None
+        if _plain(self._as_meant(parameter).value) == _plain(self[parameter.name]):
+            return SetParametersResult(successful=True)
+        reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
+        if parameter.name == TOLD:
+            reason = f"'{TOLD}' tells what the node serves, and can't be set"
+        return SetParametersResult(successful=False, reason=reason)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept live parameters in range; refuse others with the reason."""
@@ -320,13 +403,6 @@ class Parameters:
             spec = self._specs.get(parameter.name)
             if spec is None:
                 continue
-            if not spec.live and _plain(parameter.value) == _plain(self[parameter.name]):
-                continue  # as in a dump of the node's own that is loaded again
-            if not spec.live:
-                reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
-                if parameter.name == TOLD:
-                    reason = f"'{TOLD}' tells what the node serves, and can't be set"
-                return SetParametersResult(successful=False, reason=reason)
             if problem := _problem(parameter.name, spec, parameter.value):
                 return SetParametersResult(successful=False, reason=problem)
             try:
@@ -354,6 +430,11 @@ def _problem(name: str, spec: Spec, value: Any) -> str:
         except ValueError as error:
             return f"parameter '{name}' {error}"
     return ""
+
+
+def _is_decimals(value: Any) -> bool:
+    """Whether it is a list of numbers that need not be whole."""
+    return isinstance(value, list) and bool(value) and isinstance(value[0], float)
 
 
 def _plain(value: Any) -> Any:

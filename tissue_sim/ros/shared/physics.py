@@ -163,8 +163,8 @@ class Physics:
 
         Raises TimeoutError when the loop doesn't answer.
         """
-        self.loop.take_snapshots(timeout)
-        return self.box.snapshot.copy()
+        with self.loop.snapshots(timeout):
+            return self.box.snapshot.copy()
 
     def journal(self) -> tuple[Any, Any]:
         """What ticks took up since the last call: (k,) of JournalRow, and (k, T) of BodyInputs."""

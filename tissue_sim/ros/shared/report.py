@@ -27,6 +27,26 @@ class Report:
     problems: dict[str, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
+    parts: dict[str, Report] = field(default_factory=dict)  # of a tool or an organ, by what it is called
+    before: str = ""  # of a part: what stands before its names in the whole
+    state: str = "running"  # in a word, where nothing is wrong
+
+    def part(self, called: str, before: str) -> Report:
+        """The report of a tool or an organ, which is a status of its own, and in the whole as well.
+
+        before: what stands before its names there.
+        """
+        return self.parts.setdefault(called, Report(before=before))
+
+    def whole(self) -> Report:
+        """This report with all that its parts have; the lines of these come first."""
+        parts = list(self.parts.values())
+        return Report(
+            self.values | {f"{one.before}{name}": value for one in parts for name, value in one.values.items()},
+            self.problems | {f"{one.before}{name}": count for one in parts for name, count in one.problems.items()},
+            [line for one in parts for line in one.warnings] + self.warnings,
+            [line for one in parts for line in one.failures] + self.failures,
+        )
 
 
 class Reports(Protocol):

@@ -46,7 +46,7 @@ WRENCH_FRAMES = ("base", "body")
 class ToolTopics:
     """How a bridge speaks: names, types, QoS, frame, and the axes that it takes a wrench along."""
 
-    names: dict[str, str]  # by the topics of TOOL_TOPICS and GRIPPER_TOPICS
+    names: dict[str, str]  # by the topics of TOOL_TOPICS and GRIPPER_TOPICS; empty: off
     frame_id: str
     pose_type: str = "PoseStamped"
     force_type: str = "WrenchStamped"
@@ -56,11 +56,17 @@ class ToolTopics:
     wrench_rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     reliable: bool = False
     allow_empty_frame: bool = False  # what has no frame_id is in the one above
+    allow_zero_stamp: bool = False  # what has a stamp of 0 is of when it arrived
+
+    @property
+    def has_axes_of_its_own(self) -> bool:
+        """True when the wrench goes out along axes that no pose has: `wrench_rotation` turns it."""
+        return self.wrench_rotation != (0.0, 0.0, 0.0, 1.0)
 
     @property
     def turns_wrench(self) -> bool:
         """True when the wrench goes out along other axes than the poses come in."""
-        return self.wrench_frame == "body" or self.wrench_rotation != (0.0, 0.0, 0.0, 1.0)
+        return self.wrench_frame == "body" or self.has_axes_of_its_own
 
     def outgoing(self) -> Any:
         """An empty message of the type that goes out."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 TOOL_TOPICS = {
     "measured_cp": "geometry_msgs/msg/PoseStamped",
-    "measured_cf": "geometry_msgs/msg/WrenchStamped",
+    "external_cf": "geometry_msgs/msg/WrenchStamped",  # a force on the tissue; off where it has no name
     "servo_cf": "geometry_msgs/msg/WrenchStamped",
 }
 GRIPPER_TOPICS = {

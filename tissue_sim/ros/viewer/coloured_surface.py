@@ -38,13 +38,26 @@ class ColouredSurface:
         head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + body)
         head += struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", body, b"BIN\0")
         self._bytes = bytearray(head + bytes(body))
-        self._bytes[len(self._bytes) - faces.nbytes :] = faces.tobytes()
+        self._is_translucent = opacity < 1.0
+        self._faces = np.frombuffer(memoryview(self._bytes)[-faces.nbytes :], dtype="<u4").reshape(t, 3)
+        self._faces[:] = faces
         numbers = memoryview(self._bytes)[len(head) : len(head) + 36 * n]
         self._positions, self._normals, self._colours = np.frombuffer(numbers, dtype="<f4").reshape(3, n, 3)
 
-    def message(self, positions: Floats, colours: Floats) -> bytes:
-        """The bytes of a surface at positions (n, 3) m, with colours (n, 3), red, green, blue as light of 0 to 1."""
+    def message(self, positions: Floats, colours: Floats, eye: Floats | None = None) -> bytes:
+        """Return the bytes of a surface.
+
+        Parameters
+        ----------
+        positions : (n, 3) m
+        colours : (n, 3), red, green, blue as light of 0 to 1
+        eye : (3,) m; triangles of a translucent surface are drawn the farthest first, or where it folds, what is drawn
+            of the part behind depends on the mesh
+        """
         corners = positions[self._triangles]
+        if self._is_translucent and eye is not None:
+            away = np.linalg.norm(corners.mean(axis=1) - eye, axis=1)
+            self._faces[:] = self._triangles[np.argsort(-away, kind="stable")]
         outward = self._around @ np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(outward, axis=1, keepdims=True)
         self._normals[:] = outward / np.where(length > 0.0, length, 1.0)

@@ -6,10 +6,12 @@ viser answers both on one port and has no hook for that: this is the only place 
 from __future__ import annotations
 
 import contextlib
+import gzip
 import http
 import ipaddress
 import secrets
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Any
 from unittest.mock import patch
 from urllib.parse import parse_qs, urlsplit
@@ -18,6 +20,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from tissue_sim.errors import UserError
+
+TITLE = "tissue_sim"  # of the page, in the browser's tab
 
 type Answer = Callable[[ServerConnection, Request], Response | None]
 
@@ -66,6 +70,9 @@ class Guard:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refused}\n")
             response = answer(connection, request)
             if response is not None:
+                response.body = titled(bytes(response.body))
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Content-Security-Policy"] = "frame-ancestors 'self'"
                 response.headers["Referrer-Policy"] = "no-referrer"
                 if self._token is not None:
@@ -75,6 +82,17 @@ class Guard:
             return response
 
         return guarded
+
+
+@lru_cache(maxsize=2)
+def titled(page: bytes) -> bytes:
+    """Return viser's page, which may be compressed, with our name for it; anything else as it is."""
+    is_compressed = page.startswith(b"\x1f\x8b")
+    plain = gzip.decompress(page) if is_compressed else page
+    named = plain.replace(b"<title>Viser</title>", f"<title>{TITLE}</title>".encode(), 1)
+    if named is plain or named == plain:
+        return page
+    return gzip.compress(named, mtime=0) if is_compressed else named
 
 
 def _is_loopback_name(host: str) -> bool:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 import viser
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.parameters import TOLD
-from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, headline
-from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, camera_for, light
+from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headline
+from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, LigamentView, camera_for, light
 from tissue_sim.ros.viewer.services import Services
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
 from tissue_sim.ros.viewer.view import PATIENCE
@@ -47,8 +48,12 @@ class Viewer:
         self._tool_markers = client.Inbox(node, MarkerArray, f"/{target}/tools", client.stream_qos())
         self.tools = ToolsView(server, node, target, tools, patience)
         self._values: dict[str, str] = {}
-        self._headline = ""
+        self._headline, self._detail = "", ""
         self._heard = -np.inf
+        self._rest: Floats | None = None  # of all organs, (n, 3) m
+        self._seen_by: set[int] = set()  # pages whose cameras see all of these
+        self._lines: client.Inbox | None = None  # of a scene's ligaments
+        self._ligaments = LigamentView(server)
         server.scene.set_up_direction("+z")
         light(server)
         server.initial_camera.fov = FIELD_OF_VIEW
@@ -57,7 +62,6 @@ class Viewer:
     def update(self) -> bool:
         """Take what has come; draw it when somebody looks, which is what it returns."""
         now, watchers = time.monotonic(), self._server.get_clients()
-        watched = bool(watchers)
         if sum(one.take_mesh() for one in self.organs):  # of all of them
             self._look()
             self._parameters.ask()  # it may be another node of that name
@@ -69,14 +73,17 @@ class Viewer:
         for one in self.organs:
             one.take_inclusions()
             one.take_surface()
+        self._place(watchers)
+        eye = next((np.asarray(page.camera.position) for page in self._placed(watchers)), None)
         with self._server.atomic():
             for one in self.organs:
-                one.draw(watched, self._panel.opacity.value)
+                one.draw(eye, self._panel.opacity.value)
+            self._draw_ligaments()
             self.tools.take(self._tool_markers.take(), now)
             if told is not None:
                 self.tools.use(told)
             self.tools.update(now, watchers, *self._points())
-        return watched
+        return bool(watchers)
 
     def close(self) -> None:
         """Let go of every tool."""
@@ -89,6 +96,14 @@ class Viewer:
         for one in self.organs:
             one.remove()
         self.organs = [ViewedOrgan(self._server, self._node, self._target, name) for name in names]
+        is_scene = names != ("",)
+        self._panel.name(names if is_scene else ())
+        if self._lines is not None:
+            self._lines.close()
+            self._ligaments.remove()
+        self._lines = None
+        if is_scene:
+            self._lines = client.Inbox(self._node, MarkerArray, f"/{self._target}/ligaments", client.latched_qos())
         self._panel.opacity.value = TRANSLUCENT if len(names) == 1 else SOLID
 
     def _points(self) -> tuple[Floats | None, str]:
@@ -99,12 +114,34 @@ class Viewer:
         return np.concatenate([one.points for one in known if one.points is not None]), known[0].frame_id
 
     def _look(self) -> None:
-        """Let the camera see all organs."""
-        rest = np.concatenate([one.view.rest for one in self.organs if one.view is not None])
-        position, centre = camera_for(rest)
-        self._server.initial_camera.position, self._server.initial_camera.look_at = position, centre
-        for watcher in self._server.get_clients().values():
-            watcher.camera.position, watcher.camera.look_at = position, centre
+        """Let the cameras see all organs, and their names."""
+        views = [one.view for one in self.organs if one.view is not None]
+        self._rest = np.concatenate([view.rest for view in views])
+        for view in views:
+            view.name_beside(np.concatenate([other.rest for other in views if other is not view or len(views) == 1]))
+        position, looked_at = camera_for(self._rest)
+        self._server.initial_camera.position, self._server.initial_camera.look_at = position, looked_at
+        self._seen_by.clear()
+
+    def _place(self, watchers: Mapping[int, viser.ClientHandle]) -> None:
+        """Let the camera of each page that is new, or sees new organs, see all of them beside the panel."""
+        self._seen_by &= set(watchers)
+        if self._rest is None:
+            return
+        for number, page in watchers.items():
+            if number not in self._seen_by and _has_size(page):
+                size = int(page.camera.image_width), int(page.camera.image_height)
+                page.camera.position, page.camera.look_at = camera_for(self._rest, size)
+                self._seen_by.add(number)
+
+    def _placed(self, watchers: Mapping[int, viser.ClientHandle]) -> list[viser.ClientHandle]:
+        return [page for page in watchers.values() if _has_size(page)]
+
+    def _draw_ligaments(self) -> None:
+        message = self._lines.take() if self._lines is not None else None
+        for marker in message.markers if message is not None else ():
+            ends = [(point.x, point.y, point.z) for point in marker.points if marker.action == Marker.ADD]
+            self._ligaments.show(np.array(ends).reshape(-1, 2, 3))
 
     def _take_report(self) -> None:
         status = client.newest_status(self._reports.take_all(), self._target)
@@ -112,10 +149,14 @@ class Viewer:
         if status is not None:
             if now - self._heard >= SILENT_AFTER:
                 self._parameters.ask()  # it may serve other organs by now
-            self._values, self._heard = {item.key: item.value for item in status.values}, now
-            self._headline = headline(self._target, int.from_bytes(status.level, "little"), status.message)
+            before, self._heard = self._values.get("registrations"), now
+            self._values = {item.key: item.value for item in status.values}
+            if self._values.get("registrations") != before:
+                self._parameters.ask()  # the organ is elsewhere in the frame of the tools
+            level = int.from_bytes(status.level, "little")
+            self._headline, self._detail = headline(self._target, level, status.message), detail(level, status.message)
         if now - self._heard < SILENT_AFTER:
-            self._panel.say(self._headline, self._values)
+            self._panel.say(self._headline, self._values, self._detail)
         elif all(one.view is None for one in self.organs):
             self._panel.say(f"<b>Waiting for the mesh of /{self._target}.</b> Start tissue_node.", {})
         else:
@@ -126,3 +167,8 @@ class Viewer:
             watcher.add_notification(
                 "Done" if good else "Not done", text, color="green" if good else "red", auto_close_seconds=6.0
             )
+
+
+def _has_size(page: viser.ClientHandle) -> bool:
+    """Return whether a page has reported its size and its camera, which takes a moment."""
+    return page.camera.image_width > 0 and page.camera.image_height > 0

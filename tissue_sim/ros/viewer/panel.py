@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import html
 import queue
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any
 
 import viser
 
-from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour
+from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour, tissue_colour
 
 NO_VALUE = "-"
-LINES = 3  # that the headline has room for; more can be scrolled to
+LINES = 3  # that the headline has room for
 TRANSLUCENT, SOLID = 0.8, 1.0  # of one organ, which shows its inside; of several, which would show through each other
 LAST = 1e9  # order in the panel: below everything that comes later
 
@@ -60,16 +60,34 @@ def status_text(values: Mapping[str, str]) -> str:
 
 
 def headline(target: str, level: int, message: str) -> str:
-    """Who it is and how it does (level and message of its DiagnosticStatus), as HTML."""
+    """Return the node's name, and level and the first part of the message of its DiagnosticStatus, as HTML."""
+    first, *others = message.split(";")
     if level == 0:
-        return f"<b>/{target}</b> {html.escape(message)}"
-    word = "warns" if level == 1 else "fails"
-    return f'<b>/{target}</b> <span style="color:#c92a2a">{word}: {html.escape(message)}</span>'
+        return f"<b>/{target}</b> {html.escape(first)}"
+    word, more = "warns" if level == 1 else "fails", f" ({len(others)} more below)" if others else ""
+    return f'<b>/{target}</b> <span style="color:#c92a2a">{word}: {html.escape(first)}</span>{more}'
+
+
+def detail(level: int, message: str) -> str:
+    """Return all that a DiagnosticStatus says, a line for each part of it, as HTML."""
+    colour = "inherit" if level == 0 else "#c92a2a"
+    lines = "<br>".join(html.escape(part.strip()) for part in message.split(";"))
+    return f'<div style="margin:0 0.9em 0.6em;color:{colour};overflow-wrap:anywhere">{lines}</div>'
 
 
 def headline_html(line: str) -> str:
-    """A line of HTML, as high whatever it says: one that grew would push a button under somebody's mouse."""
+    """Return a line of HTML that is as high whatever it says: one that grew would push a button under the mouse."""
     return f'<div style="height:{LINES * 1.5:g}em;line-height:1.5;overflow-y:auto;margin:0 0.9em 0.6em">{line}</div>'
+
+
+def organs_html(names: Sequence[str]) -> str:
+    """Return the names of a scene's organs and their colours at rest."""
+    rows = "".join(
+        '<div style="display:flex;align-items:center;font-size:12px"><span style="width:14px;height:14px;'
+        f'margin-right:6px;background:rgb{tissue_colour(name)}"></span>{html.escape(name)}</div>'
+        for name in names
+    )
+    return f'<div style="padding:0 0.9em 0.6em">{rows}</div>'
 
 
 def legend_html() -> str:
@@ -96,6 +114,8 @@ class Panel:
         gui = server.gui
         self._headline = gui.add_html(headline_html(""))
         self._status = gui.add_markdown("", visible=False, order=LAST)
+        self._detail = gui.add_html("", visible=False, order=LAST - 1.0)
+        self._organs = gui.add_html("", visible=False)
         gui.add_html(legend_html())
         self.opacity: Any = gui.add_slider(
             "Opacity", min=0.2, max=1.0, step=0.05, initial_value=TRANSLUCENT, hint="Of the tissue over what is within"
@@ -106,14 +126,22 @@ class Panel:
         self._reset.disabled = self._record.disabled = True
         self._reset.on_click(lambda _: self.wishes.put(Wish.RESET))
         self._record.on_click(lambda _: self.wishes.put(Wish.STOP_RECORDING if self._recording else Wish.RECORD))
-        self._said: tuple[str, Mapping[str, str]] = ("", {})
+        self._said: tuple[str, Mapping[str, str], str] = ("", {}, "")
 
-    def say(self, headline: str, values: Mapping[str, str]) -> None:
-        """Show a headline (HTML) and the node's values, if there are any."""
-        if (headline, values) == self._said:
+    def name(self, organs: Sequence[str]) -> None:
+        """Name the organs of a scene beside their colours; none for an organ alone."""
+        self._organs.content, self._organs.visible = organs_html(organs), bool(organs)
+
+    def say(self, headline: str, values: Mapping[str, str], detail: str = "") -> None:
+        """Show a headline and details (HTML), and the node's values, if there are any.
+
+        What is as long as it happens to be comes last, where it moves nothing.
+        """
+        if (headline, values, detail) == self._said:
             return
-        self._said = headline, dict(values)
+        self._said = headline, dict(values), detail
         self._headline.content = headline_html(headline)
+        self._detail.content, self._detail.visible = detail, bool(detail)
         self._status.visible = bool(values)
         if values:
             self._status.content = status_text(values)

@@ -10,26 +10,75 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.organ.mean_value import mean_value_weights
-from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, Colour, shades, tissue_colour
+from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, LIGAMENT, Colour, shades, tissue_colour
 from tissue_sim.ros.viewer.coloured_surface import ColouredSurface, light_of
 
 SKELETON: Colour = (20, 30, 60)
 INCLUSION: Colour = (214, 196, 150)
 FIELD_OF_VIEW = np.radians(35.0)
 VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the front, the side and above
+PANEL, NARROW = 350, 600  # pixels that the panel takes; width of a page up to which it lies below
+FILLED, FITTED = 0.8, 6  # of the room, by the surface; rounds of fitting the camera to it
+LABEL_GAP = 0.01  # m from an organ to its name
 
 
-def camera_for(vertices: Floats) -> tuple[Floats, Floats]:
-    """Where the camera stands and what it looks at, (3,) m each, so that a surface fills the view beside the panel."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre = 0.5 * (low + high)
-    radius = float(np.linalg.norm(vertices - centre, axis=1).max())
-    distance = 1.15 * radius / np.sin(0.5 * FIELD_OF_VIEW)
+def camera_for(vertices: Floats, size: tuple[int, int] = (1400, 900)) -> tuple[Floats, Floats]:
+    """Return where the camera stands and what it looks at so that a surface fills the page beside the panel.
+
+    Parameters
+    ----------
+    vertices : (n, 3) m
+    size : width and height of the page, pixels
+
+    Returns
+    -------
+    position, looked_at : (3,) m each
+    """
+    width, height = size
+    panel = PANEL if width > NARROW else 0  # on a narrow page it lies below
+    focal = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW)  # pixels
+    room = FILLED * np.array([width - panel, height])
     away = VIEW / np.linalg.norm(VIEW)
     right = np.cross([0.0, 0.0, 1.0], away)
-    # A little to the left: the panel is on the right.
-    looked_at = centre + 0.25 * radius * right / np.linalg.norm(right)
+    right /= np.linalg.norm(right)
+    picture = np.stack([right, np.cross(away, right)])
+    centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    distance = 4.0 * float(np.linalg.norm(vertices - centre, axis=1).max())
+    for _ in range(FITTED):
+        offset = vertices - centre
+        seen = focal * (offset @ picture.T) / (distance - offset @ away)[:, None]  # pixels from the middle
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        centre = centre + 0.5 * (low + high) * distance / focal @ picture
+        distance *= float(((high - low) / room).max())
+    # The panel is on the right, so the surface is in the middle of what is left of it.
+    looked_at = centre + 0.5 * panel / focal * distance * right
     return looked_at + distance * away, looked_at
+
+
+def label_place(own: Floats, others: Floats) -> Floats:
+    """Return where an organ's name is seen from the first camera, beside the organ and not behind another one.
+
+    Parameters
+    ----------
+    own, others : (n, 3) m, the surfaces of the organ and of all others
+
+    Returns
+    -------
+    (3,) m, above the organ where nothing hides it there, else below or at its sides
+    """
+    away = VIEW / np.linalg.norm(VIEW)
+    right = np.cross([0.0, 0.0, 1.0], away)
+    right /= np.linalg.norm(right)
+    up = np.cross(away, right)
+    picture = np.stack([right, up])
+    seen, near = others @ picture.T, others @ away
+    places = [own[np.argmax(own @ way)] + LABEL_GAP * way for way in (up, -up, -right, right)]
+
+    def is_hidden(place: Floats) -> bool:
+        beside = np.linalg.norm(seen - picture @ place, axis=1) < 2.0 * LABEL_GAP
+        return bool((near[beside] > place @ away).any())
+
+    return next((place for place in places if not is_hidden(place)), places[0])
 
 
 def light(server: viser.ViserServer) -> None:
@@ -62,8 +111,17 @@ class OrganView:
             for which, seen in (("one", True), ("other", False))
         )
         self._is_new = False  # the one that isn't seen
-        top = self.rest[np.argmax(self.rest[:, 2])]
-        self._label = server.scene.add_label(f"{below}/name", name, position=top + (0.0, 0.0, 0.01)) if name else None
+        # A name that lies behind another organ is not to be taken for that one's.
+        self._label = (
+            server.scene.add_label(f"{below}/name", name, position=label_place(self.rest, self.rest), depth_test=True)
+            if name
+            else None
+        )
+
+    def name_beside(self, others: Floats) -> None:
+        """Move the organ's name to where the surfaces of others, (n, 3) m, don't hide it."""
+        if self._label is not None:
+            self._label.position = label_place(self.rest, others)
 
     def turn(self) -> None:
         """Show what was drawn last time."""
@@ -71,14 +129,17 @@ class OrganView:
             self._other.visible, self._seen.visible = True, False
             self._seen, self._other, self._is_new = self._other, self._seen, False
 
-    def show(self, positions: Floats) -> None:
-        """Draw the surface at positions (n, 3) m, to be seen from the next turn on."""
+    def show(self, positions: Floats, eye: Floats | None = None) -> None:
+        """Draw the surface at positions (n, 3) m, to be seen from the next turn on; eye: (3,) m, who looks from there.
+
+        What shines through a translucent fold is right for that eye.
+        """
         moved = positions - self.rest
         if self._is_carried:  # by the breath: as most of it is
             moved = moved - np.median(moved, axis=0)
         share = np.linalg.norm(moved, axis=1) / FULL_DISPLACEMENT
         place = (np.minimum(share, 1.0) * (len(self._shades) - 1)).astype(np.int64)
-        self._other.glb_data, self._is_new = self._surface.message(positions, self._shades[place]), True
+        self._other.glb_data, self._is_new = self._surface.message(positions, self._shades[place], eye), True
 
     def set_opacity(self, opacity: float) -> bool:
         """Let what is within shine through: 1 hides it; returns whether it is to be drawn anew for that."""
@@ -121,6 +182,31 @@ class InclusionView:
     def remove(self) -> None:
         """Take them out of the picture."""
         self._mesh.remove()
+
+
+class LigamentView:
+    """What organs hang on: a line for each link."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._lines: Any = None
+
+    def show(self, ends: Floats) -> None:
+        """Draw lines between their ends (l, 2, 3) m; another number of them is drawn anew."""
+        if self._lines is not None and len(self._lines.points) == len(ends):
+            self._lines.points = ends
+            return
+        self.remove()
+        if len(ends):
+            self._lines = self._server.scene.add_line_segments(
+                "/ligaments", ends, LIGAMENT, thickness=0.0008, thickness_units="world"
+            )
+
+    def remove(self) -> None:
+        """Take them out of the picture."""
+        if self._lines is not None:
+            self._lines.remove()
+            self._lines = None
 
 
 class SkeletonView:

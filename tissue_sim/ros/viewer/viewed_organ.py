@@ -12,6 +12,8 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.viewer.scene import InclusionView, OrganView, SkeletonView
 
+TURNED = np.cos(np.radians(5.0))  # of the angle between two eyes that are told apart
+
 
 class ViewedOrgan:
     """An organ whose topics lie below a node's name, or below its own there; name: empty for an only one."""
@@ -29,6 +31,7 @@ class ViewedOrgan:
         self.points: Floats | None = None  # where the surface was last, (n, 3) m
         self.frame_id = ""
         self._drawn: Floats | None = None
+        self._eye = np.zeros(3)  # m, from where it was drawn last
 
     def take_mesh(self) -> bool:
         """Take the surface at rest, if it has come; returns whether it is another one."""
@@ -63,13 +66,16 @@ class ViewedOrgan:
             self._inclusions = InclusionView(self._server, *client.mesh_arrays(mesh), self.view, self.name)
             self._drawn = None
 
-    def draw(self, watched: bool, opacity: float) -> None:
-        """Draw what has changed; surfaces only while somebody looks."""
+    def draw(self, eye: Floats | None, opacity: float) -> None:
+        """Draw what has changed; surfaces only while somebody looks, from `eye` (3,) m."""
         if self.view is not None:
             self.view.turn()
             points = self.view.rest if self.points is None else self.points
-            if watched and (self.view.set_opacity(opacity) or points is not self._drawn):
-                self.view.show(points)
+            if eye is not None and (
+                self.view.set_opacity(opacity) or points is not self._drawn or self._has_turned(eye, opacity)
+            ):
+                self.view.show(points, eye)
+                self._eye = eye
                 if self._inclusions is not None:
                     self._inclusions.show(points)
                 self._drawn = points
@@ -77,6 +83,14 @@ class ViewedOrgan:
         if atoms is not None:
             columns = client.cloud_array(atoms)
             self._skeleton.show(columns[:, :3].astype(np.float64), columns[:, 4].astype(np.int64))
+
+    def _has_turned(self, eye: Floats, opacity: float) -> bool:
+        """Return whether a translucent organ is looked at from another side than when it was drawn."""
+        if opacity >= 1.0 or self.view is None:
+            return False
+        ways = [one - self.view.rest.mean(axis=0) for one in (eye, self._eye)]
+        cosine = ways[0] @ ways[1] / max(float(np.linalg.norm(ways[0]) * np.linalg.norm(ways[1])), 1e-12)
+        return bool(cosine < TURNED)
 
     def remove(self) -> None:
         """Take it out of the picture, and hear no more of it."""

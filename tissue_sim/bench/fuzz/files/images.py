@@ -16,7 +16,8 @@ import SimpleITK as sitk
 from tissue_sim.bench.fuzz.cases import Broken, Case, Input
 from tissue_sim.bench.fuzz.files.mutations import BOMB, Rng, gz_bomb, odd_count, odd_float, of_bytes, of_text, some
 from tissue_sim.bench.fuzz.files.zips import OUTSIDE
-from tissue_sim.organ.imaging.image import Volume, read_image, read_mask
+from tissue_sim.organ.imaging.image import Volume, read_image
+from tissue_sim.organ.imaging.masks import read_mask
 from tissue_sim.organ.imaging.phantom import PhantomParameters, make_phantom
 
 _SMALL = PhantomParameters(spacing=(12.0, 12.0, 14.0), noise=0.0)

@@ -37,6 +37,7 @@ SETTINGS = (
     "jaws.shape:=gripper",
     "jaws.radius:=0.003",
     "jaws.length:=0.04",
+    *(f"{tool}.external_cf:={tool}/external_cf" for tool in ("left", "right", "jaws")),
     *(f"{tool}.reliable:=true" for tool in ("left", "right", "jaws")),  # so that nothing sent is lost on the way
 )
 

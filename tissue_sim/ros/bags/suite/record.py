@@ -68,7 +68,7 @@ class _Sender:
         ]
         stream = client.stream_qos()
         self._poses = node.create_publisher(PoseStamped, links[0].topics.names["measured_cp"], stream)
-        forces = [link.topics.names["measured_cf"] for link in links]
+        forces = [f"{tool.name}/external_cf" for tool in self._made if scene.pushes]
         self._forces = [node.create_publisher(WrenchStamped, name, stream) for name in forces]
         self._clock = node.create_publisher(Clock, "/clock", QoSProfile(depth=1))
         self._reports = client.Inbox(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))

@@ -48,6 +48,7 @@ class Scene:
     radius: float = RADIUS
     shape: str = "sphere"
     parameters: Mapping[str, str] = field(default_factory=dict)
+    pushes: bool = False  # its tools bring external forces
 
     def made_tools(self) -> list[Tool]:
         """The tools as the node has them."""
@@ -60,6 +61,8 @@ class Scene:
         values = {"tools": f"[{', '.join(self.tools)}]"}
         for tool in self.made_tools():
             values |= {f"{tool.name}.shape": tool.shape, f"{tool.name}.radius": f"{tool.radius}"}
+            if self.pushes:
+                values |= {f"{tool.name}.external_cf": f"{tool.name}/external_cf"}
             if tool.mesh:
                 values |= {f"{tool.name}.mesh": tool.mesh, f"{tool.name}.length": f"{tool.length}"}
         return values | dict(self.parameters)
@@ -210,8 +213,14 @@ SCENES = (
         parameters={"marker_rate": "1.0"},
     ),
     Scene("squeeze", "two large balls press all of the organ", _squeeze, ("left", "right"), radius=0.03),
-    Scene("local_force", "the paper's LF(100), by force alone", _pushed(LOCAL, 1)),
-    Scene("global_force", "the paper's GF(500) on ten points, by force alone", _pushed(GLOBAL, GLOBAL_POINTS), _SHARED),
+    Scene("local_force", "the paper's LF(100), by force alone", _pushed(LOCAL, 1), pushes=True),
+    Scene(
+        "global_force",
+        "the paper's GF(500) on ten points, by force alone",
+        _pushed(GLOBAL, GLOBAL_POINTS),
+        _SHARED,
+        pushes=True,
+    ),
     Scene(
         "gripper",
         "jaws close on a pole and lift it",

@@ -1,0 +1,27 @@
+"""The command line as a whole: what may have been meant by a word that is none."""
+
+import pytest
+
+from tissue_sim.cli import main
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["bulid"], "invalid choice: 'bulid'"),
+        (["build", "ct.nii", "--pionts=300"], "tissue_sim build: error: unrecognized arguments: --pionts=300"),
+        (["export", "a.npz", "b.ply", "--skeletom", "c.vtp"], "unrecognized arguments: --skeletom c.vtp"),
+        (["bench", "tikc"], "invalid choice: 'tikc'"),
+        (["info", "a.npz", "--wholly-else"], "unrecognized arguments: --wholly-else (see 'tissue_sim info --help')"),
+    ],
+)
+def test_what_was_meant_is_asked(capsys, words, told):
+    meant = {"bulid": "build", "--pionts=300": "--points", "--skeletom": "--skeleton", "tikc": "tick"}
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
+    asked = [f"; did you mean {other}? (see" in error for word, other in meant.items() if word in words]
+    assert all(asked) if asked else "did you mean" not in error

@@ -1,0 +1,120 @@
+"""The organs and tools of a node as a simulation's entities: their names, where they are, and how they are placed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.ros.node.served_organ import ServedOrgan
+from tissue_sim.ros.node.tool_port import ToolPort
+from tissue_sim.ros.shared.frames import IDENTITY, Transform
+from tissue_sim.ros.shared.parameters import Parameters
+
+
+class Placed(NamedTuple):
+    """A pose (7,), m and quaternion xyzw, in a frame; an empty frame is the world: base_frame, or the organ's."""
+
+    frame_id: str
+    pose: tuple[float, ...]
+
+
+class Sphere(NamedTuple):
+    """A sphere in the world's frame, m."""
+
+    centre: tuple[float, float, float]
+    radius: float
+
+
+class Entities:
+    """Asked and placed by the executor's thread.
+
+    An only organ is called as its file calls it, those of a scene as that does; an organ that a tool shares its name
+    with has `_organ` behind it.
+    """
+
+    def __init__(
+        self, node: Node, values: Parameters, organs: Sequence[ServedOrgan], ports: Sequence[ToolPort]
+    ) -> None:
+        self._node, self._values = node, values
+        self._tools = {port.name: port for port in ports}
+        named = {one.name or one.organ.name or "organ": one for one in organs}
+        self._organs = {f"{name}_organ" if name in self._tools else name: one for name, one in named.items()}
+
+    @property
+    def names(self) -> list[str]:
+        """Organs first, then tools."""
+        return [*self._organs, *self._tools]
+
+    def where(self, name: str) -> Placed:
+        """Where an entity is: an organ's frame in the world, a tool's newest pose in the organ's frame.
+
+        Raises KeyError for an unknown name, UserError for a tool that has had no pose.
+        """
+        if name in self._organs:
+            base_id = self._values["base_frame"]
+            return Placed(base_id or self._values["frame_id"], self._organ_pose())
+        port = self._tools[name]
+        if port.input.poses == 0:
+            raise UserError(f"tool '{name}' has had no pose")
+        return Placed(self._values["frame_id"], tuple(port.newest.pose.tolist()))
+
+    def place(self, name: str, placed: Placed) -> None:
+        """Place an entity: a tool as a pose from its bridge would, an only organ by the parameter organ_pose.
+
+        Raises KeyError for an unknown name, UnknownFrame, ValueError for a pose that is none, and UserError for what
+        can't be placed, such as a tool whose bridge publishes.
+        """
+        frame_id = placed.frame_id or self._world
+        if name in self._organs:
+            self._place_organ(name, Placed(frame_id, placed.pose))
+        else:
+            self._tools[name].place(frame_id, placed.pose)
+
+    def meets(self, name: str, sphere: Sphere) -> bool:
+        """Whether an entity overlaps a sphere: the box around an organ, or the ball around a tool's body.
+
+        Raises KeyError for an unknown name.
+        """
+        x, y, z = sphere.centre
+        centre = np.array(Transform.of_pose(self._organ_pose()).inverse().of((x, y, z, *IDENTITY[3:]))[:3])
+        if name in self._organs:
+            low, high = self._box(self._organs[name])
+            return bool(np.linalg.norm(centre - np.clip(centre, low, high)) <= sphere.radius)
+        port = self._tools[name]
+        if port.input.poses == 0:
+            return False
+        apart = np.linalg.norm(port.newest.placed[:, :3] - centre, axis=1)
+        return bool((apart <= sphere.radius + port.extents).any())
+
+    @property
+    def _world(self) -> str:
+        return str(self._values["base_frame"] or self._values["frame_id"])
+
+    def _organ_pose(self) -> tuple[float, ...]:
+        """Of the organ's frame in the world, (7,)."""
+        return tuple(self._values["organ_pose"]) if self._values["base_frame"] else IDENTITY
+
+    def _place_organ(self, name: str, placed: Placed) -> None:
+        if len(self._organs) > 1:
+            raise UserError("organs of a scene are placed together, by the parameter organ_pose")
+        if not self._values["base_frame"]:
+            raise UserError(f"the frame of organ '{name}' is the world, as the parameter base_frame names no other")
+        if placed.frame_id != self._world:
+            raise UserError(f"organ '{name}' is placed in '{self._world}' only, not in '{placed.frame_id}'")
+        Transform.of_pose(placed.pose)
+        result = self._node.set_parameters([Parameter("organ_pose", value=list(placed.pose))])[0]
+        if not result.successful:
+            raise UserError(result.reason)
+
+    @staticmethod
+    def _box(served: ServedOrgan) -> tuple[Floats, Floats]:
+        """Corners (3,) m, lower and upper, in the organ's frame, of the box around the newest shape."""
+        positions = np.zeros_like(served.organ.rest_positions)
+        _, carried = served.physics.positions(positions)
+        return positions.min(axis=0) + carried, positions.max(axis=0) + carried

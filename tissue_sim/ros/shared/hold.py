@@ -1,0 +1,93 @@
+"""A loop that is held: it takes no tick but those that it is given one by one."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tissue_sim.ros.shared.loop import Loop
+
+LONGEST = 1.0  # s that the loop may need until it stands, goes on, or has done a tick
+LOOK = 1e-4  # s between two looks at whether it has
+SECOND = 1_000_000_000  # ns
+
+
+class Hold:
+    """Holds a running loop that follows the monotonic clock. Any thread may call.
+
+    A held loop follows a time of its own, as others follow /clock: that stands, and goes on by a tick at a time, so
+    that exactly those ticks are due.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._time = 0  # ns, that a held loop follows
+        self._lost = 0.0  # s of the monotonic clock that held loops took no part in
+        self._frozen: float | None = None  # s, the time of `now` while held
+        self._lock = threading.Lock()
+
+    @property
+    def active(self) -> bool:
+        """Whether the loop is held."""
+        return self._frozen is not None
+
+    def now(self) -> float:
+        """Seconds on the monotonic clock, without those for which the loop was held, and with the ticks in them."""
+        frozen = self._frozen
+        return time.monotonic() - self._lost if frozen is None else frozen
+
+    def begin(self) -> None:
+        """Hold the loop; returns when its last tick is done.
+
+        Raises TimeoutError when the loop doesn't answer; it is held as soon as it does.
+        """
+        with self._lock:
+            if self.active:
+                return
+            control, pace = self._loop.words.control, self._loop.words.pace
+            self._frozen = self.now()
+            self._time += SECOND  # another one than the loop has seen
+            self._loop.post_time(self._time)
+            self._loop.follow_posted_time(True)
+            self._wait(lambda: control.standing and pace.seen == self._time)
+
+    def end(self) -> None:
+        """Let the loop follow the monotonic clock again; returns when it has done a tick.
+
+        Raises TimeoutError when the loop doesn't answer.
+        """
+        with self._lock:
+            if self._frozen is None:
+                return
+            before = self._loop.ticks
+            self._loop.follow_posted_time(False)
+            try:
+                self._wait(lambda: self._loop.ticks > before)
+            finally:
+                self._lost = time.monotonic() - self._frozen
+                self._frozen = None
+
+    def step(self) -> bool:
+        """Have one tick done; returns whether it was: False where the loop is no longer held.
+
+        Raises TimeoutError when the loop doesn't answer.
+        """
+        with self._lock:
+            if self._frozen is None:
+                return False
+            before, period = self._loop.ticks, int(1e9 * self._loop.tick_time + 0.5)  # as the loop rounds it
+            self._time += period
+            self._loop.post_time(self._time)
+            self._wait(lambda: self._loop.ticks > before)
+            self._frozen += 1e-9 * period
+            return True
+
+    def _wait(self, done: Callable[[], bool]) -> None:
+        end = time.monotonic() + LONGEST
+        while not done():
+            if not self._loop.alive or time.monotonic() > end:
+                raise TimeoutError("the physics loop doesn't answer")
+            time.sleep(LOOK)
