@@ -253,7 +253,10 @@ def test_kernels_of_others_are_not_told(clock, capsys):
 
 def test_ctrl_c_in_a_benchmark_prints_the_rows_that_there_are():
     """Of the process alone: the one that measures for it is stopped by it, and hands over what it has."""
-    command = [sys.executable, "-m", "tissue_sim", "bench", "fall", "--loads", "30"]
+    # A job in the background is started without the signal, and hands that down.
+    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code += "\nfrom tissue_sim.cli import main\nsys.exit(main())"
+    command = [sys.executable, "-c", code, "bench", "fall", "--loads", "30"]
     with subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         rows = [process.stderr.readline() for _ in range(2)]
         process.send_signal(signal.SIGINT)

@@ -102,7 +102,7 @@ def test_turns_that_are_interrupted_leave_all_that_was_sampled(capsys):
     assert found["one"].median == pytest.approx(0.01)
     assert 0 < found["one"].samples < 100
     assert set(found) == {"one", "other"}
-    assert capsys.readouterr().err.splitlines() == ["one: about 1e+04 us", "other: about 2e+04 us"]
+    assert capsys.readouterr().err.splitlines() == ["one: at first 1e+04 us", "other: at first 2e+04 us"]
 
 
 def test_turns_that_have_just_begun_leave_the_first_look():

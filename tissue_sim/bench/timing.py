@@ -80,7 +80,7 @@ def interleave(phase: Phase) -> dict[str, Timing]:
         first = {}
         for name in rows.each(phase.bursts, f"{phase.label}, a first look"):
             first[name] = phase.bursts[name](2)
-            progress.say(f"{name}: about {1e6 * first[name].min():.3g} us")
+            progress.say(f"{name}: at first {1e6 * first[name].min():.3g} us")
         samples = {name: [] for name in first}
         rows.keep()
         quickest = {name: max(float(seconds.min()), 1e-9) for name, seconds in first.items()}
