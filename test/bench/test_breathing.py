@@ -4,6 +4,7 @@ import pytest
 
 from helpers.scenes import ball_of_cells
 from tissue_sim.bench.breathing import WAY, as_json, measure, text
+from tissue_sim.model.unfelt import UNFELT
 
 
 @pytest.mark.extended
@@ -14,7 +15,7 @@ def test_a_slow_breath_carries_an_organ_as_finite_elements_go():
     assert slow.most_off < 0.01 * WAY
     assert fast.bent > 8.0 * slow.bent, "m: with the square of the rate"
     assert slow.asleep > fast.asleep
-    assert max(one.off / one.bent for one in found) < 0.3, "it bends as they do"
+    assert all(one.off < max(0.3 * one.bent, UNFELT) for one in found), "it bends as they do, where that is visible"
     told = as_json(found)
     assert [bound["met"] for bound in told["bounds"]] == [True]
     assert "120" in text(organ, told)

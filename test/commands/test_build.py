@@ -4,12 +4,9 @@ import argparse
 import dataclasses
 import hashlib
 import json
-import os
-import pty
 import re
 import subprocess
 import sys
-import termios
 import time
 from pathlib import Path
 
@@ -337,25 +334,6 @@ def test_parts_of_a_mesh(tmp_path, capsys):
 def call(arguments, **streams):
     code = "import sys\nfrom tissue_sim.cli import main\nsys.exit(main(sys.argv[1:]))"
     return subprocess.run([sys.executable, "-c", code, "build", *arguments], text=True, check=True, **streams)
-
-
-@pytest.mark.extended
-def test_a_bar_on_a_terminal(tmp_path):
-    here = ["--surface", egg(tmp_path)[0], "--unit", "mm", *FEW, "--out", str(tmp_path / "o.npz")]
-    ours, theirs = pty.openpty()
-    termios.tcsetwinsize(theirs, (40, 100))
-    shown = call(here, stdout=subprocess.PIPE, stderr=theirs)
-    os.set_blocking(ours, False)
-    bar = os.read(ours, 1 << 16).decode()
-    os.close(ours)
-    os.close(theirs)
-    assert shown.stdout.startswith("balloon of 200 points")
-    assert "% |" not in shown.stdout, "the bar is on the terminal alone"
-    last = 0
-    for stage in ("wall", "balloon", "skeleton", "springs"):
-        share = int(re.search(rf"{stage} +(\d+)% \|", bar)[1])
-        assert last <= share <= 100
-        last = share
 
 
 @pytest.mark.slow

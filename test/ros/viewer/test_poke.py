@@ -97,7 +97,7 @@ CENTRES = f"{BOXES}.map(e => e.getBoundingClientRect()).map(r => [r.x + r.width 
 
 def pixel(point):
     """Where the page shows a point (3,) m."""
-    eye, looked_at = camera_for(shipped().surface_positions)
+    eye, looked_at = camera_for(shipped().surface_positions, SIZE)
     forward = (looked_at - eye) / np.linalg.norm(looked_at - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
