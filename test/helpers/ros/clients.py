@@ -34,6 +34,10 @@ class Client(Participant):
         self.pose = node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
         self.force = node.create_publisher(WrenchStamped, "left/external_cf", qos_profile_sensor_data)
 
+    def meet(self) -> None:
+        """Wait until the node hears poses and is heard."""
+        assert self.spin_until(lambda: self.pose.get_subscription_count() > 0 and self.diagnostics)
+
     def reset(self) -> Trigger.Response:
         return self.call(Trigger, f"{self.target}/reset", Trigger.Request())
 

@@ -271,7 +271,7 @@ def node(tmp_path):
 @pytest.fixture
 def client(node):
     client = Client()
-    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics)
+    client.meet()
     yield client
     client.close()
 

@@ -52,7 +52,7 @@ def node(tmp_path_factory):
 @pytest.fixture(scope="module")
 def client(node):
     client = Client()
-    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics)
+    client.meet()
     yield client
     client.close()
 
@@ -96,7 +96,7 @@ def test_a_small_load_that_moves_a_local_region_is_counted_and_its_bag_repeats(t
     with running_node(tmp_path, *words, remap=("__ns:=/small",)):
         client = Client("/small")
         try:
-            assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics)
+            client.meet()
             push_from_afar(client)
             small = counter(client, "skipped.small_load")
             touch, inward = poke_path(shipped(), radius=0.0)

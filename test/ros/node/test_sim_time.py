@@ -56,7 +56,7 @@ def node(tmp_path_factory):
 @pytest.fixture(scope="module")
 def client(node):
     client = Client()
-    assert client.spin_until(lambda: client.pose.get_subscription_count() > 0 and client.diagnostics)
+    client.meet()
     yield client
     client.close()
 

@@ -74,7 +74,7 @@ class Viewer:
             one.take_inclusions()
             one.take_surface()
         self._place(watchers)
-        eye = next((np.asarray(page.camera.position) for page in self._placed(watchers)), None)
+        eye = next((np.asarray(page.camera.position) for page in watchers.values() if _has_size(page)), None)
         with self._server.atomic():
             for one in self.organs:
                 one.draw(eye, self._panel.opacity.value)
@@ -133,9 +133,6 @@ class Viewer:
                 size = int(page.camera.image_width), int(page.camera.image_height)
                 page.camera.position, page.camera.look_at = camera_for(self._rest, size)
                 self._seen_by.add(number)
-
-    def _placed(self, watchers: Mapping[int, viser.ClientHandle]) -> list[viser.ClientHandle]:
-        return [page for page in watchers.values() if _has_size(page)]
 
     def _draw_ligaments(self) -> None:
         message = self._lines.take() if self._lines is not None else None

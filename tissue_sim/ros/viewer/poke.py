@@ -16,7 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.held_tool import HeldTool
 from tissue_sim.ros.viewer.jaws import JawSlider
-from tissue_sim.ros.viewer.scene import VIEW
+from tissue_sim.ros.viewer.scene import picture_axes
 from tissue_sim.ros.viewer.tool_view import ToolView
 
 CLEAR = 0.008  # m between a tool that is taken and the organ
@@ -30,9 +30,7 @@ def beside(points: Floats, index: int, radius: float) -> tuple[Floats, Floats]:
 
     The first tool is at the left of the picture, the second at the right, further ones below and above.
     """
-    right = np.cross([0.0, 0.0, 1.0], VIEW)
-    right /= np.linalg.norm(right)
-    up = np.cross(VIEW, right) / np.linalg.norm(VIEW)
+    right, up, _ = picture_axes()
     out = (-right, right, -up, up)[index % 4]
     offset = points - points.mean(axis=0)
     along = offset @ out

@@ -22,6 +22,14 @@ FILLED, FITTED = 0.8, 6  # of the room, by the surface; rounds of fitting the ca
 LABEL_GAP = 0.01  # m from an organ to its name
 
 
+def picture_axes() -> tuple[Floats, Floats, Floats]:
+    """Return the unit vectors (3,) of the first picture: to the right, up, and from the organ to the camera."""
+    away = VIEW / np.linalg.norm(VIEW)
+    right = np.cross([0.0, 0.0, 1.0], away)
+    right /= np.linalg.norm(right)
+    return right, np.cross(away, right), away
+
+
 def camera_for(vertices: Floats, size: tuple[int, int] = (1400, 900)) -> tuple[Floats, Floats]:
     """Return where the camera stands and what it looks at so that a surface fills the page beside the panel.
 
@@ -38,10 +46,8 @@ def camera_for(vertices: Floats, size: tuple[int, int] = (1400, 900)) -> tuple[F
     panel = PANEL if width > NARROW else 0  # on a narrow page it lies below
     focal = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW)  # pixels
     room = FILLED * np.array([width - panel, height])
-    away = VIEW / np.linalg.norm(VIEW)
-    right = np.cross([0.0, 0.0, 1.0], away)
-    right /= np.linalg.norm(right)
-    picture = np.stack([right, np.cross(away, right)])
+    right, up, away = picture_axes()
+    picture = np.stack([right, up])
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     distance = 4.0 * float(np.linalg.norm(vertices - centre, axis=1).max())
     for _ in range(FITTED):
@@ -66,10 +72,7 @@ def label_place(own: Floats, others: Floats) -> Floats:
     -------
     (3,) m, above the organ where nothing hides it there, else below or at its sides
     """
-    away = VIEW / np.linalg.norm(VIEW)
-    right = np.cross([0.0, 0.0, 1.0], away)
-    right /= np.linalg.norm(right)
-    up = np.cross(away, right)
+    right, up, away = picture_axes()
     picture = np.stack([right, up])
     seen, near = others @ picture.T, others @ away
     places = [own[np.argmax(own @ way)] + LABEL_GAP * way for way in (up, -up, -right, right)]
