@@ -17,7 +17,7 @@ from tissue_sim.calibration.inertia import (
 )
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import largest_frequency
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.modes import lowest_modes
 
 tissue_mass = cache(tissue_mass)

@@ -8,7 +8,7 @@ from tissue_sim.calibration.cases import fit_cases
 from tissue_sim.calibration.fit import Misfit
 from tissue_sim.calibration.inertia import frequencies_of, tissue_mass
 from tissue_sim.calibration.joint import Together, fit_together
-from tissue_sim.model.critical_step import largest_frequency
+from tissue_sim.model.frequency import largest_frequency
 
 FORCE = fit_cases(ORGAN, 12, 0)
 TRUTH = START * np.exp(0.2 * np.random.default_rng(7).standard_normal(len(START)))

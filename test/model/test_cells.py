@@ -22,8 +22,8 @@ from tissue_sim.model.cells import (
     tissue_of,
 )
 from tissue_sim.model.cells import swelling as told
-from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.fans import cell_forces
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.modes import stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.cell_mesh import quality_of, tetrahedra, with_cells

@@ -9,15 +9,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from helpers.scenes import assembled, ball, changed, free_ball, kidney
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import (
-    SAFETY,
-    critical_step,
-    largest_frequency,
-    model_step,
-    stable_frequency,
-    substeps_for,
-)
+from tissue_sim.model.critical_step import SAFETY, critical_step, model_step, stable_frequency, substeps_for
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.integrators import symplectic_euler
 
 

@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import ball, filled, kidney
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import largest_frequency
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.implied_boundary import imply_boundary, spokes_of
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.medial import recalculated_boundary, represent, transported_frames

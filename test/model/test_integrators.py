@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from helpers.scenes import assembled, ball
-from tissue_sim.model.assembly import Factor, packed
-from tissue_sim.model.critical_step import critical_step, largest_frequency, model_step
+from tissue_sim.model.assembly import packed
+from tissue_sim.model.critical_step import critical_step, model_step
 from tissue_sim.model.forces import elastic_forces, return_forces
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.implicit import make_factor
 from tissue_sim.model.integrators import (
     explicit_euler,
@@ -17,6 +18,7 @@ from tissue_sim.model.integrators import (
     symplectic_euler,
     symplectic_euler_whole,
 )
+from tissue_sim.model.model import Factor
 from tissue_sim.model.settings import INTEGRATORS
 
 ONE = np.array([0], dtype=np.int32)

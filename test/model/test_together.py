@@ -41,7 +41,8 @@ class Organs:
         gravity = np.zeros((len(simulations), 3))
         breath = breath or Breath.new()
         self.carried = carried_with(breath, moves, gravity)
-        self.unfelt = unfelt_by(simulations, self.links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
+        ways = np.outer(moves, [breath.x, breath.y, breath.z])
+        self.unfelt = unfelt_by([one.model for one in simulations], self.links, ways, unfelt)
         self._worlds = row([one.world for one in simulations])
         self._joined = handle(
             Together(self.carried, self.links, make_pairs(), self.unfelt, np.zeros(len(simulations), dtype=np.int64))

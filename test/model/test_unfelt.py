@@ -52,7 +52,7 @@ def test_what_is_lacking_is_bounded_and_shrinks_as_loads_grow():
 def test_bounds_are_what_linear_statics_say(organ):
     simulation = Simulation(organ)
     nodes, way = np.array([TOP, TOP - 3, int(organ.fixed[0])]), np.array([0.0, 0.01, 0.02])
-    bend, give = bounds_of(simulation, nodes, way)
+    bend, give = bounds_of(simulation.model, nodes, way)
     free = free_axes(simulation.model)
     compliance = np.zeros((3 * organ.n_nodes,) * 2)
     compliance[np.ix_(free, free)] = np.linalg.inv(stiffness_matrix(simulation.model).toarray()[np.ix_(free, free)])
@@ -77,10 +77,13 @@ def test_bounds_are_the_same_where_another_processor_rounds_otherwise():
 
 
 def test_what_nothing_holds_feels_everything():
-    bend, give = bounds_of(Simulation(free_ball()), np.array([TOP]), np.array([1.0, 0.0, 0.0]))
+    bend, give = bounds_of(Simulation(free_ball()).model, np.array([TOP]), np.array([1.0, 0.0, 0.0]))
     assert bend == UNBOUNDED
     assert give[0] == UNBOUNDED
-    assert bounds_of(Simulation(free_ball()), np.zeros(0, dtype=np.int64), np.zeros(3)) == (0.0, pytest.approx([]))
+    assert bounds_of(Simulation(free_ball()).model, np.zeros(0, dtype=np.int64), np.zeros(3)) == (
+        0.0,
+        pytest.approx([]),
+    )
 
 
 # ticks -------------------------------------------------------------------------------------------

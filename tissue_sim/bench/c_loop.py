@@ -20,9 +20,10 @@ from tissue_sim.array_types import Floats
 from tissue_sim.bench.timing import clock_cost
 from tissue_sim.model.blocks import BLOCK, Blocks, empty_blocks
 from tissue_sim.model.cell_law import SQUEEZED, STEEPEST
-from tissue_sim.model.cells import CONSTANTS, Tissue
+from tissue_sim.model.cells import CONSTANTS
 from tissue_sim.model.forces import SHORTEST, elastic_forces
 from tissue_sim.model.integrators import symplectic_euler
+from tissue_sim.model.model import Tissue
 from tissue_sim.model.simulation import Simulation
 
 PLAIN = ("-O3",)

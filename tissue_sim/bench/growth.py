@@ -15,7 +15,8 @@ from tissue_sim.bench import rows
 from tissue_sim.bench.organs import bean, patch_load
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.model import reduction
-from tissue_sim.model.assembly import Model, assemble
+from tissue_sim.model.assembly import assemble
+from tissue_sim.model.model import Model
 from tissue_sim.model.modes import Modes, lowest_modes, stiffness_matrix
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.organ.organ import Organ

@@ -36,7 +36,8 @@ from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness
 from tissue_sim.calibration.thickness import check_thickness
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import largest_frequency, model_step, substeps_for
+from tissue_sim.model.critical_step import model_step, substeps_for
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.organ.organ import Organ
 
 CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over the first: without, some cells are all but void

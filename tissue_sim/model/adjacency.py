@@ -6,9 +6,10 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from tissue_sim.array_types import Ints, Longs
-from tissue_sim.model.assembly import NO_HOPS, Adjacency, Model
+from tissue_sim.model.assembly import NO_HOPS
 from tissue_sim.model.blocks import BLOCK
 from tissue_sim.model.cells import cells_of, slots_of
+from tissue_sim.model.model import Adjacency, Model
 
 
 def adjacency_of(model: Model) -> Adjacency:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
-from tissue_sim.model.blocks import BLOCK, Blocks, aligned, empty_blocks, pack
-from tissue_sim.model.cells import SLOPES, Tissue, penalty_of, shapes_of, tissue_of, with_penalty
-from tissue_sim.model.critical_step import largest_frequency
+from tissue_sim.model.blocks import BLOCK, aligned, empty_blocks, pack
+from tissue_sim.model.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
+from tissue_sim.model.frequency import largest_frequency
+from tissue_sim.model.implied_boundary import NO_SPOKES, spokes_of
+from tissue_sim.model.model import Model, Reduction
 from tissue_sim.model.unloaded import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
@@ -28,79 +29,6 @@ LEAST_CELL = 0.05  # of the mean cell's volume, below which a cell tells nothing
 # with 0.1 the largest frequency of a pressed organ was up to three times that at rest, with 0.6 it is the same.
 LEAST_AREA = 0.6
 MODEL_NAMES: tuple[str, ...] = get_args(ModelName)
-
-
-class Adjacency(NamedTuple):
-    """Which springs or cells each node has, as compressed rows."""
-
-    edge_start: Ints  # (n + 1,)
-    edges: Ints  # slots in Model.edges, block after block
-    link_start: Ints  # (n + 1,)
-    links: Ints  # slots in Model.links
-    cell_start: Ints  # (n + 1,)
-    cells: Ints  # slots in Model.tissue
-
-
-class Reduction(NamedTuple):
-    """What a modal region knows of the rest of the organ. Empty without one."""
-
-    frequency: Floats  # (m,) rad/s of the lowest modes
-    shape: Floats  # (n, 3, m) 1/sqrt(kg)
-    peak: Floats  # (m,) the shapes' largest components
-    compliance: NDArray[np.float32]  # (3n, 3n) m/N of the model about rest; (0, 0) when it would be too large
-    edge_slopes: Floats  # (b, 21 BLOCK) what forces.subtract_linear_edges takes
-    link_slopes: Floats  # (b, 6 BLOCK) what forces.subtract_linear_springs takes
-    cell_slopes: Floats  # (b, SLOPES BLOCK) what cells.subtract_linear_cells takes
-
-
-class Factor(NamedTuple):
-    """L D L' of the matrix of the implicit step, twice: one in use, one to be written."""
-
-    order: Ints  # (a,) moving nodes in the order of elimination
-    start: Ints  # (a + 1,) columns of L below its diagonal
-    row: Ints  # (l,)
-    value: Floats  # (2, l)
-    pivot: Floats  # (2, a) 1/kg, inverse of D
-    mobility: Floats  # (2, n) 1/kg, diagonal of the matrix' inverse
-
-
-class Model(NamedTuple):
-    """Constants of one model variant, as the kernels read them. Shapes: n nodes, s springs, h angular springs."""
-
-    n_surface: int
-    rest: Floats  # (n, 3) m
-    inverse_mass: Floats  # (n,) 1/kg, 0 where held or not part of the variant
-    damping: Floats  # (n,) kg/s
-    moving: Ints  # (a,) nodes with mass
-    spring_first: Ints  # (s,)
-    spring_second: Ints  # (s,)
-    spring_rest_length: Floats  # (s,) m
-    spring_stiffness: Floats  # (s,) N/m
-    angular_nodes: Ints  # (h, 4)
-    angular_weight: Floats  # (h, 4) of the mean curvature normal
-    angular_rest: Floats  # (h,) m
-    angular_stiffness: Floats  # (h,) N/m
-    angular_least_area: Floats  # (h,) m^4
-    edges: Blocks  # axial and angular springs of the edges between two triangles, as the kernels take them
-    links: Blocks  # all other springs
-    return_nodes: Ints  # (r,) nodes with a return spring
-    return_stiffness: Floats  # (n,) N/m
-    return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
-    spokes: Spokes  # of the M-rep; empty when nothing is implied
-    damping_rate: float  # 1/s, nodal damping over mass, the mean
-    cells: Ints  # (c, 4) what is inside: the tissue's cells, or tetrahedra of a triangle and its nearest medial atom
-    cell_volume: Floats  # (c,) m^3 at rest
-    neighbour_start: Ints  # (n + 1,) compressed rows of the surface edges' graph, for hop distances
-    neighbours: Ints
-    hops: NDArray[np.uint8]  # (n_surface, n_surface) hop distances, or (0, 0): searched on demand
-    adjacency: Adjacency | None  # None: without a local region
-    reduction: Reduction
-    borne: Floats  # (n, 3) N that holds the rest shape of cells against what they push there; (0, 3): nothing does
-    shape_gravity: Floats  # (3,) m/s^2, that the rest shape is the shape under
-    unloaded: Floats  # (n, 3) m, shape of the cells without it
-    factor: Factor | None  # None: never stepped implicitly
-    tissue: Tissue | None  # of cells; None: springs
-    work: Floats  # (9 BLOCK,) room for the force kernels
 
 
 NO_HOPS = np.zeros((0, 0), dtype=np.uint8)

@@ -5,7 +5,7 @@ The whole organ's go in fans (fans), those of a local region one by one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array
@@ -14,32 +14,16 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, aligned, pack
 from tissue_sim.model.cell_law import SQUEEZED, STEEPEST, STIFF, minor, pressure_of
-from tissue_sim.model.fans import ROOM, Fans, fans_of, set_penalty
+from tissue_sim.model.fans import ROOM, fans_of, set_penalty
+from tissue_sim.model.model import Model, Tissue
 from tissue_sim.model.vectors import ROW, WIDTH, fused, gather_arms, put_node, scatter_arms
 from tissue_sim.model.volumes import triple_product
-
-if TYPE_CHECKING:
-    from tissue_sim.model.assembly import Model
 
 # Of the largest squared frequency at rest, that the penalty of one cell has. With 1 the step is too long for what a few
 # squeezed cells do together, with 0.1 cells are turned inside out (measured under a pinch).
 PENALTY = 0.3
 CONSTANTS = 10
 SLOPES = 20  # constants of a cell that is linear about rest
-
-
-class Tissue(NamedTuple):
-    """Cells as the kernels read them, in blocks, and room to work in."""
-
-    nodes: Ints  # (b, BLOCK, 4)
-    constants: Floats  # (b, CONSTANTS BLOCK)
-    fans: Fans  # the same cells as the whole organ takes them
-    rows: Floats  # (n, ROW) of each node its position, m, and what cells push it with, N
-    work: Floats  # (ROOM BLOCK,)
-    # (f BLOCK CELLS,) places in the fans' cells of those under SQUEEZED in blocks with one under STIFF, as the last
-    # forces of the whole organ found them; and (1,) how many, of some cells not 0 where these forces found stiff ones.
-    squeezed_cells: Longs
-    stiff: Longs
 
 
 def tissue_of(rest: Floats, cells: Ints, mu: Floats, lam: Floats) -> Tissue:

@@ -9,9 +9,9 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.jit import kernel
-from tissue_sim.model.assembly import Model
 from tissue_sim.model.cells import cell_energy
 from tissue_sim.model.forces import stored
+from tissue_sim.model.model import Model
 
 
 class Energy(NamedTuple):

@@ -6,7 +6,7 @@ quadratic form. Nodes of a fan: two at the ends of the edge, then four around it
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +15,7 @@ from tissue_sim.array_types import Floats, Ints, Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.blocks import BLOCK, pack
 from tissue_sim.model.cell_law import SQUEEZED, STIFF, minor, pressure_of
+from tissue_sim.model.model import Fans
 from tissue_sim.model.vectors import WIDTH, fused, gather_fan, put_node, scatter_fan
 from tissue_sim.model.volumes import triple_product
 
@@ -28,14 +29,6 @@ OWN, OWN_ROWS = len(PAIRS), 4
 CONSTANTS = OWN + CELLS * OWN_ROWS
 ROOM = 3 * ARMS + CELLS  # rows to work in: arms, then volumes over those at rest
 CHUNK = 16  # blocks in whose order fans that share nodes are kept apart, without leaving the cache
-
-
-class Fans(NamedTuple):
-    """Fans in blocks; what only fills up, fans and cells in them, has no stiffness."""
-
-    nodes: Ints  # (f, BLOCK, 6)
-    constants: Floats  # (f, CONSTANTS BLOCK)
-    cells: Longs  # (f BLOCK, CELLS) which cell each is, -1 where one only fills up
 
 
 def fans_of(rest: Floats, cells: Ints | Longs, slope: Floats, mu: Floats, lam: Floats) -> Fans:

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from tissue_sim.model.assembly import NO_HOPS, Model
+from tissue_sim.model.assembly import NO_HOPS
+from tissue_sim.model.model import Model
 
 LARGEST_TABLE = 4096  # surface nodes: 16 MiB; above it the region is searched on demand
 _ROWS = 256

@@ -11,9 +11,9 @@ from scipy.sparse.linalg import splu
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
-from tissue_sim.model.assembly import Factor, Model
 from tissue_sim.model.cells import cells_of, shapes_of
 from tissue_sim.model.diagonal import diagonal
+from tissue_sim.model.model import Factor, Model
 
 
 class _Decomposition(NamedTuple):

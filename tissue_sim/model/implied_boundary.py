@@ -7,13 +7,13 @@ and without allocations: rotations are found by their twist in closed form and a
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.model.arrays import copy
+from tissue_sim.model.model import Spokes
 from tissue_sim.organ.medial import neighbours, represent
 from tissue_sim.organ.organ import Organ
 
@@ -23,22 +23,6 @@ _NEWTON_STEPS = 8
 _HALF_TURN = 1e-12
 _UNDECIDED = 1e-12
 _SHORTEST = 1e-12  # m
-
-
-class Spokes(NamedTuple):
-    """The M-rep at rest and room to work in. a atoms, m spokes; no atoms when nothing is implied."""
-
-    first_atom: int  # node number of atom 0
-    towards: Ints  # (a,) neighbour A of each atom
-    parent: Ints  # (a,)
-    bone: Floats  # (a, 3) unit vector from A to the atom
-    offset: Floats  # (a, 3) m, atoms from their middle
-    axis: Floats  # (3,) main direction of the atoms
-    node: Ints  # (m,) surface nodes and interior atoms
-    atom: Ints  # (m,) the atom on which each hangs
-    spoke: Floats  # (m, 3) m, from there to the node
-    frame: Floats  # (a, 3, 3) rotations, written by imply_boundary
-    work: Floats  # (5, 3, 3)
 
 
 _NONE, _NOWHERE = np.zeros(0, dtype=np.int32), np.zeros((0, 3))

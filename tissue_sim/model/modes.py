@@ -11,9 +11,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import Model
 from tissue_sim.model.cells import cells_of, strain_rows
 from tissue_sim.model.diagonal import diagonal
+from tissue_sim.model.model import Model
 
 N_MODES = 144  # a third of that triples the error of the region's surroundings
 _RIGID = 1e-9  # square of a frequency, over the largest diagonal, that is taken for 0

@@ -10,9 +10,10 @@ from scipy.linalg import lapack
 
 from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
-from tissue_sim.model.assembly import NO_REDUCTION, Model, Reduction
+from tissue_sim.model.assembly import NO_REDUCTION
 from tissue_sim.model.blocks import BLOCK, pack
 from tissue_sim.model.cells import cell_slopes
+from tissue_sim.model.model import Model, Reduction
 from tissue_sim.model.modes import angular_slope, free_axes, lowest_modes, stiffness_matrix
 from tissue_sim.store import remembered
 

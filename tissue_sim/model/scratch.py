@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tissue_sim.model.assembly import Model
 from tissue_sim.model.blocks import BLOCK, empty_blocks
 from tissue_sim.model.cells import CONSTANTS
 from tissue_sim.model.contact_constraint import MOST_NEAR
 from tissue_sim.model.contact_set import MOST_POINTS
 from tissue_sim.model.modal_region import MOST_BOUNDARY, MOST_DRIVE
+from tissue_sim.model.model import Model
 from tissue_sim.model.records import Record
 from tissue_sim.model.squeezed import MOST_SQUEEZED
 

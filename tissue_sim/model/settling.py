@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.model import Model
+from tissue_sim.model.settings import Settings
 from tissue_sim.model.squeezed import add_held
-from tissue_sim.model.state import Region
+from tissue_sim.model.state import Region, State
 from tissue_sim.model.world import (
     is_world_out_of_balance,
     load_world,
@@ -20,15 +22,31 @@ from tissue_sim.model.world import (
     weigh_world,
 )
 
-if TYPE_CHECKING:
-    from tissue_sim.model.simulation import Simulation
-
 LEAST_COMING = 0.1  # s that an organ on its way to rest may take for what is left, at the least
 
 
-def settle(
-    simulation: Simulation, forces: Floats, tolerance: float, longest: float, ramp: float
-) -> tuple[Floats, bool]:
+class Steppable(Protocol):
+    """What settling needs of a simulation, which itself offers to settle."""
+
+    model: Model
+    state: State
+    settings: Settings
+    scratch: Any
+    world: Any
+    rate: float
+
+    @property
+    def positions(self) -> Floats:
+        """Positions of all nodes, (n, 3) m."""
+
+    def step(self) -> None:
+        """Advance by 1/rate seconds."""
+
+    def reset(self) -> None:
+        """Return to the rest shape."""
+
+
+def settle(simulation: Steppable, forces: Floats, tolerance: float, longest: float, ramp: float) -> tuple[Floats, bool]:
     """Displacements at rest under constant surface forces, gravity, and what is prescribed.
 
     forces (n_surface, 3) N. Steps from the rest shape until the residual force is under tolerance times the load,
@@ -77,7 +95,7 @@ def settle(
     return simulation.positions[:n_surface] - simulation.model.rest[:n_surface], settled
 
 
-def residuals(simulation: Simulation, forces: Floats | float = 0.0) -> Floats:
+def residuals(simulation: Steppable, forces: Floats | float = 0.0) -> Floats:
     """Force (n, 3) N left on every node under surface forces; what holds squeezed cells is one of the forces."""
     force = np.zeros_like(simulation.model.rest)
     elastic_forces(simulation.model, simulation.state.position, force)
@@ -88,7 +106,7 @@ def residuals(simulation: Simulation, forces: Floats | float = 0.0) -> Floats:
     return force
 
 
-def _modes_move(simulation: Simulation, tolerance: float) -> bool:
+def _modes_move(simulation: Steppable, tolerance: float) -> bool:
     """True while the modes of a modal region are on their way."""
     if simulation.state.status.region != Region.MODAL:
         return False
@@ -96,7 +114,7 @@ def _modes_move(simulation: Simulation, tolerance: float) -> bool:
     return bool(speed * 0.1 > tolerance * reach)
 
 
-def _free_nodes(simulation: Simulation) -> NDArray[np.int64]:
+def _free_nodes(simulation: Steppable) -> NDArray[np.int64]:
     """Nodes (k,) that nothing leads."""
     nodes: Any = simulation.model.moving
     if simulation.state.status.region != Region.WHOLE:

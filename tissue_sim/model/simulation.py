@@ -13,12 +13,14 @@ from tissue_sim.array_types import Floats
 from tissue_sim.errors import UserError
 from tissue_sim.handles import handle
 from tissue_sim.model.adjacency import adjacency_of, with_cell_neighbours
-from tissue_sim.model.assembly import Model, assemble, model_of
+from tissue_sim.model.assembly import assemble, model_of
 from tissue_sim.model.contact_set import ContactSet
-from tissue_sim.model.critical_step import SAFETY, largest_frequency, model_step, substeps_for
+from tissue_sim.model.critical_step import SAFETY, model_step, substeps_for
 from tissue_sim.model.energy import Energy, energy_of
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.hops import hop_table
 from tissue_sim.model.implicit import make_factor, write_factor
+from tissue_sim.model.model import Model
 from tissue_sim.model.records import words_of
 from tissue_sim.model.reduction import reduce_model
 from tissue_sim.model.scratch import make_scratch

@@ -22,8 +22,8 @@ from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import weigh
 from tissue_sim.model.gravity import is_out_of_balance
 from tissue_sim.model.links import Links
+from tissue_sim.model.model import Model
 from tissue_sim.model.modes import free_axes, stiffness_matrix
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tool_motion import has_tip_force
 
 UNFELT = 1e-4  # m, which nobody sees
@@ -46,18 +46,18 @@ class Unfelt(NamedTuple):
     ticks: Longs  # (k,) that each slept through with loads that it didn't feel
 
 
-def unfelt_by(simulations: Sequence[Simulation], links: Links, ways: Floats, most: float) -> Unfelt:
+def unfelt_by(models: Sequence[Model], links: Links, ways: Floats, most: float) -> Unfelt:
     """Bounds for organs whose frames move along ways (k, 3), of any length, and that lack `most` m at the most.
 
     0: all is felt. The numbers are rounded up to two digits, so that libraries that round differently on another
     processor come to the same ones, and replays to the same bits.
     """
-    count = len(simulations)
+    count = len(models)
     bend, give = np.zeros(count), np.zeros(links.organ.shape)
-    for organ, simulation in enumerate(simulations if most > 0.0 else ()):
+    for organ, model in enumerate(models if most > 0.0 else ()):
         own = links.organ == organ
         nodes, place = np.unique(links.node[own], return_inverse=True)
-        bend[organ], of_nodes = bounds_of(simulation, nodes, ways[organ])
+        bend[organ], of_nodes = bounds_of(model, nodes, ways[organ])
         give[own] = of_nodes[place]
     return Unfelt(
         most=np.array([most, UNFELT_FORCE / UNFELT * most]),
@@ -70,12 +70,12 @@ def unfelt_by(simulations: Sequence[Simulation], links: Links, ways: Floats, mos
     )
 
 
-def bounds_of(simulation: Simulation, nodes: Longs, way: Floats) -> tuple[float, Floats]:
+def bounds_of(model: Model, nodes: Longs, way: Floats) -> tuple[float, Floats]:
     """How far any node moves at the most, about rest: by an acceleration along `way` (3,), s^2; by pulls (k,), m/N.
 
     nodes (k,) at which it is pulled, in any direction. UNBOUNDED where that is not known.
     """
-    model, speed = simulation.model, float(np.linalg.norm(way))
+    speed = float(np.linalg.norm(way))
     if not len(nodes) and speed == 0.0:
         return 0.0, np.zeros(0)
     unknown = UNBOUNDED, np.full(len(nodes), UNBOUNDED)

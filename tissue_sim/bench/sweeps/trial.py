@@ -17,8 +17,9 @@ from tissue_sim.bench.sweeps.cells import AXES, DEFAULT_RATE, NEWTONS_A_UNIT, SM
 from tissue_sim.bench.sweeps.loads import BRIEF, FULL, PROBE, QUICK, load_on
 from tissue_sim.bench.sweeps.witness import Turned, Witness
 from tissue_sim.model.assembly import assemble
-from tissue_sim.model.critical_step import largest_frequency, model_step
+from tissue_sim.model.critical_step import model_step
 from tissue_sim.model.forces import elastic_forces
+from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.model.implicit import bounding_stiffness
 from tissue_sim.model.modes import lowest_modes
 from tissue_sim.model.records import copy_of
