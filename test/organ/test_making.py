@@ -6,7 +6,8 @@ import pytest
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.imaging.image import Volume
-from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_image, organ_from_mask
+from tissue_sim.organ.making import organ_from_image, organ_from_mask
+from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 
 
 def test_a_mirrored_mask_still_points_outward():

@@ -205,8 +205,9 @@ def slab_as_built() -> Organ:
     """The slab with the balloon's points and nothing fitted."""
     import trimesh
 
-    from tissue_sim.organ.making import Request, organ_from_mesh
+    from tissue_sim.organ.making import organ_from_mesh
     from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
+    from tissue_sim.organ.request import Request
 
     box = trimesh.creation.box(SLAB)
     for _ in range(3):

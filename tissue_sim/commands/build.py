@@ -22,7 +22,8 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
 from tissue_sim.organ.fixed_nodes import select_fixed
-from tissue_sim.organ.making import MOST_ATOMS, SPARSE, Request, organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.making import organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.progress import task
 

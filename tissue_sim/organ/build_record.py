@@ -12,8 +12,8 @@ from tissue_sim.array_types import Floats
 
 if TYPE_CHECKING:
     from tissue_sim.organ.imaging.image import Volume
-    from tissue_sim.organ.making import Request
     from tissue_sim.organ.organ import Organ
+    from tissue_sim.organ.request import Request
     from tissue_sim.organ.segmenting.segmentation import Segmentation
     from tissue_sim.organ.skeletons.skeleton import Skeleton
     from tissue_sim.organ.surfaces.balloon import Balloon

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from tissue_sim.organ.build_record import Progress
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.lengths import ORGAN_SIZE, is_organ
+from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.organ.winding import inside
 
@@ -23,36 +24,9 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
     from tissue_sim.organ.surfaces.surface import Wall
 
-MOST_ATOMS = 48
-SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
 _NOTED, _WRONG = 0.05, 0.4  # of the volume that was read: how far the one that is built may be off
 _LARGEST_IMAGE = 3.0  # m, longest side: a whole body
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
-
-
-@dataclass(frozen=True)
-class Request:
-    """What an organ is made with, whatever it is made from.
-
-    atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
-    a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
-    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them, or when the organ has
-    another volume than what it is made from. interior_atoms: further atoms along the spokes.
-    """
-
-    name: str
-    points: int = 994
-    atoms: int | None = None
-    branches: str = "auto"
-    interior_atoms: int = 0
-    organ: str | None = None
-    accept: bool = False
-    fixed: str = "z<0.1"
-    youngs_modulus: float = 10_000.0  # Pa
-    poisson_ratio: float = 0.45
-    density: float = 1060.0  # kg/m^3
-    inclusions: tuple[Inclusion, ...] = ()
-    provenance: dict[str, Any] = field(default_factory=dict)
 
 
 def organ_from_image(

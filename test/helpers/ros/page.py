@@ -17,6 +17,7 @@ from helpers.ros.processes import shipped
 from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.loop import Viewer
 from tissue_sim.ros.viewer.poke import beside
+from tissue_sim.ros.viewer.view import PATIENCE
 
 HAND = 7  # the browser's number
 
@@ -29,7 +30,7 @@ class Page:
         camera = SimpleNamespace(position=np.array([0.0, -0.5, 0.0]), look_at=None, image_width=1200, image_height=800)
         hand = MagicMock(camera=camera)
         self.server.get_clients = lambda: {HAND: hand}
-        self.viewer = Viewer(self.server, graph, "tissue_sim", tools)
+        self.viewer = Viewer(self.server, graph, "tissue_sim", tools, PATIENCE)
         (self.poke, *_), (self.view, *_) = self.viewer.tools.pokes, self.viewer.tools.views
 
     def close(self) -> None:

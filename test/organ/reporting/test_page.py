@@ -13,10 +13,11 @@ from matplotlib.image import imread
 from helpers.html_page import Page
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import BuildRecord, Progress
-from tissue_sim.organ.making import Request, organ_from_image
+from tissue_sim.organ.making import organ_from_image
 from tissue_sim.organ.reporting import pictures
 from tissue_sim.organ.reporting.description import describe
 from tissue_sim.organ.reporting.page import report_page, write_report
+from tissue_sim.organ.request import Request
 from tissue_sim.organ.segmenting.segmentation import SegmentationParameters
 
 NAME = 'kidney <b onmouseover="x">&amp;'

@@ -10,6 +10,7 @@ from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.ros.node.tool_markers import ToolMarkers
 from tissue_sim.ros.probes.graph import free_port
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
+from tissue_sim.ros.viewer.view import PATIENCE
 
 
 @pytest.fixture
@@ -36,7 +37,7 @@ def labels(server):
 
 
 def test_the_tools_are_those_of_the_node_and_change_with_it(server, graph):
-    view = ToolsView(server, graph, "tissue_sim", None)
+    view = ToolsView(server, graph, "tissue_sim", None, PATIENCE)
     view.update(0.0, [], None, "")
     assert labels(server) == []
     view.take(markers_of("arm", "needle"), 1.0)
@@ -55,7 +56,7 @@ def test_the_tools_are_those_of_the_node_and_change_with_it(server, graph):
 
 
 def test_only_those_named_are_shown(server, graph):
-    view = ToolsView(server, graph, "tissue_sim", ("needle",))
+    view = ToolsView(server, graph, "tissue_sim", ("needle",), PATIENCE)
     view.take(markers_of("arm", "needle"), 1.0)
     assert [tool.name for tool in view.views] == ["needle"]
     assert view.views[0].force == pytest.approx(0.5)

@@ -18,9 +18,10 @@ from tissue_sim.calibration.solid import Solid
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.organ.making import Request, organ_from_mesh
+from tissue_sim.organ.making import organ_from_mesh
 from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
 from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.request import Request
 
 MOST_STEPS = 40  # of Newton's method
 SHORTEST = 1e-4  # of a step of it

@@ -20,7 +20,6 @@ from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headl
 from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, LigamentView, camera_for, light
 from tissue_sim.ros.viewer.services import Services
 from tissue_sim.ros.viewer.tools import SILENT_AFTER, ToolsView
-from tissue_sim.ros.viewer.view import PATIENCE
 from tissue_sim.ros.viewer.viewed_organ import ViewedOrgan
 
 
@@ -36,7 +35,7 @@ class Viewer:
         node: Node,
         target: str,
         tools: tuple[str, ...] | None,
-        patience: float = PATIENCE,
+        patience: float,
     ) -> None:
         self._server, self._target = server, target
         self._node = node

@@ -15,7 +15,6 @@ from tissue_sim.ros.shared.tool_link import ToolLink
 from tissue_sim.ros.viewer.plot import ForcePlot
 from tissue_sim.ros.viewer.poke import Poke
 from tissue_sim.ros.viewer.tool_view import ToolView
-from tissue_sim.ros.viewer.view import PATIENCE
 
 SILENT_AFTER = 3.0  # s without markers, or without diagnostics
 
@@ -32,7 +31,7 @@ class ToolsView:
         node: Node,
         target: str,
         names: tuple[str, ...] | None,
-        patience: float = PATIENCE,
+        patience: float,
     ) -> None:
         self._server, self._node, self._target, self._follows = server, node, target, names is None
         self._names: tuple[str, ...] = ()

@@ -1,0 +1,36 @@
+"""What an organ is asked for with, whatever it is made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from tissue_sim.organ.inclusions import Inclusion
+
+MOST_ATOMS = 48
+SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
+
+
+@dataclass(frozen=True)
+class Request:
+    """What an organ is made with, whatever it is made from.
+
+    atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
+    a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
+    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them, or when the organ has
+    another volume than what it is made from. interior_atoms: further atoms along the spokes.
+    """
+
+    name: str
+    points: int = 994
+    atoms: int | None = None
+    branches: str = "auto"
+    interior_atoms: int = 0
+    organ: str | None = None
+    accept: bool = False
+    fixed: str = "z<0.1"
+    youngs_modulus: float = 10_000.0  # Pa
+    poisson_ratio: float = 0.45
+    density: float = 1060.0  # kg/m^3
+    inclusions: tuple[Inclusion, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
