@@ -130,5 +130,5 @@ def test_tick_counts_as_compiled_once_its_index_is_there(monkeypatch, tmp_path):
     monkeypatch.setattr("tissue_sim.jit._chosen", {"model": str(tmp_path)})
     assert not is_compiled()
     (tmp_path / "model_1").mkdir()
-    (tmp_path / "model_1" / "world.tick_world-7.py312.nbi").write_bytes(b"")
+    (tmp_path / "model_1" / "tick.tick-7.py312.nbi").write_bytes(b"")
     assert is_compiled()

@@ -23,15 +23,23 @@ from tissue_sim.jit import folder_of
 _PAYLOAD = 3  # where Numba's reference-counted memory keeps the pointer to what it holds
 
 
-def has(values: Any, name: str) -> bool:
-    """True when a field of a NamedTuple, of a handle, or of the compiled type of one, isn't None."""
-    if isinstance(values, HandleProxy):
-        values = numba.typeof(values)
-    if isinstance(values, Handle):
-        return values.field_dict[name] != types.none
+def has(values: Any, *path: str) -> bool:
+    """Return True when a field of a NamedTuple, of a handle, or of the compiled type of one, isn't None.
+
+    path: names of the fields that lead to it.
+    """
+    for name in path:
+        if isinstance(values, HandleProxy):
+            values = numba.typeof(values)
+        if isinstance(values, Handle):
+            values = values.field_dict[name]
+        elif isinstance(values, types.Type):
+            values = values[values.fields.index(name)]  # type: ignore[attr-defined, index]
+        else:
+            values = getattr(values, name)
     if isinstance(values, types.Type):
-        return values[values.fields.index(name)] != types.none  # type: ignore[attr-defined, index]
-    return getattr(values, name) is not None
+        return bool(values != types.none)
+    return values is not None
 
 
 class Handle(types.StructRef):  # type: ignore[name-defined]

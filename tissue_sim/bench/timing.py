@@ -32,7 +32,7 @@ from tissue_sim.errors import UserError
 from tissue_sim.model.guard import check_cells, guard
 from tissue_sim.model.inputs import load_nodes, take_pose
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.world import tick_world
+from tissue_sim.model.tick import tick
 
 Burst = Callable[[int], Floats]  # count -> seconds (count,) that each of count calls took
 
@@ -223,7 +223,7 @@ def _time_ticks(
             goal = state.body_goal[tool].copy()
             take_pose(world, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
         start = now(clock)
-        tick_world(world)
+        tick(world)
         if guarded:  # once more, after a tick as in it
             start = now(clock)
             guard(model, state, settings, scratch)

@@ -17,9 +17,9 @@ from tissue_sim.jit import kernel, part
 from tissue_sim.model.breathing import note_gravity
 from tissue_sim.model.joined_box import keep_joined, post_felt, take_joined
 from tissue_sim.model.mailboxes import fence, keep_states, note_tick, post_results, take_inputs
+from tissue_sim.model.tick import tick, tick_implied
 from tissue_sim.model.together import let_go, tick_together
 from tissue_sim.model.tool_motion import freshness
-from tissue_sim.model.world import tick_implied_world, tick_world
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
@@ -185,13 +185,13 @@ def keep_together(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None
 @kernel
 def tick_one(worlds: Any, joined: Any) -> None:
     """Advance the only organ."""
-    tick_world(worlds[0])
+    tick(worlds[0])
 
 
 @kernel
 def tick_implied_one(worlds: Any, joined: Any) -> None:
     """Advance the only organ, whose return springs pull to the boundary that the skeleton implies."""
-    tick_implied_world(worlds[0])
+    tick_implied(worlds[0])
 
 
 @part

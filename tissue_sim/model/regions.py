@@ -150,7 +150,8 @@ def collect(model: Any, state: Any, scratch: Any) -> None:
 
 
 @kernel
-def _change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def _change(world: Any) -> None:
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     status = state.status
     if takes_whole(model, state, settings):
         if status.region != Region.WHOLE:
@@ -171,16 +172,16 @@ def _change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) ->
     if status.calm * settings.tick_time >= CALM_TIME:
         status.calm = 0
         if is_calm(model, state):
-            enter_region(model, state, shapes, settings, scratch)
+            enter_region(world)
 
 
 @kernel
-def _no_change(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def _no_change(world: Any) -> None:
     """The whole organ always moves."""
 
 
-@_or(_change, _no_change)
-def change_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+@chosen(lambda world: _change if has(world, "model", "adjacency") else _no_change)
+def change_region(world: Any) -> None:
     """Under a load too large for a region, or that bends the organ, the whole model moves; later a region again."""
 
 
@@ -332,8 +333,9 @@ def restore_shape(model: Any, state: Any, scratch: Any) -> None:
 
 
 @part
-def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def enter_region(world: Any) -> None:
     """From here on a modal region around the load moves, and the rest of the organ from where it is."""
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     modal_region.forget_region(state)
     state.status.region = Region.MODAL
     fresh = local_region.mark_loaded(state, scratch)
@@ -342,7 +344,7 @@ def enter_region(model: Any, state: Any, shapes: Any, settings: Any, scratch: An
     if not modal_region.fits(state):
         state.status.region = Region.WHOLE
         return
-    add_contact_impulses(state, shapes, scratch, state.status.substeps, state.contact_impulse)
+    add_contact_impulses(state, world.shapes, scratch, state.status.substeps, state.contact_impulse)
     local_region.clear_force(state, scratch)
     local_region.region_forces(model, state, scratch)
     modal_region.measure_drive(model, state, settings, scratch)

@@ -29,6 +29,7 @@ from tissue_sim.model.settling import residuals, settle
 from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.state import Region, State, make_state, take_fields
 from tissue_sim.model.state_check import check_state
+from tissue_sim.model.tick import tick, tick_implied
 from tissue_sim.model.world import (
     free_world,
     load_world,
@@ -38,8 +39,6 @@ from tissue_sim.model.world import (
     push_world,
     reset_world,
     show_world,
-    tick_implied_world,
-    tick_world,
     touch_world,
 )
 from tissue_sim.organ.organ import Organ
@@ -119,7 +118,7 @@ class Simulation:
         self.integrator = integrator
         # A kernel of its own, so that the usual one is not compiled with what it doesn't need.
         self.implied = return_target == "implied"
-        self._tick = tick_implied_world if self.implied else tick_world
+        self._tick = tick_implied if self.implied else tick
         self._fixed_substeps = substeps
         self._made_for = [(0.0, 0.0, 0.0)] * 2  # step, stiffness and damping of the implicit factor in each slot
         self.settings = Settings.new()

@@ -16,6 +16,7 @@ from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.guard import check_cells, guard
+from tissue_sim.model.implied_boundary import imply_boundary
 from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import (
     explicit_euler,
@@ -54,24 +55,35 @@ from tissue_sim.model.watched import watch_contacts
 CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
 
 
-@part
-def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+@kernel
+def tick(world: Any) -> None:
     """Advance the organ by one tick of settings.tick_time seconds."""
-    scratch.plan.handled = state.status.loaded > 0
-    if not plan_tick(model, state, shapes, settings, scratch):
+    plan = world.scratch.plan
+    plan.handled = world.state.status.loaded > 0
+    if not plan_tick(world):
         return
-    begin_tick(model, state, shapes, settings, scratch)
-    for substep in range(scratch.plan.substeps):
-        take_substep(model, state, shapes, settings, scratch, substep)
-    end_tick(model, state, shapes, settings, scratch)
+    begin_tick(world)
+    for substep in range(plan.substeps):
+        take_substep(world, substep)
+    end_tick(world)
+
+
+@kernel
+def tick_implied(world: Any) -> None:
+    """Advance by one tick, after the return springs were given the boundary that the skeleton implies."""
+    if not world.state.status.asleep:
+        imply_boundary(world.model.spokes, world.state.position, world.model.return_target)
+    tick(world)
 
 
 @part
-def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
-    """Whether there is anything to advance, and in scratch.plan how.
+def plan_tick(world: Any) -> bool:
+    """Return whether there is anything to advance, and write how into scratch.plan.
 
     scratch.plan.handled tells whether nodes were loaded before links and other organs did.
     """
+    model, state, shapes = world.model, world.state, world.shapes
+    settings, scratch = world.settings, world.scratch
     status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
     advance_held(state, settings, scratch)
@@ -115,31 +127,53 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
 
 
 @part
-def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def begin_tick(world: Any) -> None:
     """Make ready for the substeps of the plan."""
+    state, settings, scratch = world.state, world.settings, world.scratch
     status, plan = state.status, scratch.plan
     plan.eased = plan.substeps < status.substeps
     carry_force(state, status.substeps, plan.substeps)
     status.substeps = plan.substeps
-    set_mobility(model, state, settings, settings.tick_time / plan.substeps, scratch, plan.implicit)
-    watch_contacts(state, shapes, settings, scratch)
+    set_mobility(world, settings.tick_time / plan.substeps, plan.implicit)
+    watch_contacts(state, world.shapes, settings, scratch)
 
 
-@part
-def take_substep(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int) -> None:
-    """Advance by one substep of the plan."""
-    plan, first = scratch.plan, substep == 0
-    substeps, implicit = plan.substeps, plan.implicit
+@kernel
+def take_substep(world: Any, substep: int) -> None:
+    """Advance by one substep of the plan: forces, integration and contact."""
+    model, state, shapes = world.model, world.state, world.shapes
+    settings, scratch, plan = world.settings, world.scratch, world.scratch.plan
+    substeps, implicit, first = plan.substeps, plan.implicit, substep == 0
     if plan.looking and substep == substeps - 1:
         begin_look(state, scratch)
     # The last one of a region tells more, and one that takes up momentum needs the forces where it is.
     known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
-    advance_substep(model, state, shapes, settings, scratch, substep, substeps, implicit, known, plan.eased and first)
+    eased = plan.eased and first
+    step = settings.tick_time / substeps
+    couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
+    if not known:
+        if state.status.region != Region.WHOLE:
+            region_forces(model, state, settings, scratch, substep == substeps - 1)
+        elif implicit and not eased:
+            predict(state.position, state.velocity, model.moving, step, scratch.predicted)
+            whole_forces(model, scratch.predicted, settings, scratch)
+        else:
+            whole_forces(model, state.position, settings, scratch)
+    add_loads(model, state, settings, scratch.force)
+    if implicit and eased:
+        carry_momentum(model, state, scratch.force, step)
+    integrate(world, step, implicit)
+    lead_prescribed(state, substep, substeps, step)
+    pushed = has_taken_impulses(state, settings, implicit)
+    state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
+    keep_bodies(state, scratch)
 
 
 @part
-def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
+def end_tick(world: Any) -> None:
     """Look at what the substeps made, hand out what is felt, and come to rest where nothing acts."""
+    model, state, shapes = world.model, world.state, world.shapes
+    settings, scratch = world.settings, world.scratch
     status, plan = state.status, scratch.plan
     if plan.looking:
         end_look(state, scratch)
@@ -148,7 +182,7 @@ def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -
     check_cells(model, state, scratch)
     count_prescribed(state)
     report_wrenches(state, shapes, settings, scratch)
-    change_region(model, state, shapes, settings, scratch)
+    change_region(world)
     unload_nodes(state)
     status.alone = 0 if plan.handled or status.touching > 0 else status.alone + 1
     if status.alone > 0:
@@ -213,43 +247,6 @@ def caution(model: Any, state: Any, begun: bool) -> int:
 
 
 @kernel
-def advance_substep(
-    model: Any,
-    state: Any,
-    shapes: Any,
-    settings: Any,
-    scratch: Any,
-    substep: int,
-    substeps: int,
-    implicit: bool,
-    begun: bool,
-    eased: bool,
-) -> None:
-    """Forces, integration and contact of one substep.
-
-    begun: its elastic forces are known; eased: it is the first of a longer step than the last.
-    """
-    step = settings.tick_time / substeps
-    couple_bodies(state, shapes, settings, scratch, step, 1.0 / (substeps - substep))
-    if not begun:
-        if state.status.region != Region.WHOLE:
-            region_forces(model, state, settings, scratch, substep == substeps - 1)
-        elif implicit and not eased:
-            predict(state.position, state.velocity, model.moving, step, scratch.predicted)
-            whole_forces(model, scratch.predicted, settings, scratch)
-        else:
-            whole_forces(model, state.position, settings, scratch)
-    add_loads(model, state, settings, scratch.force)
-    if implicit and eased:
-        carry_momentum(model, state, scratch.force, step)
-    integrate(model, state, shapes, settings, scratch, step, implicit)
-    lead_prescribed(state, substep, substeps, step)
-    pushed = has_taken_impulses(state, settings, implicit)
-    state.status.touching = resolve_contacts(model, state, shapes, scratch.mobility, scratch, settings, step, pushed)
-    keep_bodies(state, scratch)
-
-
-@kernel
 def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None:
     """Elastic forces of the whole organ at position (n, 3) m into scratch.force (n, 3) N."""
     scratch.force[:] = 0.0
@@ -271,8 +268,9 @@ def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
 
 
 @kernel
-def _implicitly(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
-    add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
+def _implicitly(world: Any, step: float) -> None:
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
+    add_contact_impulses(state, world.shapes, scratch, 1.0 / step, scratch.force)
     implicit_euler(
         state.position,
         state.velocity,
@@ -287,12 +285,12 @@ def _implicitly(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any
 
 
 @kernel
-def _not_at_all(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
+def _not_at_all(world: Any, step: float) -> None:
     """Never called."""
 
 
-@_or(_implicitly, _not_at_all)
-def integrate_implicitly(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
+@chosen(lambda world, *_: _implicitly if has(world, "model", "factor") else _not_at_all)
+def integrate_implicitly(world: Any, step: float) -> None:
     """Move the nodes by scratch.force and the last contact impulses for an implicit step, s."""
 
 
@@ -312,14 +310,15 @@ def implicit_mobility(model: Any, slot: int, node: int) -> Any:
 
 
 @kernel
-def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float, implicit: bool) -> None:
+def integrate(world: Any, step: float, implicit: bool) -> None:
     """Move the nodes by scratch.force for a step, s."""
     if implicit:
-        integrate_implicitly(model, state, shapes, settings, scratch, step)
+        integrate_implicitly(world, step)
         return
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     scale, inertia = damping_of(state, settings), inertia_of(state, settings)
     if has_taken_impulses(state, settings, implicit):
-        add_contact_impulses(state, shapes, scratch, 1.0 / step, scratch.force)
+        add_contact_impulses(state, world.shapes, scratch, 1.0 / step, scratch.force)
         size = state.position.size
         x, v, f = state.position.reshape(size), state.velocity.reshape(size), scratch.force.reshape(size)
         symplectic_euler_whole(x, v, f, scratch.push, scratch.shrink, step)
@@ -357,12 +356,13 @@ def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
 
 
 @kernel
-def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any, implicit: bool) -> None:
+def set_mobility(world: Any, step: float, implicit: bool) -> None:
     """Velocity that an impulse gives each node within a substep, (n,) 1/kg, and what integration takes of its mass.
 
     Only when settings have changed. The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With
     1/m alone a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
     """
+    model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     slot = float(settings.factor_slot) if implicit else -1.0
     key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
     inertia = inertia_of(state, settings)

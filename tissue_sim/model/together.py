@@ -194,7 +194,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
         for organ in range(len(worlds)):
             world = worlds[organ]
             if awake[organ] == 1 and substep < world.scratch.plan.substeps:
-                take_substep(world.model, world.state, world.shapes, world.settings, world.scratch, substep)
+                take_substep(world, substep)
         if touching:
             resolve_pairs(worlds, carried, pairs, awake, step / substeps)
     handled = are_handled(worlds)
@@ -202,7 +202,7 @@ def tick_together(worlds: Any, joined: Any) -> None:
         world = worlds[organ]
         if awake[organ] == 1:
             world.scratch.plan.handled = handled
-            end_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
+            end_tick(world)
 
 
 @kernel
@@ -224,7 +224,7 @@ def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
     most = worlds[0].settings.least_substeps
     for organ in range(len(worlds)):
         world = worlds[organ]
-        planned = plan_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
+        planned = plan_tick(world)
         awake[organ] = 1 if planned else 0
         if planned:
             most = max(most, world.scratch.plan.substeps)
@@ -233,5 +233,5 @@ def plan_together(worlds: Any, awake: Any, joined: bool) -> int:
         if awake[organ] == 1:
             if joined:
                 world.scratch.plan.substeps = most
-            begin_tick(world.model, world.state, world.shapes, world.settings, world.scratch)
+            begin_tick(world)
     return most
