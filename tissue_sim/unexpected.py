@@ -40,14 +40,14 @@ def told(error: BaseException) -> str:
 def tell(error: BaseException, program: str) -> None:
     """Write the line of an error that ends a program, or a thread of it, to the standard error."""
     if os.environ.get(TRACEBACK):
-        _write("".join(traceback.format_exception(error)))
+        write_error("".join(traceback.format_exception(error)))
     if isinstance(error, UserError):
-        _write(f"{program}: error: {printable(str(error))}\n")
+        write_error(f"{program}: error: {printable(str(error))}\n")
     elif isinstance(error, OSError) and error.strerror:  # of the machine, and mostly plain
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
-        _write(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")
+        write_error(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")
     else:
-        _write(f"{program}: error: internal: {told(error)}; {TRACEBACK}=1 shows all of it\n")
+        write_error(f"{program}: error: internal: {told(error)}; {TRACEBACK}=1 shows all of it\n")
 
 
 def catch_all(program: str) -> None:
@@ -82,7 +82,8 @@ def _open_on_nothing(name: str, number: int) -> None:
     setattr(sys, name, open(number, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
 
 
-def _write(text: str) -> None:
+def write_error(text: str) -> None:
+    """Write text to the standard error, or nowhere when nobody reads it: a process that ends must not fail at that."""
     try:
         sys.stderr.write(text)
         sys.stderr.flush()

@@ -22,6 +22,7 @@ from tissue_sim.ros.shared.domains import claim_domain
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.viewer.tokens import TOKEN_VARIABLE
 from tissue_sim.ros.viewer.view import add_page_arguments, address, check_port, page_token
+from tissue_sim.unexpected import write_error
 
 NODE = "tissue_sim"
 PRIORITY = 20  # of the node, where the system allows it
@@ -182,16 +183,16 @@ class Watch:
 
 def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[str]) -> int:
     if dead is not None:
-        sys.stderr.write(f"tissue_sim demo: the {dead.name} ended by itself, {last_words}\n")
+        write_error(f"tissue_sim demo: the {dead.name} ended by itself, {last_words}\n")
     if dead is None and not watch.node_up:
-        sys.stderr.write("tissue_sim demo: stopped before the node was up\n")
+        write_error("tissue_sim demo: stopped before the node was up\n")
         return 1
     for name in killed:
-        sys.stderr.write(f"tissue_sim demo: the {name} did not end and was killed\n")
+        write_error(f"tissue_sim demo: the {name} did not end and was killed\n")
     if watch.bag and Path(watch.bag).is_dir():
         print(f"bag: {watch.bag}\nreplay it with: {_program()} replay {shlex.quote(watch.bag)}", flush=True)
     elif dead is None:
-        sys.stderr.write("tissue_sim demo: the node made no bag\n")
+        write_error("tissue_sim demo: the node made no bag\n")
         return 1
     return 1 if dead is not None or killed else 0
 

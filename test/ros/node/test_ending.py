@@ -53,6 +53,28 @@ def test_other_errors_there_are_still_shown():
     assert "ZeroDivisionError" in run("1 / 0", then_sleeps=0.0).stderr
 
 
+WHERE_THE_EVENT_IS_LOCKED = """
+import os, signal, sys, time
+from tissue_sim.ros.shared.ending import Ending
+
+ending = Ending()
+ending.closes()
+with ending.asked._cond:
+    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.1)
+print(ending.asked.wait(60.0), flush=True)
+os._exit(0)
+"""
+
+
+def test_signals_one_after_the_other_never_wait_for_each_other():
+    """One that comes while another one is handled finds the event's lock taken, by the thread that it interrupts."""
+    words = [sys.executable, "-c", WHERE_THE_EVENT_IS_LOCKED]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT, check=False)
+    assert (done.returncode, done.stdout) == (0, "True\n"), done.stderr
+
+
 BEFORE_IT_WATCHES = """
 import os, signal, threading
 from tissue_sim.ros.node import program

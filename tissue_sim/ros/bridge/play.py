@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +10,7 @@ from tissue_sim import progress
 from tissue_sim.errors import UserError
 from tissue_sim.ros.bridge.script import ACTIONS, check
 from tissue_sim.ros.shared import client
+from tissue_sim.unexpected import write_error
 
 MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 
@@ -103,5 +103,5 @@ def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
 
 
 def _not_there(args: argparse.Namespace, what: str) -> int:
-    sys.stderr.write(f"tissue_sim bridge: no {what} in {args.wait:g} s; start tissue_node, or name yours with --node\n")
+    write_error(f"tissue_sim bridge: no {what} in {args.wait:g} s; start tissue_node, or name yours with --node\n")
     return 1

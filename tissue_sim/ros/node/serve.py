@@ -20,7 +20,7 @@ from tissue_sim.ros.shared import dds
 from tissue_sim.ros.shared.ending import Ending, Interrupted
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
-from tissue_sim.unexpected import tell, told
+from tissue_sim.unexpected import tell, told, write_error
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 PROGRAM = "tissue_node"
@@ -70,7 +70,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
         tell(error, PROGRAM)
         return 2
     except LoopEnded as error:
-        sys.stderr.write(f"{PROGRAM}: error: internal: {error}\n")
+        write_error(f"{PROGRAM}: error: internal: {error}\n")
         return 1
     finally:
         if node is not None:  # whatever ended it: no force is left standing, no bag open

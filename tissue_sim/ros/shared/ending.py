@@ -10,6 +10,8 @@ import time
 from types import FrameType
 from typing import Any
 
+from tissue_sim.unexpected import write_error
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 START_GRACE = 0.4  # s in which a node that is still starting may end by itself
 GRACE = 5.0  # s in which a node that runs may close
@@ -29,7 +31,10 @@ class Ending:
     """
 
     def __init__(self) -> None:
+        # Set by the watching thread alone: a handler would wait forever where it interrupts whoever holds the event's
+        # lock, as the handler of another signal does.
         self.asked = threading.Event()
+        self._signalled = False
         self._starting, self._raised = True, False
         read, write = os.pipe()
         os.set_blocking(write, False)
@@ -47,7 +52,7 @@ class Ending:
     def started(self) -> None:
         """The node runs, and closes itself when asked to. Raises Interrupted if it was asked before."""
         self.closes()
-        if self.asked.is_set():
+        if self._signalled or self.asked.is_set():
             raise Interrupted
 
     def closes(self) -> None:
@@ -56,7 +61,7 @@ class Ending:
 
     def _on_signal(self, _: int, frame: FrameType | None) -> None:
         """In the main thread, as soon as it is back in Python."""
-        self.asked.set()
+        self._signalled = True
         # A second one must not disturb what the first one has begun.
         if self._starting and not self._raised and not _is_compiling(frame):
             self._raised = True
@@ -92,6 +97,5 @@ def _is_compiling(frame: FrameType | None) -> bool:
 
 
 def _leave(code: int, line: str) -> None:
-    sys.stderr.write(f"tissue_node: {line}\n")
-    sys.stderr.flush()
+    write_error(f"tissue_node: {line}\n")
     os._exit(code)
