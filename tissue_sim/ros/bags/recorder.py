@@ -22,6 +22,7 @@ from tissue_sim.ros.bags.offered import offered
 from tissue_sim.ros.bags.organ_recorder import OrganRecorder
 from tissue_sim.ros.bags.spool import Spool
 from tissue_sim.ros.bags.writer import WHOLE, BagWriter, Split, Topic
+from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.shared.organs import Organs
 from tissue_sim.ros.shared.qos import LATCHED, RELIABLE, STREAM
 from tissue_sim.ros.shared.report import Report
@@ -53,7 +54,7 @@ class Recorder:
         self._messages = BagMessages()
         self.together = self._messages.together
         self.of_organ = [
-            OrganRecorder(self._messages, f"{node_name}/{name}" if name else node_name, organ, physics, as_file)
+            OrganRecorder(self._messages, path_of(node_name, name), organ, physics, as_file)
             for (name, (organ, as_file)), physics in zip(named.items(), organs.each, strict=True)
         ]
         self._names = {name: f"{node_name}/{name}" for name in bag.NODE_TOPICS}

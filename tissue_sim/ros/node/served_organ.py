@@ -13,6 +13,7 @@ from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
+from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.shared.parameters import Parameters
 from tissue_sim.ros.shared.physics import Physics
 
@@ -28,7 +29,7 @@ class ServedOrgan:
     @property
     def below(self) -> str:
         """What its topics begin with."""
-        return f"~/{self.name}" if self.name else "~"
+        return path_of("~", self.name)
 
 
 @dataclass(frozen=True)
