@@ -14,7 +14,7 @@ from tissue_sim.model.blocks import BLOCK, aligned, empty_blocks, pack
 from tissue_sim.model.cells import SLOPES, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.frequency import largest_frequency
-from tissue_sim.model.implied_boundary import NO_SPOKES, spokes_of
+from tissue_sim.model.implied_boundary import spokes_of
 from tissue_sim.model.model import Model, Reduction
 from tissue_sim.model.unloaded import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
@@ -128,7 +128,7 @@ def assemble(
             return_nodes=_ints(returning),
             return_stiffness=organ.return_stiffness.copy(),
             return_target=rest.copy() if implied else rest,
-            spokes=spokes_of(organ) if implied else NO_SPOKES,
+            spokes=spokes_of(organ) if implied else None,
             damping_rate=float(damping[used].sum() / mass[used].sum()),
             cells=cells,
             cell_volume=cell_volume,

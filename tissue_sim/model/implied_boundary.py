@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.jit import kernel
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.model.model import Spokes
 from tissue_sim.organ.medial import neighbours, represent
@@ -23,22 +24,6 @@ _NEWTON_STEPS = 8
 _HALF_TURN = 1e-12
 _UNDECIDED = 1e-12
 _SHORTEST = 1e-12  # m
-
-
-_NONE, _NOWHERE = np.zeros(0, dtype=np.int32), np.zeros((0, 3))
-NO_SPOKES = Spokes(
-    first_atom=0,
-    towards=_NONE,
-    parent=_NONE,
-    bone=_NOWHERE,
-    offset=_NOWHERE,
-    axis=np.zeros(3),
-    node=_NONE,
-    atom=_NONE,
-    spoke=_NOWHERE,
-    frame=np.zeros((0, 3, 3)),
-    work=np.zeros((5, 3, 3)),
-)
 
 
 def spokes_of(organ: Organ) -> Spokes:
@@ -67,6 +52,22 @@ def spokes_of(organ: Organ) -> Spokes:
         frame=np.zeros((len(x), 3, 3)),
         work=np.zeros((5, 3, 3)),
     )
+
+
+@kernel
+def _lead(model: Any, state: Any) -> None:
+    if not state.status.asleep:
+        imply_boundary(model.spokes, state.position, model.return_target)
+
+
+@kernel
+def _leave(model: Any, state: Any) -> None:
+    """Return springs pull to where they always do."""
+
+
+@chosen(lambda model, *_: _lead if has(model, "spokes") else _leave)
+def lead_return_springs(model: Any, state: Any) -> None:
+    """Have return springs pull to the boundary that the skeleton implies now, where they do."""
 
 
 @kernel

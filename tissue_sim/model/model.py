@@ -34,7 +34,7 @@ class Tissue(NamedTuple):
 
 
 class Spokes(NamedTuple):
-    """The M-rep at rest and room to work in. a atoms, m spokes; no atoms when nothing is implied."""
+    """The M-rep at rest and room to work in. a atoms, m spokes."""
 
     first_atom: int  # node number of atom 0
     towards: Ints  # (a,) neighbour A of each atom
@@ -105,7 +105,7 @@ class Model(NamedTuple):
     return_nodes: Ints  # (r,) nodes with a return spring
     return_stiffness: Floats  # (n,) N/m
     return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
-    spokes: Spokes  # of the M-rep; empty when nothing is implied
+    spokes: Spokes | None  # of the M-rep, when it implies where return springs pull to
     damping_rate: float  # 1/s, nodal damping over mass, the mean
     cells: Ints  # (c, 4) what is inside: the tissue's cells, or tetrahedra of a triangle and its nearest medial atom
     cell_volume: Floats  # (c,) m^3 at rest

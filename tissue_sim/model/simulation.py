@@ -29,7 +29,7 @@ from tissue_sim.model.settling import residuals, settle
 from tissue_sim.model.shapes import CAPSULE, SPHERE, Shapes, make_shapes
 from tissue_sim.model.state import Region, State, make_state, take_fields
 from tissue_sim.model.state_check import check_state
-from tissue_sim.model.tick import tick, tick_implied
+from tissue_sim.model.tick import tick
 from tissue_sim.model.world import (
     free_world,
     load_world,
@@ -116,9 +116,7 @@ class Simulation:
         self.rate = float(rate)
         self.shapes = shapes
         self.integrator = integrator
-        # A kernel of its own, so that the usual one is not compiled with what it doesn't need.
         self.implied = return_target == "implied"
-        self._tick = tick_implied if self.implied else tick
         self._fixed_substeps = substeps
         self._made_for = [(0.0, 0.0, 0.0)] * 2  # step, stiffness and damping of the implicit factor in each slot
         self.settings = Settings.new()
@@ -261,7 +259,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by 1/rate seconds."""
-        self._tick(self.world)
+        tick(self.world)
 
     def reset(self) -> None:
         """Back to the rest shape, asleep, without tools; the counters go on."""

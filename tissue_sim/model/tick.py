@@ -16,7 +16,7 @@ from tissue_sim.model.felt import report_wrenches
 from tissue_sim.model.forces import elastic_forces
 from tissue_sim.model.gravity import add_weight, is_out_of_balance
 from tissue_sim.model.guard import check_cells, guard
-from tissue_sim.model.implied_boundary import imply_boundary
+from tissue_sim.model.implied_boundary import lead_return_springs
 from tissue_sim.model.inputs import unload_nodes
 from tissue_sim.model.integrators import (
     explicit_euler,
@@ -58,6 +58,7 @@ CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four tim
 @kernel
 def tick(world: Any) -> None:
     """Advance the organ by one tick of settings.tick_time seconds."""
+    lead_return_springs(world.model, world.state)
     plan = world.scratch.plan
     plan.handled = world.state.status.loaded > 0
     if not plan_tick(world):
@@ -66,14 +67,6 @@ def tick(world: Any) -> None:
     for substep in range(plan.substeps):
         take_substep(world, substep)
     end_tick(world)
-
-
-@kernel
-def tick_implied(world: Any) -> None:
-    """Advance by one tick, after the return springs were given the boundary that the skeleton implies."""
-    if not world.state.status.asleep:
-        imply_boundary(world.model.spokes, world.state.position, world.model.return_target)
-    tick(world)
 
 
 @part

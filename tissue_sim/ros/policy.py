@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.organ_topics import path_of
 
 if TYPE_CHECKING:
     from tissue_sim.ros.shared.tool_link import ToolLink
@@ -125,8 +126,7 @@ def _topics(namespace: str, link: ToolLink, *topics: str) -> list[str]:
 
 def _of_organs(own: str, values: Mapping[str, Any], *names: str) -> list[str]:
     """Topics of every organ: below its name in a scene."""
-    below = [f"{own}/{organ}" for organ in values["organs"]] or [own]
-    return [topic for one in below for topic in _below(one, *names)]
+    return [topic for organ in [*values["organs"]] or [""] for topic in _below(path_of(own, organ), *names)]
 
 
 def _below(own: str, *names: str) -> list[str]:

@@ -23,15 +23,15 @@ def read_config(text: str) -> dict[str, Any]:
 
 def check_config(config: Mapping[str, Any]) -> None:
     """Raise ValueError naming what a configuration of the present format lacks, or has of another type."""
-    wanted: dict[str, Fits] = {"scene": _is_name, "organs": _is_object} if "organs" in config else {"organ": _is_object}
+    wanted: dict[str, Fits] = {"scene": _is_name, "organs": _is_filled} if "organs" in config else {"organ": _is_object}
     wanted |= {"parameters": _is_object, "shape_gravity": _is_vector}
     wanted |= {"tools": _is_names, "topics": _is_object, "first": _is_object}
     _check(config, "", wanted)
-    organs = {f"organs.{name}.": organ for name, organ in config["organs"].items()} if "organs" in config else {}
-    for where, organ in (organs or {"organ.": config.get("organ")}).items():
+    for name, organ in organs_of(config).items():
+        where = f"organs.{name}" if "organs" in config else "organ"
         if not _is_object(organ):
-            raise ValueError(f"its configuration's '{where[:-1]}' is of another type")
-        _check(organ, where, {"name": _is_name, "digest": _is_name})
+            raise ValueError(f"its configuration's '{where}' is of another type")
+        _check(organ, f"{where}.", {"name": _is_name, "digest": _is_name})
     _check(config["topics"], "topics.", dict.fromkeys(config["topics"], _is_name))
     _check(config["first"], "first.", dict.fromkeys(config["first"], _is_whole))
     parameters, of_tool = config["parameters"], {"shape": _is_name, "radius": _is_number, "length": _is_number}
@@ -44,6 +44,11 @@ def check_config(config: Mapping[str, Any]) -> None:
     _check(parameters, "parameters.", chosen)
 
 
+def organs_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a bag says of its organs, by the names that a scene gives them, or one that is empty."""
+    return dict(config["organs"]) if "organs" in config else {"": config["organ"]}
+
+
 def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) -> None:
     for name, fits in wanted.items():
         if name not in values:
@@ -54,6 +59,10 @@ def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) ->
 
 def _is_object(value: Any) -> bool:
     return isinstance(value, dict)
+
+
+def _is_filled(value: Any) -> bool:
+    return _is_object(value) and len(value) > 0
 
 
 def _is_name(value: Any) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import tissue_sim
 from tissue_sim.errors import shown
 from tissue_sim.organ.organ import Organ
+from tissue_sim.ros.bags.config import organs_of
 
 # Where and whether a bag is written changes nothing; an organ is told by its digest, not by its path.
 BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file", "scene_file"})
@@ -28,8 +29,8 @@ class Described:
     @classmethod
     def recorded(cls, config: Mapping[str, Any], how: str = "recorded") -> Described:
         """By a bag's configuration."""
-        organs = config["organs"].values() if "organs" in config else [config["organ"]]
-        name = config["scene"] if "organs" in config else config["organ"]["name"]
+        organs = organs_of(config).values()
+        name = config["scene"] if "scene" in config else config["organ"]["name"]
         digest = "".join(organ["digest"] for organ in organs)
         return cls(how, name, digest, config["package_version"], config["parameters"])
 

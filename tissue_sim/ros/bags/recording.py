@@ -18,7 +18,7 @@ from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError, shown
 from tissue_sim.ros.bags import bag, recovery
 from tissue_sim.ros.bags.comparing import Shown
-from tissue_sim.ros.bags.config import check_config, read_config
+from tissue_sim.ros.bags.config import check_config, organs_of, read_config
 from tissue_sim.ros.bags.joined_recording import JoinedRecording
 from tissue_sim.ros.bags.journal import check_journal
 from tissue_sim.ros.bags.organ_recording import OrganRecording
@@ -31,6 +31,7 @@ from tissue_sim.ros.shared.cdr import (
     parse_text,
     unit_pose,
 )
+from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 # What comes of messages that say anything at all.
@@ -46,7 +47,7 @@ class Recording:
 
     config: dict[str, Any]
     organs: list[OrganRecording]
-    joined: JoinedRecording | None  # of a scene
+    joined: JoinedRecording
     registrations: list[tuple[int, Floats]] = field(
         default_factory=list
     )  # from which tick on organ_pose was what, (7,)
@@ -80,10 +81,10 @@ class Recording:
             )
         check_config(config)
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
-        below = [f"{name}/{organ}" for organ in config["organs"]] if "organs" in config else [name]
-        organs = [OrganRecording.parsed(path, messages, one, n_bodies) for one in below]
+        organs = [OrganRecording.parsed(path, messages, path_of(name, one), n_bodies) for one in organs_of(config)]
         sizes = [len(one.state["position"]) for one in organs]
-        joined = JoinedRecording.parsed(messages, name, sizes) if "organs" in config else None
+        is_scene = "organs" in config
+        joined = JoinedRecording.parsed(messages, name, sizes) if is_scene else JoinedRecording.alone(messages, name)
         recording = cls(config, organs, joined, [_registration(raw) for raw in messages[f"{name}/organ_pose"]])
         for tool in config["tools"]:
             topics = {topic: _topic(config["topics"], tool, topic) for topic in TOOL_TOPICS}
@@ -107,7 +108,12 @@ class Recording:
     @property
     def wrench_rows(self) -> np.ndarray:
         """Which tick each wrench shows, records of bag.WrenchRow."""
-        return (self.organs[0] if self.joined is None else self.joined).journal["wrenches"]
+        return self.joined.journal["wrenches"]
+
+    @property
+    def is_scene(self) -> bool:
+        """True where organs have names."""
+        return "organs" in self.config
 
     @property
     def first_tick(self) -> int:

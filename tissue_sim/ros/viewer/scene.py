@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.organ.mean_value import mean_value_weights
 from tissue_sim.ros.shared.appearance import FULL_DISPLACEMENT, LIGAMENT, Colour, shades, tissue_colour
+from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.viewer.coloured_surface import ColouredSurface, light_of
 
 SKELETON: Colour = (20, 30, 60)
@@ -102,7 +103,7 @@ class OrganView:
     """
 
     def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: Longs, name: str = "") -> None:
-        below = f"/organ/{name}" if name else "/organ"
+        below = path_of("/organ", name)
         self._is_carried = bool(name)
         self.rest, self.triangles = np.asarray(vertices, dtype=np.float64), triangles
         self._shades = light_of(shades(tissue_colour(name)))
@@ -170,7 +171,7 @@ class InclusionView:
     ) -> None:
         self._weights = mean_value_weights(vertices, organ.rest, organ.triangles)
         self._mesh = server.scene.add_mesh_simple(
-            f"/inclusions/{name}" if name else "/inclusions",
+            path_of("/inclusions", name),
             vertices,
             triangles,
             color=INCLUSION,
@@ -216,7 +217,7 @@ class SkeletonView:
     """Medial atoms as small spheres, each joined with its parent."""
 
     def __init__(self, server: viser.ViserServer, name: str = "") -> None:
-        self._server, self._below = server, f"/skeleton/{name}" if name else "/skeleton"
+        self._server, self._below = server, path_of("/skeleton", name)
         self._handles: list[Any] = []
 
     def show(self, atoms: Floats, parent: Longs) -> None:

@@ -10,6 +10,7 @@ from shape_msgs.msg import Mesh
 
 from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
+from tissue_sim.ros.shared.organ_topics import path_of
 from tissue_sim.ros.viewer.scene import InclusionView, OrganView, SkeletonView
 
 TURNED = np.cos(np.radians(5.0))  # of the angle between two eyes that are told apart
@@ -19,7 +20,7 @@ class ViewedOrgan:
     """An organ whose topics lie below a node's name, or below its own there; name: empty for an only one."""
 
     def __init__(self, server: viser.ViserServer, node: Node, target: str, name: str) -> None:
-        below = f"/{target}/{name}" if name else f"/{target}"
+        below = path_of(f"/{target}", name)
         self.name, self._server = name, server
         self._mesh = client.Inbox(node, Mesh, f"{below}/mesh", client.latched_qos())
         self._surface = client.Inbox(node, PointCloud2, f"{below}/surface", client.stream_qos())
