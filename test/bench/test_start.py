@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 from types import SimpleNamespace
 
 import pytest
@@ -61,7 +60,7 @@ def test_a_node_that_is_announced_later_moves_the_figure(tmp_path, monkeypatch):
     late = Process([LATE_NODE, "1.5"], tmp_path / "late.log")
     late.wait_for("up")
     seconds = start.to_find(os.environ)
-    late.stop(signal.SIGTERM)
+    late.child.kill()
     assert seconds >= 1.5
     assert found(1.0, to_find=seconds)["bounds"][-1]["met"] is False
 
