@@ -59,7 +59,10 @@ def files(tmp_path, monkeypatch):
 
 
 COMMANDS = {
-    "build: before anything is read": ("build --surface ball.stl --unit mm --out o.npz", "commands.build.organ_from_mesh"),
+    "build: before anything is read": (
+        "build --surface ball.stl --unit mm --out o.npz",
+        "commands.build.organ_from_mesh",
+    ),
     "build: the report": (
         "build --surface ball.stl --unit mm --out o.npz --report",
         "organ.reporting.page.write_report",

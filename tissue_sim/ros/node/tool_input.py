@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
