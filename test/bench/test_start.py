@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from helpers.ros.processes import LATE_NODE, Process
 from tissue_sim.bench import start
 from tissue_sim.bench.first_tick import by_kernel
 from tissue_sim.bench.start import ON_DISK, TO_COMPILE, Start, as_json, first_start, text
@@ -51,6 +52,17 @@ def test_text_has_every_part_and_what_stands_beside_it():
     for words in (*PARTS, "model.tick", "skipped: no node", "missed"):
         assert words in lines
     assert "4 x" in lines, "0.8 of 2 s are four times a peer's 0.4"
+
+
+def test_a_node_that_is_announced_later_moves_the_figure(tmp_path, monkeypatch):
+    monkeypatch.setattr(start, "FINDERS", 1)
+    monkeypatch.setattr(start, "APART", 0.0)
+    late = Process([LATE_NODE, "1.5"], tmp_path / "late.log")
+    late.wait_for("up")
+    seconds = start.to_find(os.environ)
+    late.child.kill()
+    assert seconds >= 1.5
+    assert found(1.0, to_find=seconds)["bounds"][-1]["met"] is False
 
 
 @pytest.mark.extended

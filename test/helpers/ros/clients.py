@@ -1,6 +1,7 @@
 """What a test knows of a running node: everything that it hears on the topics."""
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -69,6 +70,25 @@ class Client(Participant):
         heard = len(self.wrenches)
         self.send_pose(position, **named)
         self.spin_until(lambda: len(self.wrenches) > heard, MOMENT)
+
+    def kick(self, hold: Callable[[], object]) -> float:
+        """Return the highest force that the left hand has felt, as a multiple of the one that it settles at.
+
+        Steps from one wrench to the next tell nothing on a busy machine, which loses some.
+
+        Parameters
+        ----------
+        hold
+            Sends a pose where the tool is, and lets a moment pass.
+        """
+
+        def is_settled() -> bool:
+            hold()
+            newest = np.linalg.norm([wrench[:3] for _, wrench in self.wrenches[-50:]], axis=1)
+            return len(newest) == 50 and bool(np.ptp(newest) < 0.05 * newest.mean())
+
+        assert self.spin_until(is_settled), self.wrenches[-10:]
+        return max(float(np.linalg.norm(wrench[:3])) for _, wrench in self.wrenches) / self.hand_force()
 
     def hand_force(self) -> float:
         """N, what the left hand feels."""

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from helpers.ros.clients import Client
 
 HERE = Path(__file__).parent
-PUBLISHER, WATCHER, STAND_IN = (str(HERE / f"{name}.py") for name in ("publish_poses", "watch_surface", "stand_in"))
+PUBLISHER, WATCHER, STAND_IN, LATE_NODE = (
+    str(HERE / f"{name}.py") for name in ("publish_poses", "watch_surface", "stand_in", "late_node")
+)
 FAKE_TF = HERE / "fake_tf"  # a folder for PYTHONPATH
 OLD_RCLPY = str(HERE / "old_rclpy")  # another one
 READY = "surface nodes"  # in the line that the node logs when its first tick is done

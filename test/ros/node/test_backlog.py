@@ -1,5 +1,6 @@
 """An executor that is behind: how that is found, and that what waits stays short."""
 
+import itertools
 import threading
 import time
 from types import SimpleNamespace
@@ -79,16 +80,17 @@ def test_one_message_in_a_pause_passes_and_all_without_one(clock):
     assert gate.passed_over == 1000 - passed
 
 
-def waits(guarded):
-    """Seconds that what is posted waits while two streams come, each of them faster than it is handled."""
+def messages_before(guarded):
+    """How many messages are met before what is posted while two streams come, each faster than it is handled."""
     context = Context()
     context.init()
     node, sender = (rclpy.create_node(name, context=context) for name in ("slow", "fast"))
     executor = EventsExecutor(context=context)
     executor.add_node(node)
-    backlog, ended = Backlog(executor_of(node)), threading.Event()
+    backlog, ended, met = Backlog(executor_of(node)), threading.Event(), itertools.count()
 
     def handle(gate):
+        next(met)
         if not guarded or gate.passes():
             time.sleep(0.003)
 
@@ -114,10 +116,10 @@ def waits(guarded):
         for _ in range(20):
             time.sleep(0.1)
             backlog.look()
-        done, begun = threading.Event(), time.monotonic()
+        done, before = threading.Event(), next(met)
         executor_of(node)(done.set)
         done.wait(20.0)
-        return time.monotonic() - begun
+        return next(met) - before
     finally:
         ended.set()
         for thread in threads:  # before the executor ends, which waits with the interpreter's lock in its hand
@@ -131,4 +133,4 @@ def waits(guarded):
 @pytest.mark.extended
 @pytest.mark.skipif(EventsExecutor is None, reason="an old rclpy waits for messages, and keeps no events")
 def test_streams_that_come_faster_than_they_are_handled_leave_room_for_others():
-    assert waits(guarded=True) < 0.3 * waits(guarded=False)
+    assert messages_before(guarded=True) < 0.3 * messages_before(guarded=False)

@@ -26,7 +26,7 @@ time.sleep({})
 """
 
 
-def run(line, then_sleeps=5.0):
+def run(line, then_sleeps=LIMIT):
     code = IN_A_CALLBACK.format(line, then_sleeps)
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=LIMIT, check=False)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import helpers.ros
 from helpers.ros.clients import Client
@@ -253,6 +254,51 @@ def test_a_tool_without_a_bridge_is_placed_and_presses_with_the_steps(call):
     assert call.set_state(of.STATE_STOPPED) == result.RESULT_OK
     assert call.set_state(of.STATE_PLAYING) == result.RESULT_OK
     assert call.client.spin_until(lambda: call.client.moved() < 1e-6)
+
+
+def test_a_tool_is_where_its_frame_says_also_once_the_organ_is_registered_anew(call):
+    """The same pose in the organ's frame, from a bridge and placed; one in the world's stays there."""
+    client, result = call.client, call.msg.Result
+    away, turn = np.array([0.3, 0.05, -0.1]), Rotation.from_euler("x", 0.4)
+    elsewhere, registered = np.array([0.3, -0.1, 0.2]), Rotation.from_euler("z", 90.0, degrees=True)
+
+    def place(entity, *given):
+        state = call.placed(*given)
+        assert call.code("set_entity_state", entity=entity, state=state, set_pose=True) == result.RESULT_OK, call.line
+
+    def pose_of(tool):
+        state = call("get_entity_state", entity=tool).state
+        assert state.header.frame_id == "organ"
+        position, turned = state.pose.position, state.pose.orientation
+        place = np.array([position.x, position.y, position.z])
+        return place, Rotation.from_quat([turned.x, turned.y, turned.z, turned.w])
+
+    def check(tool, position, rotation):
+        found, turned = pose_of(tool)
+        np.testing.assert_allclose(found, position, atol=1e-12)
+        assert (turned * rotation.inv()).magnitude() < 1e-9
+
+    def is_there():
+        client.ask(away, quaternion=turn.as_quat())
+        return np.allclose(pose_of("left")[0], away, atol=1e-12)
+
+    assert client.spin_until(is_there)
+    place("right", away, turn.as_quat(), "organ")
+    check("left", away, turn)
+    check("right", away, turn)
+    place(shipped().name, elsewhere, registered.as_quat())
+    check("right", away, turn)
+    for is_stale in (False, True):
+        place("right", away, turn.as_quat(), "world")
+        check("right", registered.inv().apply(away - elsewhere), registered.inv() * turn)
+        if is_stale:
+            assert client.set_parameter("stale_time", 0.05).successful
+            assert client.spin_until(lambda: client.report()["right.state"] == "stale")
+        place(shipped().name, BASE)
+        check("right", away - BASE, turn)
+        place(shipped().name, elsewhere, registered.as_quat())
+    place(shipped().name, BASE)
+    assert client.set_parameter("stale_time", 5.0).successful
 
 
 def test_what_cannot_be_placed_is_refused_by_its_code(call):

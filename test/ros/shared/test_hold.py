@@ -13,7 +13,7 @@ from tissue_sim.ros.node.loop_timing import TimingReader
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
 
-MOMENT = 0.03  # s in which a loop that were not held would take 30 ticks
+MOMENT = 0.06  # s in which a loop that were not held would take 60 ticks, and have some to drop afterwards
 
 
 @pytest.fixture
@@ -26,9 +26,12 @@ def organs():
 
 
 def test_a_held_loop_takes_the_ticks_that_it_is_given_and_then_goes_on(organs):
-    loop = organs.loop
+    loop, control = organs.loop, organs.loop.words.control
+    loop.hold.begin()
+    dropped, unheld, released = int(control.dropped), 0.0, time.monotonic()
     for _ in range(3):
         loop.hold.begin()
+        unheld += time.monotonic() - released
         assert loop.standing
         assert not loop.clock_stands
         before, stood = loop.ticks, loop.hold.now()
@@ -40,12 +43,15 @@ def test_a_held_loop_takes_the_ticks_that_it_is_given_and_then_goes_on(organs):
             assert loop.ticks == before + taken
         assert loop.hold.now() == pytest.approx(stood + 5e-3, abs=1e-9), "five ticks of 1 ms"
         assert organs.wrenches()[0] == -1, "no force comes back with the ticks"
+        released = time.monotonic()
         loop.hold.end()
         assert loop.ticks > before + 5
         assert not loop.standing
-        assert loop.hold.now() == pytest.approx(stood + 5e-3, abs=MOMENT), "the pause doesn't count"
+        gone = loop.hold.now() - (stood + 5e-3)
+        assert -1e-9 <= gone <= time.monotonic() - released, "the pause doesn't count"
         assert not loop.hold.step(), "it isn't held"
-    assert int(loop.words.control.dropped) == 0
+    unheld += time.monotonic() - released
+    assert 1e-3 * (int(control.dropped) - dropped) <= unheld, "a busy machine may keep it waiting then, and only then"
 
 
 def test_a_rate_that_changes_meanwhile_changes_no_number_of_ticks(organs):

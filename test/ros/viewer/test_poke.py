@@ -83,10 +83,7 @@ def test_a_held_tool_publishes_until_it_is_released(graph):
     listener.node.create_publisher(PoseStamped, "left/measured_cp", qos_profile_sensor_data)
     assert listener.spin_until(lambda: tool.rivals() == 1)
     tool.release()
-    listener.spin(0.5)
-    heard.clear()
-    listener.spin(0.3)
-    assert not heard
+    assert listener.hears_no_more(heard)
     listener.close()
 
 

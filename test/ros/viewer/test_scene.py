@@ -9,7 +9,7 @@ pytest.importorskip("viser")
 from helpers.ros.stand_in import ball
 from tissue_sim.ros.shared.appearance import SCALE, TISSUE
 from tissue_sim.ros.viewer.coloured_surface import light_of
-from tissue_sim.ros.viewer.scene import LABEL_GAP, VIEW, InclusionView, LigamentView, OrganView, label_place
+from tissue_sim.ros.viewer.scene import LABEL_GAP, LATER, VIEW, InclusionView, LigamentView, OrganView, label_place
 
 
 class Handle:
@@ -49,7 +49,13 @@ class Server:
         return np.asarray(mesh.vertices), np.asarray(mesh.visual.vertex_attributes["color"])[:, :3]
 
 
-def test_what_is_drawn_is_seen_from_the_next_turn_on_and_one_surface_at_any_time():
+def turn(view):
+    """Turn until what was drawn last is shown."""
+    for _ in range(LATER):
+        view.turn()
+
+
+def test_what_is_drawn_is_seen_some_turns_later_and_one_surface_at_any_time():
     server, (vertices, triangles) = Server(), ball()
     view = OrganView(server, vertices, triangles)
     before = server.seen()[0]
@@ -57,14 +63,32 @@ def test_what_is_drawn_is_seen_from_the_next_turn_on_and_one_surface_at_any_time
     for size in (0.004, 0.012, 0.0):
         moved = vertices + size * np.exp(-np.sum((vertices - vertices[0]) ** 2, axis=1) / 2e-4)[:, None]
         view.show(moved)
-        np.testing.assert_array_equal(server.seen()[0], before)
-        view.turn()
+        for _ in range(LATER):
+            np.testing.assert_array_equal(server.seen()[0], before)
+            view.turn()
         before = server.seen()[0]
         np.testing.assert_allclose(before, moved, atol=1e-7)
         view.turn()
         np.testing.assert_array_equal(server.seen()[0], before)
     view.remove()
     assert all(handle.removed for handle in server.drawn.values())
+
+
+@pytest.mark.parametrize("turns", [1, 2])  # pages of 40 and of 20 pictures a second
+def test_an_organ_is_in_every_picture_of_a_browser_that_takes_several_turns_at_once(turns):
+    """A browser shows nothing of a surface whose bytes are new to it: it reads them between two of its pictures."""
+    server, (vertices, triangles) = Server(), ball()
+    view, read, shown = OrganView(server, vertices, triangles), {}, []
+    for number in range(12):
+        for step in range(turns):
+            view.turn()
+            view.show(vertices + 1e-4 * (1 + number * turns + step))
+        (name,) = (name for name, handle in server.drawn.items() if handle.visible)
+        bytes_now = {name: handle.glb_data for name, handle in server.drawn.items()}
+        assert number == 0 or read[name] == bytes_now[name], "it is not to be seen yet"
+        read = bytes_now
+        shown.append(server.seen()[0][0, 0])
+    assert np.all(np.diff(shown[LATER - 1 :]) > 0.0), "and each picture is newer"
 
 
 def test_colours_run_from_the_tissues_over_the_scale():
@@ -74,7 +98,7 @@ def test_colours_run_from_the_tissues_over_the_scale():
     moved[3, 2] += 0.004
     moved[5, 2] += 0.02
     view.show(moved)
-    view.turn()
+    turn(view)
     _, colours = server.seen()
     np.testing.assert_allclose(colours[0], light_of(TISSUE), atol=0.005)
     np.testing.assert_allclose(colours[3], light_of(dict(SCALE)[4.0]), atol=0.02)
@@ -85,7 +109,7 @@ def test_what_the_breath_carries_has_not_moved_in_itself():
     server, (vertices, triangles) = Server(), ball()
     view = OrganView(server, vertices, triangles, "liver")
     view.show(vertices + [0.0, 0.0, 0.02])
-    view.turn()
+    turn(view)
     positions, colours = server.seen()
     np.testing.assert_allclose(positions, vertices + [0.0, 0.0, 0.02], atol=1e-7)
     assert np.ptp(colours, axis=0).max() == 0.0
@@ -123,7 +147,7 @@ def test_another_opacity_is_drawn_anew_once():
     assert view.set_opacity(0.4)
     assert not view.set_opacity(0.4)
     view.show(vertices)
-    view.turn()
+    turn(view)
     (one,) = (handle for handle in server.drawn.values() if handle.visible)
     assert b'"alphaMode": "BLEND"' in one.glb_data
     assert b"0.4]" in one.glb_data

@@ -1,4 +1,4 @@
-"""Triangles from mesh files: trimesh's formats, meshio's Gmsh, and readers for Gmsh 1, VTK (legacy) and SOFA's .trian.
+"""Triangles from mesh files: trimesh's formats, meshio's Gmsh, and readers for Gmsh 1, VTK and SOFA's .trian.
 
 No library that is small reads the last three as they occur: meshio 5.3 takes neither POLYDATA nor Gmsh 1, and VTK
 itself weighs 100 MB.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -22,6 +22,7 @@ from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import shown
 from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.silence import silenced
+from tissue_sim.organ.meshes import cell_surface, vtk_xml_input
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints what it puts up with
 
@@ -177,12 +178,23 @@ def _read_trian(source: Path) -> MeshFile:
     rest = np.array(words.data[words.at :].split(), dtype=np.int64)
     width = 6 if len(rest) == 6 * count else 3
     triangles = rest.reshape(count, width)[:, :3]
-    return MeshFile((Piece("", positions, _checked(triangles, n)),))
+    return MeshFile((Piece("", positions, cell_surface.checked(triangles, n)),))
 
 
 # Gmsh -----------------------------------------------------------------------------------------
 
-_GMSH_KINDS = {2: "triangle", 3: "quad", 4: "tetra"}  # of version 1, as meshio names them
+_GMSH_KINDS = {  # of version 1, as meshio names them
+    2: "triangle",
+    3: "quad",
+    4: "tetra",
+    5: "hexahedron",
+    6: "wedge",
+    7: "pyramid",
+    9: "triangle6",
+    10: "quad9",
+    11: "tetra10",
+    16: "quad8",
+}
 _ROOM, _ROOM_PER_BYTE = 1 << 28, 64  # bytes that reading a file may need, whatever its counts say
 
 
@@ -200,8 +212,7 @@ def _read_gmsh(source: Path) -> MeshFile:
         except MemoryError:
             raise ValueError("a count that is more than the file can hold") from None
         positions, cells = np.asarray(mesh.points, dtype=np.float64), mesh.cells_dict
-    corners = [cells.get(kind) for kind in _GMSH_KINDS.values()]
-    return _surface_of_cells(positions, *(None if one is None else _checked(one, len(positions)) for one in corners))
+    return _surface_of_cells(positions, cells)
 
 
 def _gmsh_1(text: bytes) -> tuple[Floats, dict[str, Longs]]:
@@ -276,19 +287,60 @@ def _read_vtk(source: Path) -> MeshFile:
             _skip_metadata(words)
         elif word in ("POINT_DATA", "CELL_DATA"):
             break
-    space = "RAS" if "SPACE=RAS" in title.upper().replace(" ", "") else ""
-    if space:
+    is_ras = "SPACE=RAS" in title.upper().replace(" ", "")
+    return _vtk_surface(positions, cells, kinds, is_ras)
+
+
+def _read_vtk_xml(source: Path) -> MeshFile:
+    """VTK's XML: polygons and strips of .vtp, or cells of .vtu."""
+    data = source.read_bytes()
+    try:
+        with np.errstate(all="ignore"), limited(_ROOM + _ROOM_PER_BYTE * len(data)):
+            grid = vtk_xml_input.read(data)
+    except MemoryError:
+        raise ValueError("a count that is more than the file can hold") from None
+    return _vtk_surface(grid.positions, grid.faces, grid.kinds, "RAS" in grid.space)
+
+
+# Cells that bound nothing or are bounds of nothing: empty, points, lines and curves.
+_VTK_IGNORED = (0, 1, 2, 3, 4, 21)
+_VTK_CELLS = {
+    5: "triangle",
+    9: "quad",
+    10: "tetra",
+    12: "hexahedron",
+    13: "wedge",
+    14: "pyramid",
+    22: "triangle6",
+    23: "quad8",
+    24: "tetra10",
+    25: "hexahedron20",
+    28: "quad9",
+}
+
+
+def _vtk_surface(
+    positions: Floats, cells: Mapping[str, tuple[Longs, Longs]], kinds: Longs | None, is_ras: bool
+) -> MeshFile:
+    """The surface of faces or cells, by the names of their sections; kinds: of CELLS."""
+    if is_ras:
         positions = positions * np.array([-1.0, -1.0, 1.0])
     if kinds is not None and "CELLS" in cells:
         offsets, corners = cells["CELLS"]
-        parts = [_rows(offsets, corners, kinds == kind, width) for kind, width in ((5, 3), (9, 4), (10, 4))]
-        found = _surface_of_cells(positions, *(_checked(part, len(positions)) for part in parts))
+        other = set(kinds.tolist()) - set(_VTK_CELLS) - set(_VTK_IGNORED)
+        if other:
+            raise ValueError(f"cells of VTK's type {min(other)}: triangulate them first")
+        widths = {kind: np.diff(offsets)[kinds == kind] for kind in _VTK_CELLS if np.any(kinds == kind)}
+        named = {
+            _VTK_CELLS[kind]: _rows(offsets, corners, kinds == kind, int(width.min())) for kind, width in widths.items()
+        }
+        found = _surface_of_cells(positions, named)
     else:
         faces = [split(*cells[word]) for word, split in _VTK_FACES.items() if word in cells]
         if not faces:
             raise ValueError("no polygons")
-        found = MeshFile((Piece("", positions, _checked(np.concatenate(faces), len(positions))),))
-    return MeshFile(found.pieces, (*found.notes, "turned from RAS to LPS")) if space else found
+        found = MeshFile((Piece("", positions, cell_surface.checked(np.concatenate(faces), len(positions))),))
+    return MeshFile(found.pieces, (*found.notes, "turned from RAS to LPS")) if is_ras else found
 
 
 def _vtk_type(word: str) -> str:
@@ -369,34 +421,10 @@ def _rows(offsets: Longs, corners: Longs, chosen: NDArray[np.bool_], width: int)
     return corners[offsets[:-1][chosen][:, None] + np.arange(width)]
 
 
-def _surface_of_cells(positions: Floats, triangles: Any, quads: Any, tetras: Any) -> MeshFile:
-    """The boundary of the tetrahedra where there are any, else the triangles and quads."""
-    if tetras is not None and len(tetras):
-        corner = positions[tetras]
-        along = np.einsum(
-            "ij,ij->i",
-            np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]),
-            corner[:, 3] - corner[:, 0],
-        )
-        tetras = np.where((along < 0.0)[:, None], tetras[:, [0, 2, 1, 3]], tetras)
-        faces = np.concatenate([tetras[:, k] for k in ([1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1])])
-        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        boundary = faces[np.sort(first[count == 1])]
-        used, inverse = np.unique(boundary, return_inverse=True)
-        note = f"took the surface of {len(tetras)} tetrahedra"
-        return MeshFile((Piece("", positions[used], inverse.reshape(-1, 3).astype(np.int64)),), (note,))
-    found = [] if triangles is None else [triangles]
-    if quads is not None and len(quads):
-        found += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
-    if not found:
-        raise ValueError("no triangles and no tetrahedra")
-    return MeshFile((Piece("", positions, np.concatenate(found)),))
-
-
-def _checked(index: Longs, count: int) -> Longs:
-    if index.size and (index.min() < 0 or index.max() >= count):
-        raise ValueError("a triangle names a point that isn't there")
-    return index
+def _surface_of_cells(positions: Floats, cells: Mapping[str, Longs]) -> MeshFile:
+    """The surface of cells by meshio's names, see `cell_surface`."""
+    points, triangles, notes = cell_surface.surface_of(positions, cells)
+    return MeshFile((Piece("", points, triangles),), notes)
 
 
 _READERS: dict[str, Callable[[Path], MeshFile]] = {
@@ -404,5 +432,7 @@ _READERS: dict[str, Callable[[Path], MeshFile]] = {
     ".msh": _read_gmsh,
     ".trian": _read_trian,
     ".vtk": _read_vtk,
+    ".vtp": _read_vtk_xml,
+    ".vtu": _read_vtk_xml,
 }
 FORMATS = tuple(sorted(_READERS))

@@ -53,7 +53,7 @@ def read_mesh(
     part: int | str | None = None,
     merge_parts: bool = False,
 ) -> SurfaceMesh:
-    """Read the closed surface of one organ from OBJ, STL, PLY, OFF, glTF, VTK (legacy), Gmsh or SOFA's .trian.
+    """Read the closed surface of one organ from OBJ, STL, PLY, OFF, glTF, VTK, Gmsh or SOFA's .trian.
 
     unit: one of `UNITS`, needed for every format but glTF, which is in metres; or longest: the longest side in metres,
     for files without a unit. part: the part to take where the mesh falls into several, by number (1 is the

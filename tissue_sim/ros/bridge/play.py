@@ -51,9 +51,11 @@ def run(args: argparse.Namespace) -> int:
     from shape_msgs.msg import Mesh
 
     from tissue_sim.ros.bridge.player import Player, cast
+    from tissue_sim.ros.bridge.registration import Registration
     from tissue_sim.ros.bridge.scripted_tool import ScriptedTool
     from tissue_sim.ros.bridge.trajectory import plan
     from tissue_sim.ros.shared.node_parameters import NodeParameters
+    from tissue_sim.ros.shared.tool_link import ToolLink
 
     with client.Stop() as stop, client.client_node("haptic_bridge", args.node) as node:
         parameters = NodeParameters(node, args.node)
@@ -71,7 +73,14 @@ def run(args: argparse.Namespace) -> int:
         tools = [ScriptedTool(node, link, link.tool.name in jaws) for link in links]
         organ: Any = client.mesh_arrays(mesh)
         client.wait_until(lambda: all(tool.heard for tool in tools), MATCHING, stop)
-        player = Player(tools, args.seconds)
+        registration = Registration(node, args.node, parameters)
+
+        def relinked() -> dict[str, ToolLink]:
+            told = registration.poll() or {}
+            found = {link.tool.name: ToolLink.told(told, link.tool.name, args.node) for link in links}
+            return {name: link for name, link in found.items() if link is not None}
+
+        player = Player(tools, args.seconds, relinked)
         while organ is not None:
             vertices, triangles = organ
             path = plan(vertices, triangles, radius, [tool.name for tool in tools], script, jaws, args.rate)

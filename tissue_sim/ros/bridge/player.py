@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,10 +56,18 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
 
 
 class Player:
-    """Sends a path's poses for so many seconds; late ones are left out, so that speeds stay true."""
+    """Sends a path's poses for so many seconds; late ones are left out, so that speeds stay true.
 
-    def __init__(self, tools: Sequence[ScriptedTool], seconds: float | None) -> None:
-        self._tools = tools
+    relinked: asked before each pose, gives the tools' links anew, by their names, where the organ was moved.
+    """
+
+    def __init__(
+        self,
+        tools: Sequence[ScriptedTool],
+        seconds: float | None,
+        relinked: Callable[[], Mapping[str, ToolLink]] = dict,
+    ) -> None:
+        self._tools, self._relinked = tools, relinked
         self._end = np.inf if seconds is None else time.monotonic() + seconds
         self.skipped = 0
         self._told: set[str] = set()  # of which tools it was told that others move them
@@ -94,6 +102,10 @@ class Player:
                 sys.stderr.write(f"tissue_sim bridge: {what}\n")
 
     def _send(self, poses: Floats, angles: Floats, deadline: float) -> None:
+        links = self._relinked()
+        for tool in self._tools:
+            if tool.name in links:
+                tool.renew(links[tool.name])
         if (ahead := deadline - time.monotonic()) > 0.0:
             time.sleep(ahead)
         stamp = time.time_ns()

@@ -31,6 +31,10 @@ class ScriptedTool:
         self.sent = self.received = 0
         self.peak = 0.0  # N, largest force so far
 
+    def renew(self, link: ToolLink) -> None:
+        """Lead the poses that follow to where the organ is now, by a link of the same topics."""
+        self._writer = PoseWriter(link)
+
     def publish(self, stamp: int, pose: Floats) -> None:
         """Send a pose (7,) in the organ's frame, m and quaternion x y z w, with a stamp in ns."""
         self._publisher.publish(self._writer.message(stamp, pose.tolist()))

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
+from tissue_sim.array_types import Floats
 from tissue_sim.contact.quaternions import rotate
 from tissue_sim.errors import shown
 from tissue_sim.ros.bags.recorder import Recorder
@@ -110,12 +111,25 @@ class ToolInput:
         """Publishers of its poses."""
         return self._count_publishers(self.topic)
 
-    def place(self, values: tuple[float, ...]) -> None:
-        """Take up a pose (7,) in the organ's frame that no message brought. Raises Refused where it can't be used."""
+    def place(self, values: tuple[float, ...], frame_id: str, to_organ: Transform) -> None:
+        """Take up a pose (7,) in the organ's frame that no message brought.
+
+        Raises Refused where it can't be used.
+
+        Parameters
+        ----------
+        values : x, y, z in m and a quaternion xyzw
+        frame_id, to_organ
+            The frame that it was given in, and the transform from that.
+        """
         if not all(map(math.isfinite, values)):
             raise Refused("nan_pose", "it holds a value that is not finite")
-        before = self._tool.nowhere
-        self._take(Stamped(UNSTAMPED, "", values), before.frame_id, before.to_organ, b"")
+        self._take(Stamped(UNSTAMPED, "", values), frame_id, to_organ, b"")
+
+    def move_newest(self, pose: Floats, to_organ: Transform) -> None:
+        """Say where a tool is now that the ticks have forgotten: at a pose (7,) in the organ's frame."""
+        placed = self._tool.tools.poses(self._tool.index, pose, self._angle)
+        self.newest = self.newest._replace(pose=pose, placed=placed, to_organ=to_organ)
 
     def newest_messages(self) -> dict[str, tuple[int, bytes]]:
         """Sequence number and bytes of what came last, by its topic in a bag."""

@@ -86,18 +86,31 @@ class ToolPort:
             raise UserError(f"tool '{self.name}' is moved by its bridge, which publishes {self.input.topic}")
         tool = self._tool
         to_organ = Transform() if frame_id == tool.organ_frame else tool.frames.to_organ(frame_id).scaled(1.0)
-        self.input.place(to_organ.of(pose))
+        self.input.place(to_organ.of(pose), frame_id, to_organ)
 
     def renew_frames(self, frames: Frames) -> None:
         """Lead poses to the organ as other frames do, from the next one on, and wrenches at once.
 
-        To be called by the executor's thread, which takes the poses.
+        A tool that no bridge moves stays where it is in the frame that its pose came in. To be called by the executor's
+        thread, which takes the poses.
         """
         self._tool.frames.become(frames)
+        newest = self.input.newest
         with suppress(UnknownFrame):  # one that tf no longer has: the next pose is refused
-            newest = self.input.newest
-            self.input.newest = newest._replace(to_organ=frames.to_organ(newest.frame_id))
+            to_organ = frames.to_organ(newest.frame_id)
+            if self.input.poses and not self.input.bridges:
+                self._stay(newest, to_organ.scaled(1.0))
+            else:
+                self.input.newest = newest._replace(to_organ=to_organ)
             self.output.renew(self.input.newest)
+
+    def _stay(self, newest: NewestPose, to_organ: Transform) -> None:
+        """Take a pose up anew in its frame, from which another transform leads to the organ now."""
+        pose = to_organ.of(newest.to_organ.scaled(1.0).inverse().of(newest.pose.tolist()))
+        if self.pose_freshness.is_fresh:
+            self.input.place(pose, newest.frame_id, to_organ)
+        else:  # the ticks have forgotten it
+            self.input.move_newest(np.array(pose), to_organ)
 
     def moving_frames(self, pose: NewestPose) -> Placed:
         """The frames that a pose of the tool places."""

@@ -16,6 +16,7 @@ from tissue_sim.array_types import Floats
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.node_parameters import NodeParameters
 from tissue_sim.ros.shared.parameters import TOLD
+from tissue_sim.ros.viewer.pace import Pace
 from tissue_sim.ros.viewer.panel import SOLID, TRANSLUCENT, Panel, detail, headline
 from tissue_sim.ros.viewer.scene import FIELD_OF_VIEW, LigamentView, camera_for, light
 from tissue_sim.ros.viewer.services import Services
@@ -53,6 +54,7 @@ class Viewer:
         self._seen_by: set[int] = set()  # pages whose cameras see all of these
         self._lines: client.Inbox | None = None  # of a scene's ligaments
         self._ligaments = LigamentView(server)
+        self._pace = Pace(server.get_clients)
         server.scene.set_up_direction("+z")
         light(server)
         server.initial_camera.fov = FIELD_OF_VIEW
@@ -86,7 +88,13 @@ class Viewer:
 
     def close(self) -> None:
         """Let go of every tool."""
+        self._pace.close()
         self.tools.close()
+
+    @property
+    def picture_time(self) -> float:
+        """Return the s that the slowest page needs from one picture to the next."""
+        return self._pace.picture_time
 
     def _name(self, names: tuple[str, ...]) -> None:
         """View the organs of these names, which a node has told."""

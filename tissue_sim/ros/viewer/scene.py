@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ VIEW = np.array([0.55, -1.0, 0.3])  # from the organ to the camera: from the fro
 PANEL, NARROW = 350, 600  # pixels that the panel takes; width of a page up to which it lies below
 FILLED, FITTED = 0.8, 6  # of the room, by the surface; rounds of fitting the camera to it
 LABEL_GAP = 0.01  # m from an organ to its name
+LATER = 2  # turns from when a surface is sent to when it is shown, in which a browser has to read it
 
 
 def picture_axes() -> tuple[Floats, Floats, Floats]:
@@ -98,8 +100,9 @@ def light(server: viser.ViserServer) -> None:
 class OrganView:
     """A deforming surface, coloured by displacement: vertices at rest (n, 3) m, triangles (t, 3); name: in a scene.
 
-    rest, triangles: those. There are two of it, of which one is seen. What is new goes to the other, which a browser
-    needs a moment to read; the turn after that one is shown. So nothing flickers.
+    rest, triangles: those. A browser shows nothing of a surface that it is reading. So there are several, of which one
+    is seen; what is new goes to one that is hidden, and is shown LATER turns after that. A browser that takes up to
+    LATER turns at once has then read it before, and nothing flickers.
     """
 
     def __init__(self, server: viser.ViserServer, vertices: Floats, triangles: Longs, name: str = "") -> None:
@@ -110,11 +113,12 @@ class OrganView:
         self._opacity = 1.0
         self._surface = ColouredSurface(self.rest, triangles)
         first = self._surface.message(self.rest, np.tile(self._shades[0], (len(self.rest), 1)))
-        self._seen, self._other = (
-            server.scene.add_glb(f"{below}/{which}", first, visible=seen, cast_shadow=False, receive_shadow=False)
-            for which, seen in (("one", True), ("other", False))
+        self._seen, *hidden = (
+            server.scene.add_glb(f"{below}/{k}", first, visible=k == 0, cast_shadow=False, receive_shadow=False)
+            for k in range(LATER + 1)
         )
-        self._is_new = False  # the one that isn't seen
+        self._hidden, self._turns = hidden, 0
+        self._sent: deque[tuple[int, Any]] = deque()  # the turn at which each is shown, and the surface
         # A name that lies behind another organ is not to be taken for that one's.
         self._label = (
             server.scene.add_label(f"{below}/name", name, position=label_place(self.rest, self.rest), depth_test=True)
@@ -128,22 +132,30 @@ class OrganView:
             self._label.position = label_place(self.rest, others)
 
     def turn(self) -> None:
-        """Show what was drawn last time."""
-        if self._is_new:
-            self._other.visible, self._seen.visible = True, False
-            self._seen, self._other, self._is_new = self._other, self._seen, False
+        """Show what was drawn LATER turns ago."""
+        self._turns += 1
+        while self._sent and self._sent[0][0] <= self._turns:
+            _, new = self._sent.popleft()
+            new.visible, self._seen.visible = True, False
+            self._hidden.append(self._seen)
+            self._seen = new
 
     def show(self, positions: Floats, eye: Floats | None = None) -> None:
-        """Draw the surface at positions (n, 3) m, to be seen from the next turn on; eye: (3,) m, who looks from there.
+        """Draw the surface, to be seen LATER turns from now on; once a turn.
 
-        What shines through a translucent fold is right for that eye.
+        Parameters
+        ----------
+        positions : (n, 3) m
+        eye : (3,) m, who looks from there; what shines through a translucent fold is right for that eye
         """
         moved = positions - self.rest
         if self._is_carried:  # by the breath: as most of it is
             moved = moved - np.median(moved, axis=0)
         share = np.linalg.norm(moved, axis=1) / FULL_DISPLACEMENT
         place = (np.minimum(share, 1.0) * (len(self._shades) - 1)).astype(np.int64)
-        self._other.glb_data, self._is_new = self._surface.message(positions, self._shades[place], eye), True
+        new = self._hidden.pop(0)
+        new.glb_data = self._surface.message(positions, self._shades[place], eye)
+        self._sent.append((self._turns + LATER, new))
 
     def set_opacity(self, opacity: float) -> bool:
         """Let what is within shine through: 1 hides it; returns whether it is to be drawn anew for that."""
@@ -154,8 +166,8 @@ class OrganView:
 
     def remove(self) -> None:
         """Take it out of the picture."""
-        self._seen.remove()
-        self._other.remove()
+        for one in (self._seen, *self._hidden, *(surface for _, surface in self._sent)):
+            one.remove()
         if self._label is not None:
             self._label.remove()
 

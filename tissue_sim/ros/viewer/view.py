@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             due = time.monotonic()
             while not stop:
-                period = FRAME_TIME if viewer.update() else IDLE_TIME
+                period = max(FRAME_TIME, viewer.picture_time) if viewer.update() else IDLE_TIME
                 now = time.monotonic()
                 due = max(due + period, now + 0.001)
                 time.sleep(due - now)

@@ -1,0 +1,122 @@
+"""No command is silent while its work takes long: each is slowed somewhere, and a line has to come meanwhile.
+
+Time is a test's own. Work that takes long is a function that lets it pass, and looks whether a line is due where the
+thread that tells would: not where none runs.
+"""
+
+import importlib
+
+import numpy as np
+import pytest
+import trimesh
+
+from helpers.scenes import ball
+from tissue_sim import progress
+from tissue_sim.bench import timing
+from tissue_sim.cli import main
+
+SLOW = 11.0  # s: longer than from one line to the next
+
+
+class Over(Exception):
+    """What has been shown ends here."""
+
+
+class Clock:
+    """A time that goes on when it is told to."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def monotonic(self):
+        return self.now
+
+    def pass_by(self, seconds):
+        """Let time pass as work does that tells nothing by itself."""
+        self.now += seconds
+        teller = progress._teller
+        if teller._ticker is not None:
+            teller.look()
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(progress, "_teller", progress._Teller())
+    monkeypatch.setenv(progress.SETTING, "")
+    return clock
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Small inputs in the current folder: a surface, an organ, loads."""
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.icosphere(subdivisions=3, radius=30.0).export("ball.stl")
+    organ = ball(2)
+    organ.save("ball.npz")
+    np.savez("loads.npz", forces=np.zeros((1, organ.n_surface, 3)))
+
+
+COMMANDS = {
+    "build: before anything is read": (
+        "build --surface ball.stl --unit mm --out o.npz",
+        "commands.build.organ_from_mesh",
+    ),
+    "build: the report": (
+        "build --surface ball.stl --unit mm --out o.npz --report",
+        "organ.reporting.page.write_report",
+    ),
+    "calibrate: the first reference": ("calibrate ball.npz --out o.npz", "commands.calibrate.calibrate"),
+    "solve: compiling": ("solve ball.npz --loads loads.npz --out o.npz", "model.simulation.Simulation.step"),
+    "replay: a bag": ("replay ball.npz", "ros.bags.replay.replay_bag"),
+    "bench tick: its process": ("bench tick ball.npz", "bench.tick_times.measure"),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_line_comes_while_a_command_works(name, clock, files, monkeypatch, capsys):
+    words, slowed = COMMANDS[name]
+    told = []
+
+    def work(*_, **__):
+        capsys.readouterr()
+        for _ in range(2):
+            clock.pass_by(SLOW)
+        told.extend(capsys.readouterr().err.splitlines())
+        raise Over
+
+    def within(function, *given):
+        """In place of a process of its own, which is handed the command's name."""
+        return timing._measured(progress.name_of_all(), function, given)[0]
+
+    monkeypatch.setattr("tissue_sim.bench.tick_times.in_one_thread", within)
+    monkeypatch.setattr("tissue_sim.commands.build.organ_from_mesh", lambda *_, **__: ball(2))
+    owner, _, attribute = slowed.rpartition(".")
+    monkeypatch.setattr(found(owner), attribute, work)
+    main(words.split())
+    command = " ".join(words.split()[: 2 if words.startswith("bench") else 1])
+    assert len(told) == 2, told
+    assert all(line.startswith(command) for line in told), told
+
+
+def found(name):
+    """A module of tissue_sim, or a class in one."""
+    try:
+        return importlib.import_module(f"tissue_sim.{name}")
+    except ModuleNotFoundError:
+        module, _, attribute = name.rpartition(".")
+        return getattr(importlib.import_module(f"tissue_sim.{module}"), attribute)
+
+
+def test_a_line_comes_between_the_rounds_of_what_is_timed(clock, capsys):
+    """No thread runs beside these: what tells are the steps, however short each is."""
+
+    def burst(count):
+        clock.pass_by(0.5)
+        return np.full(count, 0.5)
+
+    with progress.task("bench tick"):
+        timing.interleave(timing.Phase({"ours": burst, "theirs": burst}, 60.0, "poked"))
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bench tick: poked")]
+    assert len(told) >= (clock.now - 1000.0) // (progress.PERIOD + 1.0) - 1, told
