@@ -1,6 +1,7 @@
 """Presses that are fast, late or in one jump: none is lost, by ticks; and the benchmark finds those that are."""
 
 import json
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -41,8 +42,10 @@ class Ticks:
 
     gap = 0.0
 
-    def __init__(self, tool):
+    def __init__(self, tool, friction=None):
         self.scene = Scene(kidney(), [tool], ticks_a_set=4)
+        if friction is not None:
+            self.scene.simulation.settings.friction = friction
 
     def press(self, poses, rate):
         self.scene.reset()
@@ -60,13 +63,30 @@ class Ticks:
         return self.scene.wrenches[0, :3].copy()
 
 
-def pressed(name, tried, count=2):
+def pressed(name, tried, count=2, friction=None, radii=None):
+    """Forces of presses; radii: how deep, of the tool's radius, instead of the benchmark's depth."""
     form = next(one for one in forms() if one.name == name)
-    presser = Ticks(TOOLS[name])
+    if radii is not None:
+        form = Shallow(*form, radii)
+    presser = Ticks(TOOLS[name], friction)
     found = []
     for place in places_on(kidney(), count):
         found += at_place(presser, form, place, tried, Task("presses", None))
     return found
+
+
+class Shallow(NamedTuple):
+    """A form that is pressed in by some radii."""
+
+    name: str
+    parameters: tuple[str, ...]
+    radius: float
+    ahead: float
+    radii: float
+
+    @property
+    def depth(self):
+        return self.radii * self.radius
 
 
 EXTENDED = ("sphere, 5 mm",)  # between the small sphere and the gripper
@@ -81,6 +101,14 @@ def test_no_press_is_lost(name):
     figures = as_json(found)
     assert figures["all"]["lost"] == 0
     assert figures["all"]["median_off_percent"] < 10.0
+
+
+def test_friction_alone_remembers_how_a_tool_came():
+    """Without it every press ends with the slow one's force; with it, a radius deep, nearly."""
+    free = as_json(pressed("sphere, 5 mm", FAST[::3], count=1, friction=0.0))
+    assert free["all"]["worst_off_percent"] < 1.0
+    held = as_json(pressed("sphere, 5 mm", FAST[::3], count=1, radii=1.0))
+    assert 0.5 < held["all"]["worst_off_percent"] < 5.0
 
 
 def test_a_hand_that_falls_through_is_found(monkeypatch):

@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from tissue_sim.bench.soak import MOST_DRIFT, memory_of
+from tissue_sim.bench.soak import MOST_DRIFT, Soaked, as_json, memory_of
+from tissue_sim.bench.soak_bag import BagFound
 from tissue_sim.cli import main
+from tissue_sim.ros.probes.soak_watch import Sample
 from tissue_sim.ros.shared.priority import is_allowed
 from tissue_sim.ros.shared.report import STARVED
 
@@ -35,3 +37,25 @@ def test_growth_of_memory_is_that_between_the_second_and_the_last_minute():
     assert leaking["slope_mb_per_hour"] == pytest.approx(36.0)
     assert leaking["growth_mb"] == pytest.approx(0.01 * (570.0 - 89.5), rel=0.02)
     assert memory_of(seconds[:100], np.ones(100))["growth_mb"] is None
+
+
+def test_each_figure_has_its_bound():
+    samples = [Sample(second, 100.0, 10.0, 1000 * second, 0, 50.0, 0) for second in range(400)]
+    bag = BagFound(1000, 10, 0, 0, 2.0, 5, 5)
+    turns = [(4.0, np.zeros(4000))]
+    good = Soaked("kidney", 6.0, 0, samples, turns, 1e-8, 3.3, bag, {}, [], True)
+
+    def missed(**changed):
+        return [bound["name"] for bound in as_json(good._replace(**changed))["bounds"] if not bound["met"]]
+
+    assert missed() == []
+    assert missed(drift=1e-3) == ["drift of the shape at rest"]
+    assert missed(clamp=1.0) == ["highest force"]
+    assert missed(bag=bag._replace(missing=1)) == ["messages that the bag lacks"]
+    assert missed(problems={"faults": 2}) == ["problems in the diagnostics"]
+    assert missed(repeats=False) == ["replay that does not repeat"]
+    late = [one._replace(late=10 * one.ticks // 1000) for one in samples]
+    assert missed(samples=late) == ["ticks late by more than a period"]
+    assert missed(samples=[one._replace(megabytes=100.0 + 0.1 * one.seconds) for one in samples]) == [
+        "growth of the node's own memory"
+    ]

@@ -17,7 +17,7 @@ from tissue_sim.contact.finder import (
     edge_and_face_points,
     reach_margins,
 )
-from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance
+from tissue_sim.contact.local_compliance import OF_OTHERS, local_compliance, most_give
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import MARGIN, Tool, ToolSet
 from tissue_sim.model.contact_set import MOST_POINTS, Engaged
@@ -179,6 +179,28 @@ def test_a_jaw_finds_points_as_close_together_as_each_triangle_asks_for(tmp_path
         assert len(rows) == (m - 1) * (m - 2) // 2
         wanted = m**2 * np.einsum("kc,kcx->kx", found.weight[rows], local[found.node[rows]])
         np.testing.assert_allclose(found.compliance[rows], wanted)
+
+
+def test_tissue_gives_way_to_a_jaw_as_far_as_the_points_around_lie_close_not_as_those_of_the_coarsest_triangle(
+    tmp_path,
+):
+    organ = ball(2)
+    corner = organ.surface_positions[organ.surface_triangles]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    radius = 0.5 * float(longest.min() + longest.max()) / (2.0 * OF_OTHERS.spacing)
+    trimesh.creation.box((0.06, 0.06, 2.0 * radius)).export(tmp_path / "jaw.stl")
+    finder = make_finder(organ, Tool("left", shape="mesh", mesh=str(tmp_path / "jaw.stl")))
+    found = find(finder, organ, over(organ, (0.0, 0.0, 1.0), radius), margins=[0.1])
+    parts = np.array([divisions_of(edge / (OF_OTHERS.spacing * radius)) for edge in longest])
+    own = most_give(OF_OTHERS, organ, radius, longest / parts)
+    assert own.max() > 1.5 * own.min()
+    inner = np.count_nonzero(found.weight > 0.0, axis=1) == 3
+    for triangle, room in zip(organ.surface_triangles, own, strict=True):
+        rows = inner & (np.sort(found.node, axis=1) == np.sort(triangle)).all(axis=1)
+        np.testing.assert_allclose(found.most_give[rows], room, rtol=1e-6)
+    at_node = found.weight.max(axis=1) == 1.0
+    for node, room in zip(found.node[at_node, 0], found.most_give[at_node], strict=True):
+        assert room == pytest.approx(own[(organ.surface_triangles == node).any(axis=1)].min(), rel=1e-6)
 
 
 def test_tool_that_is_not_engaged_has_no_entries():

@@ -44,7 +44,10 @@ BENCHMARKS = {
         "tissue_sim.bench.haptics",
         "a device in the loop: how stiff a coupling it bears, by pose rate and delay",
     ),
-    "palpation": ("tissue_sim.bench.palpation", "a finger feels for a tumour, against nonlinear finite elements"),
+    "palpation": (
+        "tissue_sim.bench.palpation.command",
+        "a finger feels for a tumour, against nonlinear finite elements",
+    ),
     "breathing": ("tissue_sim.bench.breathing", "an organ whose clamp breathes, against implicit finite elements"),
     "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),
     "scene": (

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,22 @@ LEAST_SAMPLES = 2  # between which anything can be told
 MOST_DRIFT, MOST_GROWTH = 1e-6, 1.0  # m, MB
 
 
+class Soaked(NamedTuple):
+    """What was seen of a node that was used for a long time."""
+
+    organ: str  # its name
+    minutes: float
+    priority: int  # real-time priority of the node's loop and of the bare one
+    samples: Sequence[Sample]
+    turns: Sequence[tuple[float, Floats]]  # of the bare loop: when each began, s, and how late its ticks were, s
+    drift: float  # m, of the shape at rest
+    clamp: float  # N, the largest force that the node may publish
+    bag: BagFound
+    problems: dict[str, int]  # counters of the diagnostics that are not 0
+    failures: Sequence[str]  # what the diagnostics called an error
+    repeats: bool | None  # whether a replay shows what the bag does; None where it was not replayed
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, out="folder for a plot of memory and lateness over time", check=True)
@@ -58,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--minutes {args.minutes:g} is outside {SHORTEST:g}..{LONGEST:g}")
     with tempfile.TemporaryDirectory(prefix="tissue_sim-soak-") as folder:
         bag_folder = Path(args.bag_folder or folder).absolute()
-        found = measure(args.organ, args.minutes, bag_folder, args.realtime_priority, replays=args.replay)
+        found = as_json(measure(args.organ, args.minutes, bag_folder, args.realtime_priority, replays=args.replay))
     emit(found, text(found), args.json)
     if args.out and not rows.stopped():
         from tissue_sim.bench.soak_plot import write_plot
@@ -72,8 +88,8 @@ def run(args: argparse.Namespace) -> int:
 
 def measure(
     organ_file: str | None, minutes: float, folder: Path, priority: int = 0, *, replays: bool = False
-) -> dict[str, Any]:
-    """Figures of a node that is used for so many minutes, with its bag in a folder.
+) -> Soaked:
+    """Use a node for so many minutes, with its bag in a folder, and look at it meanwhile and at the end.
 
     priority: real-time priority of the node's loop and of the bare one. Raises UserError when rclpy is not installed,
     the system allows no such priority, the node does not start or ends, or the bag can't be read.
@@ -104,7 +120,7 @@ def measure(
         served.stop()
         if served.exit_code != 0:
             raise UserError(f"the node did not end as it should: {served.last_words()}")
-    return as_json(
+    return Soaked(
         organ=organ.name,
         minutes=round((samples[-1].seconds - samples[0].seconds) / 60.0, 2) if rows.stopped() else minutes,
         priority=priority,
@@ -204,25 +220,9 @@ def memory_of(seconds: Sequence[float], megabytes: Sequence[float]) -> dict[str,
     }
 
 
-def as_json(
-    *,
-    organ: str,
-    minutes: float,
-    priority: int,
-    samples: Sequence[Sample],
-    turns: Sequence[tuple[float, Floats]],
-    drift: float,
-    clamp: float,
-    bag: BagFound,
-    problems: dict[str, int],
-    failures: Sequence[str],
-    repeats: bool | None = None,
-) -> dict[str, Any]:
-    """All figures, and the bounds that they are held against.
-
-    turns: of the bare loop, when each began, s, and how late its ticks were, s; drift: m, of the shape at rest; clamp:
-    N; problems: counters of the diagnostics that are not 0; failures: what they called an error.
-    """
+def as_json(soaked: Soaked) -> dict[str, Any]:
+    """Return all figures, and the bounds that they are held against."""
+    samples, turns, bag, problems, repeats = soaked.samples, soaked.turns, soaked.bag, soaked.problems, soaked.repeats
     first, last = samples[0], samples[-1]
     done, late = last.ticks - first.ticks, last.late - first.late
     bare_late: Floats = np.concatenate([own for _, own in turns]) if turns else np.zeros(0)
@@ -232,12 +232,12 @@ def as_json(
     memory = memory_of(seconds, [one.megabytes for one in samples])
     dropped = last.dropped - first.dropped
     bounds = [
-        Bound("drift of the shape at rest", drift, MOST_DRIFT, "m"),
+        Bound("drift of the shape at rest", soaked.drift, MOST_DRIFT, "m"),
         Bound("growth of the node's own memory", memory["growth_mb"], MOST_GROWTH, "MB"),
-        Bound("highest force", bag.highest_force, clamp, "N"),
+        Bound("highest force", bag.highest_force, soaked.clamp, "N"),
         Bound("wrenches and surfaces that are not finite", bag.not_finite, 0.0, ""),
         Bound("messages that the bag lacks", bag.missing, 0.0, ""),
-        Bound("problems in the diagnostics", sum(problems.values()) + len(failures), 0.0, ""),
+        Bound("problems in the diagnostics", sum(problems.values()) + len(soaked.failures), 0.0, ""),
         Bound("ticks given up", dropped, 0.0, ""),
     ]
     if bare_share is not None:
@@ -245,18 +245,18 @@ def as_json(
     if repeats is not None:
         bounds.append(Bound("replay that does not repeat", float(not repeats), 0.0, ""))
     return {
-        "organ": organ,
-        "minutes": minutes,
+        "organ": soaked.organ,
+        "minutes": soaked.minutes,
         "rate_hz": RATE,
-        "realtime_priority": priority,
-        "drift_m": drift,
+        "realtime_priority": soaked.priority,
+        "drift_m": soaked.drift,
         "memory": memory,
         "shared_memory": memory_of(seconds, [one.shared_megabytes for one in samples]),
-        "force_clamp_n": clamp,
+        "force_clamp_n": soaked.clamp,
         "bag": bag._asdict(),
         "repeats": repeats,
         "problems": problems,
-        "failures": list(failures),
+        "failures": list(soaked.failures),
         "late": {
             "node_percent": node_share,
             "bare_percent": bare_share,

@@ -198,27 +198,27 @@ def swelling(phase: Any) -> float:
     return share
 
 
+class _Load(NamedTuple):
+    """What acts on an organ while its ticks are timed."""
+
+    nodes: NDArray[np.int64]  # (k,)
+    forces: Floats  # (k, 3) N
+    steady: bool  # all of it in every tick; else it swells and ebbs
+    phase: NDArray[np.int64]  # (1,) tick of the swelling
+
+
 @numba.njit(nogil=True, error_model="numpy")
-def _time_ticks(
-    world: Any,
-    nodes: Any,
-    forces: Any,
-    phase: Any,
-    steady: bool,
-    guarded: bool,
-    clock: Any,
-    times: Any,
-) -> None:
-    """Step len(times) ticks and write the ns that each took, or its guard alone.
+def _time_ticks(world: Any, load: Any, guarded: bool, clock: Any, times: Any) -> None:
+    """Step len(times) ticks under a _Load and write the ns that each took, or its guard alone.
 
     In a compiled loop, as in the node, so that no call from Python is in the figure. Not kept on disk, where nothing
     would tell that the kernels of the model, in another layer, have changed.
     """
     model, state, settings, scratch = world.model, world.state, world.settings, world.scratch
     for index in range(len(times)):
-        if len(nodes) > 0:
-            share = swelling(phase)
-            load_nodes(state, nodes, (1.0 if steady else share) * forces)
+        if len(load.nodes) > 0:
+            share = swelling(load.phase)
+            load_nodes(state, load.nodes, (1.0 if load.steady else share) * load.forces)
         for tool in range(len(state.body_pose)):
             goal = state.body_goal[tool].copy()
             take_pose(world, tool, goal, 0, state.bodies[tool].pose_sequence + 1)
@@ -248,32 +248,28 @@ class Ticks:
         guard: bool = False,
     ) -> None:
         self.simulation = simulation
-        self.steady, self.guard = steady, guard
-        self._load = np.asarray(nodes, dtype=np.int64), np.ascontiguousarray(forces, dtype=np.float64)
-        self._phase = np.full(1, _LOAD_PERIOD // 4)
+        self.guard = guard
+        self._load = _Load(
+            np.asarray(nodes, dtype=np.int64),
+            np.ascontiguousarray(forces, dtype=np.float64),
+            steady,
+            np.full(1, _LOAD_PERIOD // 4),
+        )
         self._clock = np.zeros(2, dtype=np.int64)
 
     def swing(self) -> None:
         """From rest, raise the load and let it ebb once, without measuring."""
         self.simulation.reset()
-        self._phase[0] = 0
+        self._load.phase[0] = 0
         self(_LOAD_PERIOD)
 
     def __call__(self, count: int) -> Floats:
         """Seconds (count,) of count ticks; two more before them warm the caches and don't count."""
         simulation = self.simulation
-        if self.steady:
+        if self._load.steady:
             simulation.reset()
         times = np.zeros(count + 2, dtype=np.int64)
-        _time_ticks(
-            simulation.world,
-            *self._load,
-            self._phase,
-            self.steady,
-            self.guard,
-            self._clock,
-            times,
-        )
+        _time_ticks(simulation.world, self._load, self.guard, self._clock, times)
         return np.maximum(1e-9 * times[2:] - clock_cost(), 0.0)
 
 

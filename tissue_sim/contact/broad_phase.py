@@ -91,13 +91,14 @@ class Fineness(NamedTuple):
     """How close together a body finds contact points."""
 
     parts: Any  # (t,) in how many parts the edges of each triangle are divided
-    share: Any  # (t,) how many times as far as told of its nodes its points give way, and
-    corner_share: Any  # (n,) the corners
+    give: Any  # (t, 2) how many times as far as its nodes' compliance has it its points give way; how far at most, m
+    corner_give: Any  # (n, 2) the same of the corners
 
 
 class Search(NamedTuple):
     """What contact points are looked for: those of a body at origin (3,), rotation (9,), within reach, m."""
 
+    position: Any  # (n, 3) m of the nodes
     shapes: Any
     body: int
     lattices: Lattices
@@ -115,11 +116,11 @@ class Found(NamedTuple):
     node: Any  # (c, 3)
     weight: Any  # (c, 3) barycentric
     normal: Any  # (c, 3) outward unit normals of the tissue
-    share: Any  # (c,) see Fineness
+    give: Any  # (c, 2) see Fineness
 
 
 @kernel
-def points_near(position: Any, near: Any, number: Any, search: Any, seen: Any, found: Any, count: int) -> int:
+def points_near(near: Any, number: Any, search: Any, seen: Any, found: Any, count: int) -> int:
     """Find the points of triangles near (t, 3) that lie within reach of a body: corners, and those of their lattices.
 
     number (t,): which triangles they are. The points are written after the first `count` as far as there is room;
@@ -130,21 +131,21 @@ def points_near(position: Any, near: Any, number: Any, search: Any, seen: Any, f
         for c in range(3):
             for axis in range(3):
                 search.normal[near[t, c], axis] = 0.0
-    add_normals(position, near, search.normal)
+    add_normals(search.position, near, search.normal)
     for t in range(len(near)):
         nodes = near[t, 0], near[t, 1], near[t, 2]
         for c in range(3):
             node = nodes[c]
             if seen[node] == 0:
                 seen[node] = 1
-                share = fineness.corner_share[node]
-                count = _add_point(position, (node, node, node), (1.0, 0.0, 0.0), share, search, found, count)
-        parts, share = fineness.parts[number[t]], fineness.share[number[t]]
+                give = fineness.corner_give[node]
+                count = _add_point((node, node, node), (1.0, 0.0, 0.0), give, search, found, count)
+        parts, give = fineness.parts[number[t]], fineness.give[number[t]]
         for point in range(lattices.start[parts], lattices.start[parts + 1]):
             edge, weight = lattices.edge[point], lattices.weight[point]
             # A point on an edge belongs to two triangles; it is taken from the one that runs along it.
             if edge < 0 or nodes[(edge + 1) % 3] < nodes[(edge + 2) % 3]:
-                count = _add_point(position, nodes, (weight[0], weight[1], weight[2]), share, search, found, count)
+                count = _add_point(nodes, (weight[0], weight[1], weight[2]), give, search, found, count)
     for t in range(len(near)):
         for c in range(3):
             seen[near[t, c]] = 0
@@ -152,11 +153,11 @@ def points_near(position: Any, near: Any, number: Any, search: Any, seen: Any, f
 
 
 @kernel
-def _add_point(position: Any, nodes: Any, weight: Any, share: float, search: Any, found: Any, count: int) -> int:
+def _add_point(nodes: Any, weight: Any, give: Any, search: Any, found: Any, count: int) -> int:
     """Add a point where it is near the body; returns how many there are then."""
     x = y = z = nx = ny = nz = 0.0
     for c in range(3):
-        at, normal = position[nodes[c]], search.normal[nodes[c]]
+        at, normal = search.position[nodes[c]], search.normal[nodes[c]]
         x, y, z = x + weight[c] * at[0], y + weight[c] * at[1], z + weight[c] * at[2]
         nx, ny, nz = nx + weight[c] * normal[0], ny + weight[c] * normal[1], nz + weight[c] * normal[2]
     r = search.rotation
@@ -165,7 +166,7 @@ def _add_point(position: Any, nodes: Any, weight: Any, share: float, search: Any
     if signed_distance(search.shapes, search.body, lx, ly, lz)[0] > search.reach:
         return count
     if count < len(found.node):
-        found.body[count], found.share[count] = search.body, share
+        found.body[count], found.give[count, 0], found.give[count, 1] = search.body, give[0], give[1]
         for c in range(3):
             found.node[count, c] = nodes[c]
             found.weight[count, c] = weight[c]

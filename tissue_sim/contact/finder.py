@@ -98,7 +98,7 @@ class ContactFinder:
         self._normal, self._seen = np.zeros((self.n_surface, 3)), np.zeros(self.n_surface, dtype=np.int64)
         most = MOST_FOUND * len(tools.grown)
         whole = np.zeros(most, dtype=np.int64), np.zeros((most, 3), dtype=np.int64)
-        self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)), np.zeros(most))
+        self._points = Found(*whole, np.zeros((most, 3)), np.zeros((most, 3)), np.zeros((most, 2)))
         self._rest = np.array(rest)
         self._model = fcl.CollisionObject(_fcl_model(self._rest, self.triangles))
         # Made once: python-fcl keeps 32 bytes of every one that goes.
@@ -113,7 +113,7 @@ class ContactFinder:
         self._node_triangle = order // 3
         self._node_start = np.searchsorted(self.triangles.ravel()[order], np.arange(self.n_surface + 1))
         self._finenesses: list[Fineness] = []
-        compliance, room = [], []
+        compliance = []
         for give, size, kind, is_fine in zip(
             gives, tools.smallest, tools.shapes.kind.tolist(), self._is_fine, strict=True
         ):
@@ -121,17 +121,17 @@ class ContactFinder:
             # take most of a tick.
             each = edges if kind in (CONVEX, GRID) and not is_fine else np.full(len(edges), longest)
             parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])
-            # A point has one part in their square of a node's area.
-            whole = parts[0] ** 2
-            self._finenesses.append(_fineness(self.triangles, parts, self.n_surface, whole))
-            compliance.append(whole * local_compliance(organ, size))
             # A nearest point is another one each time, with no force that it could have given way to.
-            room.append(0.0 if is_fine else most_give(give, organ, size, float((each / parts).max())))
+            room = np.zeros(len(each)) if is_fine else most_give(give, organ, size, each / parts)
+            # A point has one part in the square of its parts of a node's area.
+            whole = parts[0] ** 2
+            share = np.square(parts.astype(np.float64)) / whole
+            self._finenesses.append(_fineness(self.triangles, parts, np.stack([share, room], axis=1), self.n_surface))
+            compliance.append(whole * local_compliance(organ, size))
         self._compliance = np.reshape(compliance, (len(compliance), self.n_surface, 2))
         self._between = np.array(
             [more_between(give, organ, size) for give, size in zip(gives, tools.smallest, strict=True)]
         )
-        self._most_give = np.array(room)
 
     def find(self, position: Floats, sought: Sought) -> ContactSet:
         """Return the contact set of bodies on a surface, position (n, 3) m, surface first: its points near them."""
@@ -162,9 +162,9 @@ class ContactFinder:
         found.weight[:], found.normal[:] = points.weight[chosen], points.normal[chosen]
         more = 1.0 + self._between[found.body] * (1.0 - np.einsum("kc,kc->k", found.weight, found.weight))
         compliance = self._compliance[found.body[:, None], found.node]
-        more *= points.share[chosen]
+        more *= points.give[chosen, 0]
         found.compliance[:] = np.einsum("k,kc,kcx->kx", more, found.weight, compliance)
-        found.most_give[:] = self._most_give[found.body]
+        found.most_give[:] = points.give[chosen, 1]
         found.engaged[:], found.place[:], found.reach[:] = engaged, poses, reach
         found.n_points[:], found.releases[:] = counts, sought.releases
         found.tip_node[:] = -1
@@ -190,8 +190,10 @@ class ContactFinder:
             return count, reach + boxes_apart(low, high, self._low, self._high) - TISSUE_WAY
         near = self._found[:some]
         fineness = self._finenesses[body]
-        search = Search(self.tools.shapes, body, self._lattices, fineness, origin, self._matrix, reach, self._normal)
-        count = points_near(position, near, self._number[:some], search, self._seen, self._points, count)
+        search = Search(
+            position, self.tools.shapes, body, self._lattices, fineness, origin, self._matrix, reach, self._normal
+        )
+        count = points_near(near, self._number[:some], search, self._seen, self._points, count)
         return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
@@ -278,7 +280,7 @@ class ContactFinder:
         taken = room.stop - room.start
         self._points.body[room], self._points.node[room] = body, corners[:taken]
         self._points.weight[room], self._points.normal[room] = weights[:taken], normal[:taken]
-        self._points.share[room] = 1.0
+        self._points.give[room] = 1.0, 0.0
         return count + len(touched)
 
     def _under_tip(self, position: Floats, tip: Floats) -> tuple[Longs, Floats]:
@@ -327,15 +329,17 @@ def lattices() -> Lattices:
     return Lattices(weight, edge, np.cumsum([0, *map(len, each)]))
 
 
-def _fineness(triangles: Ints, parts: Longs, nodes: int, whole: float) -> Fineness:
-    """Return the points of triangles (t, 3) whose edges are divided in so many parts (t,).
+def _fineness(triangles: Ints, parts: Longs, give: Floats, nodes: int) -> Fineness:
+    """Return the points of triangles (t, 3) whose edges are divided in so many parts (t,), and give way by give (t, 2).
 
-    whole: squared parts for which the compliance of nodes is told. Of a corner's triangles the mean counts.
+    Of a corner's triangles the mean of the factors counts, and the least of the depths.
     """
-    share = np.square(parts.astype(np.float64)) / whole
     count = np.bincount(triangles.ravel(), minlength=nodes)
-    total = np.bincount(triangles.ravel(), np.repeat(share, 3), nodes)
-    return Fineness(parts, share, total / np.maximum(count, 1))
+    total = np.bincount(triangles.ravel(), np.repeat(give[:, 0], 3), nodes)
+    least = np.full(nodes, np.inf)
+    np.minimum.at(least, triangles.ravel(), np.repeat(give[:, 1], 3))
+    corner = total / np.maximum(count, 1), np.where(count > 0, least, 0.0)
+    return Fineness(parts, give, np.stack(corner, axis=1))
 
 
 def edge_and_face_points(m: int) -> Floats:

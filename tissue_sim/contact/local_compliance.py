@@ -49,14 +49,14 @@ OF_BALLS = Give(spacing=0.45, most=0.8, covered=0.7, between=0.5)
 OF_OTHERS = Give(spacing=0.75, most=0.5, covered=1.0, between=0.0)
 
 
-def most_give(give: Give, organ: Organ, smallest: float, spacing: float) -> float:
-    """Return how far tissue may give way, m; what sank in farther would slip between points `spacing` m apart.
+def most_give(give: Give, organ: Organ, smallest: float, spacing: Floats) -> Floats:
+    """Return how far tissue may give way (t,), m; what sank in farther would slip between points spacing (t,) m apart.
 
     smallest: radius of the finest thing about the tool, m. Waves that nodes don't carry are of a layer under the
     surface, LAYER of an edge deep; it isn't squeezed by more than that.
     """
     slips = smallest - give.covered * STRETCHED * spacing
-    return max(0.0, min(give.most * smallest, slips, LAYER * mean_edge(organ)))
+    return np.clip(slips, 0.0, min(give.most * smallest, LAYER * mean_edge(organ)))
 
 
 def more_between(give: Give, organ: Organ, smallest: float) -> float:

@@ -1,12 +1,7 @@
-"""`tissue_sim bench palpation`: a finger feels for a tumour; force against depth beside nonlinear finite elements.
-
-A rigid sphere is pressed in over each inclusion, and doesn't slip; so are finite elements of the same shape, with the
-inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger would feel.
-"""
+"""A finger that feels for a tumour: force against depth beside finite elements, and a map of stiffness around."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -16,42 +11,22 @@ from scipy.spatial import cKDTree
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.bench import rows
-from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, told
+from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
+from tissue_sim.bench.printing import Bound, aligned, bound_lines
 from tissue_sim.calibration.cases import CLEARANCE, Surface, surface_of
 from tissue_sim.calibration.squeeze import squeezed, touchable
 from tissue_sim.contact.scene import Scene
-from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
 from tissue_sim.organ.inclusions import Inclusion, inclusions_of, with_inclusions
 from tissue_sim.organ.organ import Organ
-from tissue_sim.organ.shipped import shipped_organ
 
-DEFAULT = "kidney_tumour"
 FINGER = 0.007  # m, radius
 DEPTHS = np.array([0.001, 0.002, 0.003, 0.004])  # m
 MAP_DEPTH = 0.003  # m
 AROUND = 0.025  # m from the place over the inclusion, that the map reaches
 UNDER = 0.009  # m from there, where the finger may touch
-CLEAR = 0.002  # m between finger and organ at the start
-SPEED = 0.002  # m/s: so slow that an organ that bends at 1 Hz is not swung, and sticks where a still one would
-HOLDING, LONGEST = 0.2, 5.0  # s between two looks at the force at a depth, and at the most
-STILL = 1e-3  # of the force, by which it has changed since the last look
 STEPS = 2  # of the finite elements for each depth
-FRICTION = 10.0  # at which nothing slips
 MOST_OFF = 5.0  # %
-
-
-class Press(NamedTuple):
-    """Where a finger presses, and which way."""
-
-    node: int
-    place: Floats  # (3,) m, of the finger's middle where it touches
-    way: Floats  # (3,) inwards
-
-    def at(self, deep: float) -> Floats:
-        """The finger's middle so deep, m."""
-        return self.place + deep * self.way
 
 
 class Felt(NamedTuple):
@@ -79,54 +54,6 @@ class Map(NamedTuple):
 
     nodes: Longs  # (k,)
     stiffness: Floats  # (k,) N/m
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
-    add_shared(
-        parser, organ="the kidney with a tumour that ships", out="folder for a plot of curves and map", check=True
-    )
-    places = parser.add_argument_group(
-        "balls at nodes, on edges and inside triangles, and sliding, in place of a finger"
-    )
-    places.add_argument(
-        "--places",
-        type=int,
-        metavar="N",
-        help="press balls at so many flat places of ORGAN, which needs no inclusion (default: the kidney that ships)",
-    )
-    places.add_argument(
-        "--radii", metavar="R,...", help="of the balls, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)"
-    )
-    places.add_argument(
-        "--slab",
-        action="store_true",
-        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated, once, in four minutes",
-    )
-
-
-def run(args: argparse.Namespace) -> int:
-    """Feel, compare and print; returns 0, or with --check 1 when a bound is missed."""
-    check_shared(args)
-    if args.places is not None:
-        from tissue_sim.bench import palpation_places
-
-        return palpation_places.run(args)
-    if args.radii is not None or args.slab:
-        raise UserError("--radii and --slab belong to --places N")
-    organ = Organ.load(args.organ or shipped_organ(DEFAULT))
-    felt = measure(organ)
-    maps = measure_maps(organ, felt)
-    found = as_json(felt, maps)
-    emit(found, text(organ, found), args.json)
-    if args.out and not rows.stopped():
-        from tissue_sim.bench.palpation_plot import write_plots
-
-        told(write_plots(organ, felt, maps, args.out))
-    return exit_code(found, check=args.check)
-
-
-# measuring -----------------------------------------------------------------------------------------
 
 
 def measure(organ: Organ) -> list[Felt]:
@@ -158,7 +85,7 @@ def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
 def press_at(surface: Surface, node: int) -> Press:
     """Where a finger touches at a surface node; it presses along the normal there."""
     normal = surface.normal[node]
-    return Press(node, surface.positions[node] + FINGER * normal, -normal)
+    return Press(surface.positions[node] + FINGER * normal, -normal, node)
 
 
 def over(organ: Organ, inclusion: Inclusion) -> Press:
@@ -170,36 +97,7 @@ def over(organ: Organ, inclusion: Inclusion) -> Press:
 
 def finger(organ: Organ) -> Scene:
     """The organ and a finger that doesn't slip."""
-    scene = Scene(organ, [Tool("finger", radius=FINGER)], ticks_a_set=4)
-    scene.simulation.settings.friction = FRICTION
-    return scene
-
-
-def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
-    """Force (d,) N on the finger, against its way, that is held at each of several depths (d,) m."""
-    scene.reset()
-    tick, deep, found = scene.simulation.settings.tick_time, -CLEAR, []
-    for depth in depths:
-        ticks = max(1, round((depth - deep) / (SPEED * tick)))
-        for place in np.linspace(deep, depth, ticks + 1)[1:]:
-            scene.move(0, press.at(float(place)))
-            scene.step()
-        deep = float(depth)
-        found.append(held(scene, press, deep))
-    return np.array(found)
-
-
-def held(scene: Scene, press: Press, deep: float) -> float:
-    """Force, N, on a finger that stays so deep, m, until it changes no more: an organ may take seconds to bend."""
-    tick, force = scene.simulation.settings.tick_time, np.inf
-    for _ in range(round(LONGEST / HOLDING)):
-        for _ in range(round(HOLDING / tick)):
-            scene.move(0, press.at(deep))
-            scene.step()
-        before, force = force, -float(scene.wrenches[0, :3] @ press.way)
-        if abs(force - before) <= STILL * abs(force):
-            break
-    return force
+    return ball(organ, FINGER, FRICTION)
 
 
 def by_elements(organ: Organ, press: Press) -> Floats:
@@ -230,9 +128,6 @@ def mapped(organ: Organ, press: Press) -> Map:
         forces(scene, press_at(surface, int(node)), depth)[0] / MAP_DEPTH for node in progress.steps(nodes, "places")
     ]
     return Map(nodes, np.array(felt))
-
-
-# telling -------------------------------------------------------------------------------------------
 
 
 def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:

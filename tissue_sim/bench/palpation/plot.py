@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.bench.palpation import DEPTHS, MAP_DEPTH, Felt, Map
+from tissue_sim.bench.palpation.finger import DEPTHS, MAP_DEPTH, Felt, Map
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 

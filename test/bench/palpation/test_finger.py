@@ -7,9 +7,10 @@ import pytest
 import trimesh
 
 from helpers.scenes import RADIUS, ball_of_cells
-from tissue_sim.bench import palpation
-from tissue_sim.bench.palpation import DEPTHS, Felt, Map, as_json, finger, forces, mapped, over, press_at, text
-from tissue_sim.bench.palpation_plot import write_plots
+from tissue_sim.bench.palpation import finger as bench
+from tissue_sim.bench.palpation.finger import DEPTHS, Felt, Map, as_json, finger, mapped, over, press_at, text
+from tissue_sim.bench.palpation.plot import write_plots
+from tissue_sim.bench.palpation.pressing import forces
 from tissue_sim.calibration.cases import surface_of
 from tissue_sim.cli import main
 from tissue_sim.organ.cell_mesh import with_cells
@@ -46,15 +47,15 @@ def test_the_finger_feels_the_hard_ball(organs):
 @pytest.mark.extended
 def test_the_map_is_stiffest_over_it_and_starts_anew_at_every_place(organs, monkeypatch):
     _, organ = organs
-    monkeypatch.setattr(palpation, "AROUND", 0.013)
+    monkeypatch.setattr(bench, "AROUND", 0.013)
     press = over(organ, hard([0.0, 0.0, organ.surface_positions[:, 2].max() - 0.012]))
     found = mapped(organ, press)
     assert press.node in found.nodes
     assert len(found.nodes) > 4
     here = found.stiffness[list(found.nodes).index(press.node)]
     assert here > np.median(found.stiffness)
-    again = forces(finger(organ), press_at(surface_of(organ), int(found.nodes[-1])), np.array([palpation.MAP_DEPTH]))
-    assert again[0] / palpation.MAP_DEPTH == pytest.approx(found.stiffness[-1], rel=1e-6)
+    again = forces(finger(organ), press_at(surface_of(organ), int(found.nodes[-1])), np.array([bench.MAP_DEPTH]))
+    assert again[0] / bench.MAP_DEPTH == pytest.approx(found.stiffness[-1], rel=1e-6)
 
 
 def felt_of(organ):
@@ -89,11 +90,11 @@ def test_bounds_take_the_worst_depth_and_what_tells_the_inclusion(organs, tmp_pa
 @pytest.mark.slow
 def test_finite_elements_push_back_as_hertz_has_it_and_more_over_the_hard_ball(organs, monkeypatch):
     plain, organ = organs
-    monkeypatch.setattr(palpation, "DEPTHS", DEPTHS[:1])
-    monkeypatch.setattr(palpation, "STEPS", 1)
+    monkeypatch.setattr(bench, "DEPTHS", DEPTHS[:1])
+    monkeypatch.setattr(bench, "STEPS", 1)
     press = over(organ, hard([0.0, 0.0, plain.surface_positions[:, 2].max() - 0.012]))
-    stiff, soft = (palpation.by_elements(one, press)[0] for one in (organ, with_inclusions(organ, [])))
-    round_off = 1.0 / (1.0 / palpation.FINGER + 1.0 / RADIUS)  # m, of a ball on a ball
+    stiff, soft = (bench.by_elements(one, press)[0] for one in (organ, with_inclusions(organ, [])))
+    round_off = 1.0 / (1.0 / bench.FINGER + 1.0 / RADIUS)  # m, of a ball on a ball
     stiffness = plain.youngs_modulus / (1.0 - plain.poisson_ratio**2)
     assert soft == pytest.approx(4.0 / 3.0 * stiffness * np.sqrt(round_off) * DEPTHS[0] ** 1.5, rel=0.2)
     assert stiff > 1.1 * soft

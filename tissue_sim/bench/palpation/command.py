@@ -1,0 +1,64 @@
+"""`tissue_sim bench palpation`: a finger feels for a tumour; force against depth beside nonlinear finite elements.
+
+A rigid sphere is pressed in over each inclusion, and doesn't slip; so are finite elements of the same shape, with the
+inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger would feel.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from tissue_sim.bench import rows
+from tissue_sim.bench.arguments import add_shared, check_shared
+from tissue_sim.bench.palpation import finger
+from tissue_sim.bench.printing import emit, exit_code, told
+from tissue_sim.errors import UserError
+from tissue_sim.organ.organ import Organ
+from tissue_sim.organ.shipped import shipped_organ
+
+DEFAULT = "kidney_tumour"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    add_shared(
+        parser, organ="the kidney with a tumour that ships", out="folder for a plot of curves and map", check=True
+    )
+    places = parser.add_argument_group(
+        "balls at nodes, on edges and inside triangles, and sliding, in place of a finger"
+    )
+    places.add_argument(
+        "--places",
+        type=int,
+        metavar="N",
+        help="press balls at so many flat places of ORGAN, which needs no inclusion (default: the kidney that ships)",
+    )
+    places.add_argument(
+        "--radii", metavar="R,...", help="of the balls, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)"
+    )
+    places.add_argument(
+        "--slab",
+        action="store_true",
+        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated, once, in four minutes",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Feel, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    check_shared(args)
+    if args.places is not None:
+        from tissue_sim.bench.palpation import balls
+
+        return balls.run(args)
+    if args.radii is not None or args.slab:
+        raise UserError("--radii and --slab belong to --places N")
+    organ = Organ.load(args.organ or shipped_organ(DEFAULT))
+    felt = finger.measure(organ)
+    maps = finger.measure_maps(organ, felt)
+    found = finger.as_json(felt, maps)
+    emit(found, finger.text(organ, found), args.json)
+    if args.out and not rows.stopped():
+        from tissue_sim.bench.palpation.plot import write_plots
+
+        told(write_plots(organ, felt, maps, args.out))
+    return exit_code(found, check=args.check)

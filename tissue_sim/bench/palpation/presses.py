@@ -1,0 +1,98 @@
+"""Balls that are pressed in at places of an organ and don't slip, beside neo-Hookean finite elements of its shape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim import progress
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.bench.palpation.places import Spot, thickness
+from tissue_sim.bench.palpation.pressing import FRICTION, Press, ball, forces
+from tissue_sim.calibration.fe_mesh import Grading
+from tissue_sim.calibration.fem import Body
+from tissue_sim.calibration.squeeze import own_nodes, squeezed
+from tissue_sim.organ.fineness import mean_edge
+from tissue_sim.organ.organ import Organ
+
+DEPTHS = np.array([0.3, 0.5, 0.8, 1.0])  # radii
+THROUGH = 0.35  # of the organ's thickness there, how deep a ball is pressed at most
+STEPS = 2  # of the finite elements for each depth
+ACROSS = 1.6  # elements of finite elements on a ball's radius at the least
+ELEMENTS = Grading(clamp=0, growth=1.0)  # places lie far from the clamp
+
+
+class Pressed(NamedTuple):
+    """A ball at a spot: its radius in mean edges; depths (d,) radii, forces (d,) N, nan where nothing settled."""
+
+    radius: float
+    place: int
+    kind: str
+    depths: Floats
+    ours: Floats
+    reference: Floats
+
+    @property
+    def off(self) -> Floats:
+        """Difference from the finite elements (d,), %."""
+        return np.asarray(100.0 * (self.ours / self.reference - 1.0))
+
+
+Reference = Callable[[Organ, Sequence[Spot], float, Floats], Floats]
+
+
+def presses(
+    organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]], reference: Reference | None = None
+) -> Iterable[Pressed]:
+    """Yield what balls feel that are pressed in at all spots, beside the reference: finite elements if None.
+
+    radii: mean edges. Raises UserError as Body does.
+    """
+    edge, reference = mean_edge(organ), reference or by_elements
+    with progress.task("presses", len(radii) * sum(map(len, places))) as under_way:
+        for radius in radii:
+            scene = ball(organ, radius * edge, FRICTION)
+            for spots in places:
+                thick = min(thickness(organ, spot) for spot in spots)
+                depths = DEPTHS[radius * edge * DEPTHS <= THROUGH * thick]
+                wanted = reference(organ, spots, radius * edge, radius * edge * depths)
+                for spot, one in zip(spots, wanted, strict=True):
+                    press = Press(spot.point - radius * edge * spot.way, spot.way)
+                    ours = forces(scene, press, radius * edge * depths)
+                    yield Pressed(radius, spot.place, spot.kind, depths, ours, one)
+                    under_way.advance()
+
+
+def by_elements(organ: Organ, spots: Sequence[Spot], radius: float, depths: Floats) -> Floats:
+    """Return the force (k, d) N of finite elements on a ball at spots (k,) of one place; nan where none settles.
+
+    radius m; depths (d,) m, of which each is reached in steps. They are touched at all of their own nodes under it.
+    """
+    edge, middle = mean_edge(organ), np.mean([spot.point for spot in spots], axis=0)
+    reach = max(1.1 * radius, 0.9 * edge) + max(np.linalg.norm(spot.point - middle) for spot in spots)
+    near = np.linalg.norm(organ.surface_positions - middle, axis=1) < reach
+    near[organ.fixed] = False
+    fine = max(0, math.ceil(math.log2(ACROSS * edge / radius)))
+    body = Body(organ, np.flatnonzero(near), ELEMENTS._replace(near=fine))
+    centre = organ.surface_positions[organ.surface_triangles].mean(axis=1)
+    found = np.full((len(spots), len(depths)), np.nan)
+    deep = np.interp(np.arange(1, STEPS * len(depths) + 1) / STEPS, np.arange(len(depths) + 1), [0.0, *depths])
+    for spot, row in zip(spots, found, strict=True):
+        under = np.flatnonzero(np.linalg.norm(centre - spot.point, axis=1) < 1.1 * radius + edge)
+        nodes = _beneath(body, own_nodes(body, under), spot, radius)
+        path = spot.point - radius * spot.way + deep[:, None] * spot.way
+        steps = squeezed(body.solid, nodes, path[:, None], radius)
+        for number, step in enumerate(steps[STEPS - 1 :: STEPS]):
+            if step.settled:
+                row[number] = step.forces[0] @ spot.way
+    return found
+
+
+def _beneath(body: Body, nodes: Longs, spot: Spot, radius: float) -> Longs:
+    """Those nodes that a ball can reach which goes straight in: fewer take less time."""
+    away = body.solid.nodes[nodes] - spot.point
+    beside = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1)
+    return nodes[beside < 1.1 * radius]

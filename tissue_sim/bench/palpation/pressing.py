@@ -1,0 +1,64 @@
+"""A ball that is pressed into an organ, slowly, and held until its force stands."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tissue_sim.array_types import Floats
+from tissue_sim.contact.scene import Scene
+from tissue_sim.contact.tools import Tool
+from tissue_sim.organ.organ import Organ
+
+CLEAR = 0.002  # m between ball and organ at the start
+SPEED = 0.002  # m/s: so slow that an organ that bends at 1 Hz is not swung, and sticks where a still one would
+HOLDING, LONGEST = 0.2, 5.0  # s between two looks at the force at a depth, and at the most
+STILL = 1e-3  # of the force, by which it has changed since the last look
+FRICTION = 10.0  # at which nothing slips
+
+
+class Press(NamedTuple):
+    """Where a ball presses, and which way."""
+
+    place: Floats  # (3,) m, of the ball's middle where it touches
+    way: Floats  # (3,) inwards
+    node: int = -1  # of the surface, that it presses at; -1 for none
+
+    def at(self, deep: float) -> Floats:
+        """Return the ball's middle at a depth, m."""
+        return self.place + deep * self.way
+
+
+def ball(organ: Organ, radius: float, friction: float) -> Scene:
+    """Return the organ and a ball, its radius in m, with that coefficient of friction."""
+    scene = Scene(organ, [Tool("ball", radius=radius)], ticks_a_set=4)
+    scene.simulation.settings.friction = friction
+    return scene
+
+
+def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
+    """Return the force (d,) N on a ball, against its way, that is held at each of several depths (d,) m."""
+    scene.reset()
+    tick, deep, found = scene.simulation.settings.tick_time, -CLEAR, []
+    for depth in depths:
+        ticks = max(1, round((depth - deep) / (SPEED * tick)))
+        for place in np.linspace(deep, depth, ticks + 1)[1:]:
+            scene.move(0, press.at(float(place)))
+            scene.step()
+        deep = float(depth)
+        found.append(held(scene, press, deep))
+    return np.array(found)
+
+
+def held(scene: Scene, press: Press, deep: float) -> float:
+    """Return the force, N, on a ball at a depth, m, once it changes no more: an organ may take seconds to bend."""
+    tick, force = scene.simulation.settings.tick_time, np.inf
+    for _ in range(round(LONGEST / HOLDING)):
+        for _ in range(round(HOLDING / tick)):
+            scene.move(0, press.at(deep))
+            scene.step()
+        before, force = force, -float(scene.wrenches[0, :3] @ press.way)
+        if abs(force - before) <= STILL * abs(force):
+            break
+    return force
