@@ -23,6 +23,7 @@ from tissue_sim.calibration.cases import (
     size_of,
 )
 from tissue_sim.calibration.checkpoint import Arrays, Checkpoint
+from tissue_sim.calibration.coarseness import check_coarseness
 from tissue_sim.calibration.dynamics import lowest_frequencies
 from tissue_sim.calibration.elastic import Elastic
 from tissue_sim.calibration.fem import Body
@@ -33,7 +34,6 @@ from tissue_sim.calibration.joint import TICK, Together, fit_together, for_one_s
 from tissue_sim.calibration.judge import Answer, Release, errors, released, settled_answers
 from tissue_sim.calibration.reference import Refined, answers_made_good, made_good, samples_of
 from tissue_sim.calibration.stiffness import ONE_STEP, Settings, first_stiffness, prepared, with_stiffness
-from tissue_sim.calibration.thickness import check_thickness
 from tissue_sim.errors import UserError
 from tissue_sim.model.assembly import assemble
 from tissue_sim.model.critical_step import model_step, substeps_for
@@ -80,7 +80,7 @@ def calibrate(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress
 
 
 def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progress: Progress) -> Calibrated:
-    check_thickness(organ)
+    check_coarseness(organ)
     start = prepared(organ, settings)
     body = Body(start)
     held_out = held_out_cases(start, settings.smooth, settings.sharp)

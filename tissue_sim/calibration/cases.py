@@ -15,14 +15,14 @@ from scipy.spatial import cKDTree
 
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.errors import UserError
+from tissue_sim.organ.fineness import relative_size
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.surfaces.remesh import vertex_normals
 from tissue_sim.organ.topology import node_area
 
 HELD_OUT_SHARE = 0.3  # of the nodes that may be pressed
 HELD_OUT_SEED = 7919  # of the split and of the held-out loads; independent of the fit's seed
-KIDNEY = 1.34e-4  # m^3; in a smaller organ all lengths below shrink with the root of its volume
-CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch
+CLEARANCE = 0.006  # m from the clamp at least, to the centre of a patch, as all lengths below times `size_of`
 FIT_RADII = (0.0, 0.006, 0.009, 0.012, 0.016)  # m; 0: a node and its neighbours
 NEAR_CLAMP = 0.12  # of the centres: those nearest to the clamp
 NEAR = 3  # one of so many places of the fit lies there
@@ -70,7 +70,7 @@ class Surface(NamedTuple):
 
 def size_of(organ: Organ) -> float:
     """What lengths are multiplied by, 1 for an organ of a kidney's size or larger."""
-    return min(1.0, (organ.volume / KIDNEY) ** (1.0 / 3.0))
+    return relative_size(organ.volume)
 
 
 def surface_of(organ: Organ) -> Surface:

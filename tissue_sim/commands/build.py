@@ -18,6 +18,8 @@ import numpy as np
 
 from tissue_sim.array_types import Floats
 from tissue_sim.commands.build_inclusions import parse_inclusions, surrounded
+from tissue_sim.commands.build_refine import HELP as REFINE_HELP
+from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
@@ -91,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     organ.add_argument("--name", help="name of the organ (default: the input's file name)")
     organ.add_argument("--points", type=int, default=994, help="points of the balloon (default: %(default)s)")
+    organ.add_argument("--refine", action="append", default=[], metavar="WHERE", help=REFINE_HELP)
     organ.add_argument(
         "--atoms",
         type=int,
@@ -152,10 +155,12 @@ def _run(args: argparse.Namespace) -> int:
         youngs_modulus=args.youngs_modulus,
         poisson_ratio=args.poisson_ratio,
         density=args.density,
+        refinement=parse_refine(args.refine),
         provenance={
             "source": Path(source).name,
             "source_sha256": digest_of(Path(source)),
             **({"inclusions": list(args.inclusion)} if args.inclusion else {}),
+            **({"refine": [Path(where).name for where in args.refine]} if args.refine else {}),
         },
     )
     with _under_way(_stages_of(args)) as progress:
@@ -232,6 +237,10 @@ def _check_counts(args: argparse.Namespace) -> None:
     check_tissue(args.youngs_modulus, args.poisson_ratio, args.density)
     check_interior(args.interior)
     parse_inclusions(args.inclusion, args.label)
+    if args.refine and args.keep_points:
+        raise UserError("--refine adds points, and --keep-points keeps those that there are; choose one")
+    if args.refine and args.fixed.strip().endswith(".npy"):
+        raise UserError("--fixed FILE.npy names nodes by number, and --refine changes those; use --fixed 'z<0.1'")
     if args.image:
         from tissue_sim.organ.segmenting.anatomy import anatomy_of
 

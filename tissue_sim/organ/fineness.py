@@ -15,6 +15,12 @@ from tissue_sim.organ.organ import Organ
 FINE, FINE_WITHIN = 1.0, 8.0  # mean edges, %
 FAIR, FAIR_WITHIN = 0.5, 15.0
 MOST_POINTS = 20_000  # that a balloon has been tried with
+KIDNEY = 1.34e-4  # m^3; in a smaller organ lengths that a kidney is judged by shrink with the root of its volume
+
+
+def relative_size(volume: float) -> float:
+    """Return what a kidney's lengths are multiplied by for an organ of so many m^3: 1 unless it is smaller."""
+    return min(1.0, (volume / KIDNEY) ** (1.0 / 3.0))
 
 
 def mean_edge(organ: Organ) -> float:

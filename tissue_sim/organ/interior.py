@@ -16,6 +16,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.surfaces.intersections import is_crossed
+from tissue_sim.organ.surfaces.sizing import relative_edges
 from tissue_sim.organ.winding import inside
 
 _SHARES = np.linspace(0.1, 0.9, 17)  # of a spoke's length, from the medial atom
@@ -48,7 +49,8 @@ def place_interior_atoms(
     """`count` interior atoms on the spokes of boundary points (n, 3) m and medial atoms (a, 3) m.
 
     One after another each takes the place on a spoke that is farthest from all atoms so far and from the
-    boundary, whose distance counts double (farthest point sampling, Gonzalez 1985). Places whose
+    boundary, whose distance counts double (farthest point sampling, Gonzalez 1985). On a graded surface distances are
+    measured in the edges nearby, so that atoms are close where surface points are. Places whose
     spoke leaves the organ on the way don't count. layer: the share of them that is spread a mean edge under the
     boundary, where cells change most; the others lie deeper then.
     Raises UserError for a negative count or more atoms than there are places.
@@ -58,7 +60,11 @@ def place_interior_atoms(
     spoke = np.repeat(np.stack([owner, np.arange(len(surface))], axis=1), len(_SHARES), axis=0)
     share = np.tile(_SHARES, len(surface))
     places = atoms[spoke[:, 0]] + share[:, None] * (surface[spoke[:, 1]] - atoms[spoke[:, 0]])
-    apart, depth = cKDTree(atoms).query(places)[0], cKDTree(surface).query(places)[0]
+    apart = cKDTree(atoms).query(places)[0]
+    depth, below = cKDTree(surface).query(places)
+    size = relative_edges(surface, triangles)[below]
+    apart, depth = apart / size, depth / size
+    largest = float(size.max())
     corners, within, tree = surface[triangles], inside(atoms, surface, triangles), cKDTree(places)
     chosen: list[int] = []
 
@@ -72,8 +78,8 @@ def place_interior_atoms(
             if within[atom] and not is_crossed(atoms[atom], places[best], corners):
                 chosen.append(best)
                 # No place has more room than this one, so only nearer ones lose any.
-                near = tree.query_ball_point(places[best], room[best])
-                room[near] = np.minimum(room[near], np.linalg.norm(places[near] - places[best], axis=1))
+                near = tree.query_ball_point(places[best], room[best] * largest)
+                room[near] = np.minimum(room[near], np.linalg.norm(places[near] - places[best], axis=1) / size[near])
                 room[best] = 0.0
             else:
                 last = (best // len(_SHARES) + 1) * len(_SHARES)
@@ -82,9 +88,9 @@ def place_interior_atoms(
     if layer > 0.0:
         edge = float(np.linalg.norm(surface[triangles] - surface[np.roll(triangles, 1, axis=1)], axis=2).mean())
         choose(round(layer * count), np.where(np.abs(depth - _LAYER * edge) < _THICK * edge, apart, 0.0))
-        apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0]) if chosen else apart
+        apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0] / size) if chosen else apart
         choose(count, np.where(depth > _DEEP * edge, apart, 0.0))
-        apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0]) if chosen else apart
+        apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0] / size) if chosen else apart
     choose(count, np.minimum(apart, _WALL * depth))
     if len(chosen) < count:
         raise UserError(f"--interior {count} is too many for this organ; it has room for {len(chosen)}")

@@ -11,9 +11,11 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.build_record import Progress
+from tissue_sim.organ.fineness import MOST_POINTS
 from tissue_sim.organ.fixed_nodes import select_fixed
 from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.lengths import ORGAN_SIZE, is_organ
+from tissue_sim.organ.refinement import wanted_edges
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.organ.winding import inside
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from tissue_sim.organ.surfaces.surface import Wall
 
 _NOTED, _WRONG = 0.05, 0.4  # of the volume that was read: how far the one that is built may be off
+_REFINED = 0.9  # of the even surface's edges: shorter ones are refined
 _LARGEST_IMAGE = 3.0  # m, longest side: a whole body
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 
@@ -108,6 +111,9 @@ def _inflated(mask: Volume, request: Request, progress: Progress, volume: float)
         progress.say(
             f"warning: the balloon left out folds of the wall, up to {balloon.missed:.0f} mm deep; use more --points"
         )
+    if request.refinement:
+        positions, triangles = _refined(wall, positions, triangles, request, progress)
+        balloon = replace(balloon, positions=positions, triangles=triangles)
     progress.record.balloon = balloon
     figures = {
         "wall_distance_mm": round(off, 4),
@@ -120,6 +126,26 @@ def _inflated(mask: Volume, request: Request, progress: Progress, volume: float)
         solid = wall_of_surface(positions, triangles, wall)
     request = _compared(volume, wall.to_patient(positions), wall.outward(triangles), _with(request, figures), progress)
     return _assemble(solid, wall.to_patient(positions), wall.outward(triangles), request, progress)
+
+
+def _refined(
+    wall: Wall, positions: Floats, triangles: Ints, request: Request, progress: Progress
+) -> tuple[Floats, Ints]:
+    """The balloon, positions (n, 3) mm on the wall's grid, with further points where the request refines it."""
+    from tissue_sim.organ.surfaces.fitting import mean_edge
+    from tissue_sim.organ.surfaces.grading import graded
+
+    placed = wall.to_patient(positions)
+    wanted = wanted_edges(request.refinement, placed, wall.outward(triangles), select_fixed(request.fixed, placed))
+    with progress.stage("balloon"):
+        found = graded(positions, triangles, wall, lambda points: 1e3 * wanted(wall.to_patient(points)), MOST_POINTS)
+    length = 1e3 * wanted(wall.to_patient(found[0]))
+    finer = length < _REFINED * mean_edge(positions, triangles)
+    progress.say(
+        f"refined to {len(found[0])} points: edges from {length.min():.1f} mm on, at {np.count_nonzero(finer)} points"
+        f" shorter than the {mean_edge(positions, triangles):.1f} mm elsewhere"
+    )
+    return found
 
 
 def organ_from_mesh(

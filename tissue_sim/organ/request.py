@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tissue_sim.organ.inclusions import Inclusion
+from tissue_sim.organ.refinement import Refinement
 
 MOST_ATOMS = 48
 SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
@@ -18,7 +19,8 @@ class Request:
     atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
     a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
     segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them, or when the organ has
-    another volume than what it is made from. interior_atoms: further atoms along the spokes.
+    another volume than what it is made from. interior_atoms: further atoms along the spokes. refinement: where there
+    are more than `points` for the even surface.
     """
 
     name: str
@@ -33,4 +35,5 @@ class Request:
     poisson_ratio: float = 0.45
     density: float = 1060.0  # kg/m^3
     inclusions: tuple[Inclusion, ...] = ()
+    refinement: Refinement = Refinement()
     provenance: dict[str, Any] = field(default_factory=dict)

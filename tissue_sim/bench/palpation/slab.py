@@ -35,8 +35,8 @@ def slab_as_built() -> Organ:
     import trimesh
 
     from tissue_sim.organ.making import organ_from_mesh
-    from tissue_sim.organ.request import Request
     from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
+    from tissue_sim.organ.request import Request
 
     box = trimesh.creation.box(SLAB)
     for _ in range(3):

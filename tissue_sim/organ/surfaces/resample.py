@@ -13,9 +13,9 @@ from tissue_sim.organ.surfaces.remesh import MOST_NEIGHBOURS, along_edge, collap
 
 
 @kernel
-def _edges_by_length(positions, triangles):  # type: ignore[no-untyped-def]
-    """Edges (m, 2), shortest first, and their lengths (m,)."""
-    edges, length = sized_edges(positions, triangles, np.ones(len(positions)))
+def _edges_by_length(positions, triangles, size):  # type: ignore[no-untyped-def]
+    """Edges (m, 2), shortest first, and their lengths (m,) in the mean `size` (n,) at their ends."""
+    edges, length = sized_edges(positions, triangles, size)
     order = np.argsort(length)
     return edges[order], length[order]
 
@@ -26,7 +26,7 @@ def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Int
     n = positions.shape[0]
     positions, triangles = positions.copy(), triangles.copy()
     star, count = stars(triangles, n)
-    edges, _ = _edges_by_length(positions, triangles)
+    edges, _ = _edges_by_length(positions, triangles, np.ones(n))
     used = np.zeros(n, dtype=np.bool_)
     gone = np.zeros(n, dtype=np.bool_)
     dead = np.zeros(triangles.shape[0], dtype=np.bool_)
@@ -55,9 +55,29 @@ def thin_out(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Int
     return positions[~gone], left
 
 
-@kernel
 def thicken(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints]:
     """The surface after splitting up to `most` of its longest edges, no two in one triangle."""
+    found: tuple[Floats, Ints] = split_long(positions, triangles, np.ones(len(positions)), 0.0, most)
+    return found
+
+
+@kernel
+def split_long(positions: Floats, triangles: Ints, size: Floats, limit: float, most: int) -> tuple[Floats, Ints]:
+    """Split the longest edges, no two in one triangle.
+
+    Parameters
+    ----------
+    positions : points of a closed surface, (n, 3)
+    triangles : outward, (t, 3)
+    size : what an edge's length is measured in, the mean of its ends, (n,)
+    limit : edges shorter than so many sizes stay
+    most : edges to split at most
+
+    Returns
+    -------
+    positions, triangles : of the new surface, the points before first
+
+    """
     n, faces = positions.shape[0], triangles.shape[0]
     larger = np.zeros((n + most, 3))
     larger[:n] = positions
@@ -66,11 +86,11 @@ def thicken(positions: Floats, triangles: Ints, most: int) -> tuple[Floats, Ints
     star = np.full((n + most, MOST_NEIGHBOURS), -1, dtype=np.int32)
     count = np.zeros(n + most, dtype=np.int32)
     star[:n], count[:n] = stars(triangles, n)
-    edges, _ = _edges_by_length(positions, triangles)
+    edges, length = _edges_by_length(positions, triangles, size)
     used = np.zeros(faces + 2 * most, dtype=np.bool_)
     added = 0
     for e in range(edges.shape[0] - 1, -1, -1):
-        if added >= most:
+        if added >= most or length[e] < limit:
             break
         a, b = edges[e, 0], edges[e, 1]
         t, c = along_edge(more, star, count, a, b)

@@ -7,18 +7,20 @@ first voxel. `Wall.to_patient` takes them to metres in the patient frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from skimage.measure import marching_cubes
+from skimage.measure import marching_cubes, mesh_surface_area
 
 from tissue_sim.array_types import Floats, Ints, Mask
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.meshes.voxels import enclosed, off_grid
+from tissue_sim.organ.organ import signed_volume
 from tissue_sim.organ.surfaces.intersections import intersecting_pairs
 from tissue_sim.organ.surfaces.solid_ball import as_ball, largest_part
 from tissue_sim.organ.surfaces.surface_quality import (
@@ -47,7 +49,9 @@ __all__ = [
 ]
 
 
-_SMOOTHING = 0.8  # voxels of the mask: takes its steps away, shifts a wall of radius 20 mm by under 0.1 mm
+_SMOOTHING = 0.8  # voxels of the mask: takes its steps away
+_SHRUNK = 0.05  # of the volume: where smoothing takes more, as it does in bodies a few voxels thick, it is made good
+_SHIFTS = 2  # Newton steps of the even shift that does so: the second changes a thousandth
 _MARGIN = 4  # voxels around the organ
 _INNER, _OUTER = 0.1, 0.5  # voxels, level beside a cut or membrane; unequal, so that marching cubes parts diagonals
 
@@ -142,7 +146,7 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     first = np.array([s.start for s in box[::-1]]) - _MARGIN
     h = float(spacing or mask.spacing.min())
     rough = _signed_distance(solid, mask.spacing[::-1])
-    smooth = ndimage.gaussian_filter(rough, _SMOOTHING * mask.spacing.min() / mask.spacing[::-1])
+    smooth = _smoothed(rough, mask.spacing[::-1])
     level = _exact_away(_resample(smooth, mask.spacing[::-1], h), h)
     solid = level < 0.0
     ball = as_ball(solid, mask.name)
@@ -158,9 +162,45 @@ def _signed_distance(solid: Mask, sampling: Floats) -> NDArray[np.float32]:
     return (np.where(solid, half - inner, outer - half)).astype(np.float32)
 
 
+def _smoothed(rough: NDArray[np.float32], sampling: Floats) -> NDArray[np.float32]:
+    """Smooth a signed distance by a Gaussian, and keep the volume that it encloses within a twentieth.
+
+    A Gaussian shifts a wall inward by half its variance times the wall's curvature: by 0.6 mm where a vessel has a
+    radius of 5 mm and voxels are of 3 mm. Where that takes more than a twentieth of the volume, the smoothed residue is
+    added, which cancels the shift to the second order (twicing, Tukey 1977), and an even shift makes good the rest.
+
+    Parameters
+    ----------
+    rough : signed distance, mm, (nz, ny, nx)
+    sampling : voxel spacing along each axis of the array, mm, (3,)
+
+    Returns
+    -------
+    smooth signed distance, mm, (nz, ny, nx)
+
+    """
+    h = float(sampling.min())
+    sigma = _SMOOTHING * h / sampling
+    smooth = ndimage.gaussian_filter(rough, sigma)
+    volume = float(np.count_nonzero(rough < 0.0))
+    if _enclosed(smooth, h) > (1.0 - _SHRUNK) * volume:
+        return smooth
+    smooth += ndimage.gaussian_filter(rough - smooth, sigma)
+    for _ in range(_SHIFTS):
+        positions, triangles, _, _ = marching_cubes(smooth, 0.0, spacing=tuple(sampling), allow_degenerate=False)
+        missing = volume * float(np.prod(sampling)) - abs(signed_volume(positions, triangles))
+        smooth -= missing / mesh_surface_area(positions, triangles)
+    return smooth
+
+
+def _enclosed(level: NDArray[Any], h: float) -> float:
+    """Return the volume inside a level set, mm, in voxels; those on the wall count by how far they lie inside."""
+    return float(np.clip(0.5 - level / h, 0.0, 1.0).sum(dtype=np.float64))
+
+
 def _smooth_distance(solid: Mask, h: float) -> NDArray[np.float32]:
     """Signed distance, smooth near the wall so that voxel steps don't show, exact away from it."""
-    return _exact_away(ndimage.gaussian_filter(_signed_distance(solid, np.full(3, h)), _SMOOTHING), h)
+    return _exact_away(_smoothed(_signed_distance(solid, np.full(3, h)), np.full(3, h)), h)
 
 
 def _exact_away(smooth: NDArray[np.float32], h: float) -> NDArray[np.float32]:

@@ -1,0 +1,50 @@
+"""How long a surface's edges are at each point, and how thick the body is there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tissue_sim.array_types import Floats, Ints
+from tissue_sim.organ.surfaces.fitting import spread
+from tissue_sim.organ.surfaces.remesh import vertex_normals
+
+_CHUNK = 512  # points at once
+_EVEN = 2.0  # between the longest and the shortest twentieth of the edges, smoothed: more, and a surface is graded
+
+
+def local_edges(positions: Floats, triangles: Ints) -> Floats:
+    """Return the mean length of the edges at each point of a closed surface, (n,), in the unit of its positions."""
+    n = len(positions)
+    length = np.linalg.norm(positions[triangles] - positions[np.roll(triangles, -1, axis=1)], axis=2)
+    total = np.bincount(triangles.ravel(), weights=length.ravel(), minlength=n)
+    return total / np.bincount(triangles.ravel(), minlength=n)
+
+
+def thickness(positions: Floats, triangles: Ints) -> Floats:
+    """Return how thick the body is at each point of its surface, (n,), in the unit of its positions.
+
+    That is the diameter of the largest ball inside that touches the surface at the point and on its other side
+    (Ma, Bae and Choi 2012): points whose normals point less than a right angle apart count as the same side, so that
+    neither curvature nor the steps of flat triangles pass for thinness.
+    """
+    normal = vertex_normals(positions, triangles)
+    found = np.empty(len(positions))
+    for first in range(0, len(positions), _CHUNK):
+        here = slice(first, first + _CHUNK)
+        apart = positions[here, None] - positions[None]
+        square = np.einsum("ijk,ijk->ij", apart, apart)
+        depth = np.einsum("ijk,ik->ij", apart, normal[here])  # of each other point under this one's tangent plane
+        other = (normal[here] @ normal.T < 0.0) & (depth > 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found[here] = np.where(other, square / depth, np.inf).min(axis=1)
+    return found
+
+
+def relative_edges(positions: Floats, triangles: Ints) -> Floats:
+    """Return the edges' length at each point over the mean, smoothed, (n,); 1 everywhere on an even surface."""
+    length = spread(local_edges(positions, triangles), triangles, 2)
+    short, long = np.quantile(length, [0.05, 0.95])
+    if long < _EVEN * short:
+        return np.ones(len(positions))
+    found: Floats = length / local_edges(positions, triangles).mean()
+    return found
