@@ -47,7 +47,7 @@ class Request:
     interior_atoms: int = 0
     organ: str | None = None
     accept: bool = False
-    fixed: str = "z<0.1"
+    fixed: str | Ints = "z<0.1"
     youngs_modulus: float = 10_000.0  # Pa
     poisson_ratio: float = 0.45
     density: float = 1060.0  # kg/m^3
@@ -260,7 +260,7 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
         "branches": request.branches,
         "interior_atoms": request.interior_atoms,
         "skeleton_length_mm": round(skeleton.length, 3),
-        "fixed": Path(request.fixed).name,
+        "fixed": Path(request.fixed).name if isinstance(request.fixed, str) else f"{len(request.fixed)} nodes",
         "packages": _versions(),
     }
     for inclusion in request.inclusions:
