@@ -66,7 +66,7 @@ class Bag(Mapping[str, Series]):
         self.version = str(config["package_version"])  # of the package that recorded it
         self.tools: list[Tool] = tools_of(config)
         self.organ_names = list(config["organs"]) if "organs" in config else [config["organ"]["name"]]
-        clock = _Clock(recording)
+        clock = self.clock = Clock(recording)  # s at ticks
         self.first_tick, self.last_tick = recording.first_tick, max(recording.first_tick, recording.last_tick)
         self.duration = float(clock([self.last_tick])[0])  # s
         self._series = {}
@@ -149,7 +149,7 @@ def _taken(recording: Recording, body: int, kind: str, given: Mapping[int, Float
     return np.array([tick for tick, _ in pairs], dtype=np.int64), values
 
 
-class _Clock:
+class Clock:
     """Simulated time, s, of ticks since the first one: the rate may change while a bag is recorded."""
 
     def __init__(self, recording: Recording) -> None:
