@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from tissue_sim.model.simulation import Simulation
     from tissue_sim.organ.build import build
     from tissue_sim.organ.organ import Organ
+    from tissue_sim.organ.placing import placed
     from tissue_sim.ros.bags.reading import Bag, read_bag
 
 __version__ = "0.1.0"
@@ -30,6 +31,7 @@ __all__ = [
     "build",
     "calibrate",
     "load_scene",
+    "placed",
     "read_bag",
 ]
 
@@ -47,6 +49,7 @@ _MODULES = {
     "build": "tissue_sim.organ.build",
     "calibrate": "tissue_sim.calibration.api",
     "load_scene": "tissue_sim.contact.scene_file",
+    "placed": "tissue_sim.organ.placing",
     "read_bag": "tissue_sim.ros.bags.reading",
 }
 
