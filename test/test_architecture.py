@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+import tissue_sim
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "tissue_sim"
 
@@ -28,6 +30,13 @@ MAY_IMPORT = {
     "commands": {"organ", "model", "contact", "calibration", "ros", "bench"},
     "cli": {"commands"},
     "__main__": {"cli"},
+    "__init__": {
+        "organ",
+        "model",
+        "contact",
+        "calibration",
+        "ros",
+    },  # the public names; what is below has them directly
 }
 LIBRARIES = {"organ", "model", "contact", "calibration"}  # what they find, others ask for and show
 ROS_PACKAGE = re.compile(r"rclpy|rpyutils|rosidl\w*|ament_index_\w+|launch(_\w+)?|tf2\w*|\w+_(msgs|srvs|interfaces)")
@@ -85,6 +94,8 @@ def violations(path: Path) -> list[str]:
         # What has no layer (errors, progress) is shared by all and so depends on none.
         if layer and layer != own and layer not in MAY_IMPORT.get(own or "", set()):
             found.append(f"{path.relative_to(ROOT)}:{line}: {own or 'a shared module'} imports {module}")
+        if own != "__init__" and module.startswith("tissue_sim.") and module.split(".")[1] in tissue_sim.__all__:
+            found.append(f"{path.relative_to(ROOT)}:{line}: imports {module} from the public names")
         if own != "ros" and ROS_PACKAGE.fullmatch(module.split(".")[0]):
             found.append(f"{path.relative_to(ROOT)}:{line}: imports {module} outside tissue_sim/ros")
         if own in LIBRARIES and module.split(".")[0] == "argparse":
@@ -129,6 +140,8 @@ def test_imports_run_one_way(layer):
         ("organ/a.py", "making = Progress(print)"),
         ("contact/a.py", "import sys\nsys.stderr.write('x')"),
         ("errors.py", "from tissue_sim.organ.organ import Organ"),
+        ("model/a.py", "from tissue_sim import Organ"),
+        ("__init__.py", "from tissue_sim.bench.organs import bean"),
     ],
 )
 def test_the_check_sees_a_violation(tmp_path, monkeypatch, file, code):

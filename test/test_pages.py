@@ -159,13 +159,14 @@ def test_links_lead_somewhere(page):
 
 def test_every_picture_is_shown():
     shown = {Path(name).name for page in PAGES for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text())}
-    assert {path.name for path in (DOCS / "images").iterdir()} == shown
+    assert {path.name for path in [*(DOCS / "images").iterdir(), *(DOCS / "examples").glob("*.png")]} == shown
 
 
 @by_page
 def test_files_exist(page):
     folders = "bags|config|docs|launch|resource|test|tissue_sim"
-    modules = {path.name for folder in ("tissue_sim", "launch") for path in (ROOT / folder).rglob("*.py")}
+    folders_of_code = ("tissue_sim", "launch", "docs/examples")
+    modules = {path.name for folder in folders_of_code for path in (ROOT / folder).rglob("*.py")}
     for snippet in snippets(page):
         for path in re.findall(rf"(?<![\w./~:])(?:{folders})/[\w./-]*", snippet):
             assert (ROOT / path).exists(), snippet
@@ -270,7 +271,7 @@ def test_python_names_exist(page):
 def smaller_organ_ships(monkeypatch, tmp_path):
     """What the pages load is a ball, which finds its shape without weight a hundred times sooner than a kidney."""
     ball(3).save(tmp_path / "ball.npz")
-    monkeypatch.setattr("tissue_sim.organ.shipped.shipped_organ", lambda: tmp_path / "ball.npz")
+    monkeypatch.setattr("tissue_sim.organ.organ.shipped_organ", lambda name: tmp_path / "ball.npz")
 
 
 def test_examples_in_the_readme_run():
@@ -281,17 +282,32 @@ def test_examples_for_python_run(smaller_organ_ships):
     run_examples(DOCS / "python.md")
 
 
+def test_the_tutorial_runs(smaller_organ_ships, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    forces = run_blocks(DOCS / "tutorial.md")["forces"]
+    assert forces[0] == 0.0
+    assert forces[-1] == max(forces) > 0.1
+    assert (tmp_path / "press.png").stat().st_size > 5000
+
+
 @pytest.mark.extended
 def test_examples_for_python_run_with_the_organ_that_ships():
     run_examples(DOCS / "python.md")
 
 
-def run_examples(page):
-    import numpy as np
-
+def run_blocks(page):
+    """The names that a page's blocks of Python define, run one after the other."""
     names: dict = {}
     for block in re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL):
         exec(compile(block, page.name, "exec"), names)
+    return names
+
+
+def run_examples(page):
+    import numpy as np
+
+    names = run_blocks(page)
     organ, simulation = names["organ"], names["simulation"]
     assert simulation.positions.shape == (organ.n_nodes, 3)
     assert np.any(simulation.positions != organ.rest_positions)  # it was pushed

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from helpers.scenes import ball, kidney
-from tissue_sim.bench.organs import ATOMS, bean, node_normals, patch, patch_load, press_node, spread_nodes
+from tissue_sim.bench.organs import ATOMS, bean, patch, patch_load, press_node, spread_nodes
+from tissue_sim.organ.normals import surface_normals
 
 ORGANS = [ball(2), kidney(), bean(1000)]
 NAMES = ["ball", "kidney", "bean"]
@@ -41,13 +42,13 @@ def test_patch_is_free_and_around_its_middle(organ):
 def test_patch_load_pushes_inward_with_the_force_asked_for(organ):
     nodes, forces = patch_load(organ, 0.1)
     assert np.linalg.norm(forces.sum(axis=0)) == pytest.approx(0.1)
-    normal = node_normals(organ.surface_positions, organ.surface_triangles)[nodes]
+    normal = surface_normals(organ.surface_positions, organ.surface_triangles)[nodes]
     assert np.all(np.einsum("kx,kx->k", normal, forces) < 0.0)
 
 
 def test_normals_of_a_ball_are_radial():
     organ = ball(3)
-    normal = node_normals(organ.surface_positions, organ.surface_triangles)
+    normal = surface_normals(organ.surface_positions, organ.surface_triangles)
     radial = organ.surface_positions / np.linalg.norm(organ.surface_positions, axis=1, keepdims=True)
     assert np.einsum("kx,kx->k", normal, radial).min() > 0.999
 
@@ -60,5 +61,5 @@ def test_spread_nodes_are_apart_free_and_on_one_side(organ):
     apart = np.linalg.norm(surface[nodes][:, None] - surface[nodes][None], axis=2) + np.eye(10)
     assert apart.min() > 0.1 * np.ptp(surface, axis=0).max()
     assert not set(nodes) & set(organ.fixed)
-    normal = node_normals(surface, organ.surface_triangles)[nodes]
+    normal = surface_normals(surface, organ.surface_triangles)[nodes]
     assert np.all(normal @ normal[0] > 0.0)

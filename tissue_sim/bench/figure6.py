@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from tissue_sim import progress
 from tissue_sim.array_types import Floats, Pixels
-from tissue_sim.bench.organs import node_normals, press_node
+from tissue_sim.bench.organs import press_node
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.render import View, balls, rasterize, view_of
 from tissue_sim.organ.winding import inside
@@ -135,7 +136,7 @@ def write_figure(organ: Organ, panels: Sequence[Panel], folder: Path) -> list[Pa
 def _view(organ: Organ, panels: Sequence[Panel]) -> View:
     """The organ upright, seen from the broad side and a little from above, with room for all panels."""
     surface = organ.surface_positions
-    towards = node_normals(surface, organ.surface_triangles)[press_node(organ)]
+    towards = surface_normals(surface, organ.surface_triangles)[press_node(organ)]
     towards = towards * [1.0, 1.0, 0.0]
     towards /= np.linalg.norm(towards)
     # A quarter from the side, so that a push along the view shows.
@@ -164,7 +165,7 @@ def _shaded(view: View, organ: Organ, panel: Panel, most: float) -> Pixels:
         owner, weight, rim = rasterize(view.project(positions), triangles, depth, +1)
         hit = owner >= 0
         corners = triangles[owner[hit]]
-        normal = np.einsum("pk,pkx->px", weight[hit], node_normals(positions, triangles)[corners]) @ view.axes.T
+        normal = np.einsum("pk,pkx->px", weight[hit], surface_normals(positions, triangles)[corners]) @ view.axes.T
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         lit = np.clip(normal @ _LAMP, 0.0, 1.0)[:, None]
         shade = np.einsum("pk,pkx->px", weight[hit], colour[corners]) * (0.58 + 0.42 * lit) + 0.1 * lit**20
@@ -192,7 +193,7 @@ def _show(axis: Any, view: View, organ: Organ, panel: Panel, pixels: Pixels) -> 
     largest = float(np.linalg.norm(panel.forces, axis=1).max())
     heads = panel.positions[panel.nodes]
     tails = heads - _LONGEST_ARROW / largest * panel.forces
-    facing = node_normals(panel.positions, organ.surface_triangles)[panel.nodes] @ view.axes[2] > 0.0
+    facing = surface_normals(panel.positions, organ.surface_triangles)[panel.nodes] @ view.axes[2] > 0.0
     for head, tail, front in zip(view.project(heads), view.project(tails), facing, strict=True):
         style = {"arrowstyle": "-|>", "color": "#1f3a68", "linewidth": 1.6, "alpha": 1.0 if front else 0.3}
         axis.annotate("", head[:2] / _SUPERSAMPLING, tail[:2] / _SUPERSAMPLING, arrowprops=style)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from tissue_sim.array_types import Floats, Ints, Longs
+from tissue_sim.array_types import Floats, Longs
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.topology import assemble_organ
 
@@ -47,14 +48,6 @@ def bean(points: int) -> Organ:
     )
 
 
-def node_normals(positions: Floats, triangles: Ints) -> Floats:
-    """Outward unit normals (n, 3) of surface nodes, by the areas of their triangles."""
-    a, b, c = (positions[triangles[:, corner]] for corner in range(3))
-    normal = np.zeros_like(positions)
-    np.add.at(normal, triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
 def press_node(organ: Organ) -> int:
     """The surface node in the middle of a broad side: where the axis of least extent leaves the organ.
 
@@ -83,7 +76,7 @@ def patch(organ: Organ, node: int, count: int = PATCH_NODES) -> Longs:
 def patch_load(organ: Organ, newton: float, count: int = PATCH_NODES) -> tuple[Longs, Floats]:
     """Nodes (count,) in the middle of the broad side, and forces (count, 3) N inward there, `newton` in all."""
     nodes = patch(organ, press_node(organ), count)
-    normal = node_normals(organ.surface_positions, organ.surface_triangles)[nodes].mean(axis=0)
+    normal = surface_normals(organ.surface_positions, organ.surface_triangles)[nodes].mean(axis=0)
     return nodes, np.tile(-newton / count * normal / np.linalg.norm(normal), (count, 1))
 
 
@@ -93,7 +86,7 @@ def spread_nodes(organ: Organ, count: int) -> Longs:
     Each is as far as can be from those before it and from the held nodes (farthest point sampling).
     """
     surface, first = organ.surface_positions, press_node(organ)
-    normals = node_normals(surface, organ.surface_triangles)
+    normals = surface_normals(surface, organ.surface_triangles)
     chosen = [first]
     apart = np.linalg.norm(surface - surface[first], axis=1)
     for node in organ.fixed:

@@ -14,7 +14,7 @@ from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.organs import PATCH_NODES, bean, node_normals, patch, patch_load
+from tissue_sim.bench.organs import PATCH_NODES, bean, patch, patch_load
 from tissue_sim.bench.printing import Bound, aligned, bound_lines, emit, exit_code, figure
 from tissue_sim.bench.timing import Phase, Ticks, Timing, interleave
 from tissue_sim.calibration.stiffness import Settings, prepared
@@ -24,6 +24,7 @@ from tissue_sim.model.modes import free_axes, stiffness_matrix
 from tissue_sim.model.settings import LocalRegion
 from tissue_sim.model.simulation import Simulation, moves_whole
 from tissue_sim.model.state import Region
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import shipped_organ
 
@@ -151,7 +152,7 @@ def unit_load(organ: Organ, place: int) -> Floats:
     """1 N on the patch around a surface node, inwards, as forces (n_surface, 3) N."""
     nodes = patch(organ, place, PATCH_NODES)
     load = np.zeros((organ.n_surface, 3))
-    load[nodes] = -node_normals(organ.surface_positions, organ.surface_triangles)[place] / len(nodes)
+    load[nodes] = -surface_normals(organ.surface_positions, organ.surface_triangles)[place] / len(nodes)
     return load
 
 

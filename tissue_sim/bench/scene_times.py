@@ -16,7 +16,7 @@ import numpy as np
 from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench.arguments import add_shared, check_shared
-from tissue_sim.bench.organs import PATCH_NODES, node_normals, patch_load, press_node
+from tissue_sim.bench.organs import PATCH_NODES, patch_load, press_node
 from tissue_sim.bench.printing import Bound, bound_lines, emit, exit_code, figure, noise_lines, with_remarks
 from tissue_sim.bench.tick_rows import FORCE
 from tissue_sim.bench.timing import (
@@ -38,6 +38,7 @@ from tissue_sim.model.inputs import load_nodes
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined, tick_together
 from tissue_sim.model.unfelt import UNFELT, UNFELT_FORCE
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.placing import placed
 from tissue_sim.organ.shipped import shipped_file, shipped_organ
@@ -194,7 +195,7 @@ def _pressed(scene: SceneFile, count: int) -> tuple[Scene, Callable[[], None]]:
 def _place_of(organ: Organ) -> tuple[Floats, Floats]:
     """A point of the surface to press at, and its normal, (3,) each."""
     node = press_node(organ)
-    return organ.surface_positions[node], node_normals(organ.surface_positions, organ.surface_triangles)[node]
+    return organ.surface_positions[node], surface_normals(organ.surface_positions, organ.surface_triangles)[node]
 
 
 def _ticks_of(scene: Scene, poked: Iterable[int], move: Callable[[], None]) -> JoinedTicks:

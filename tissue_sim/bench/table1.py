@@ -13,11 +13,12 @@ from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.bench import rows
 from tissue_sim.bench.arguments import AS_BUILT_ORGAN, add_shared, check_shared
-from tissue_sim.bench.organs import node_normals, spread_nodes
+from tissue_sim.bench.organs import spread_nodes
 from tissue_sim.bench.printing import aligned, emit, noise_lines, told
 from tissue_sim.bench.timing import Phase, Ticks, Timing, in_one_thread, interleave, noise_burst
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.shipped import AS_BUILT, shipped_organ
 
@@ -97,7 +98,7 @@ def load(organ: Organ, force: Force, unit: float) -> tuple[NDArray[np.int64], Fl
     All push inward as in the middle; the magnitude is that of all points together.
     """
     nodes = spread_nodes(organ, force.points)
-    inward = -node_normals(organ.surface_positions, organ.surface_triangles)[nodes[0]]
+    inward = -surface_normals(organ.surface_positions, organ.surface_triangles)[nodes[0]]
     return nodes, np.tile(unit * force.magnitude / force.points * inward, (force.points, 1))
 
 

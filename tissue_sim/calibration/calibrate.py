@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple, Protocol
 
@@ -52,6 +52,15 @@ class Progress(Protocol):
     def stage(self, name: str, total: int) -> AbstractContextManager[Callable[..., None]]:
         """A stage of `total` steps; what comes back is called after each, with a remark if there is one."""
         ...
+
+
+class Silent:
+    """A progress that nobody sees."""
+
+    @contextmanager
+    def stage(self, name: str, total: int) -> Iterator[Callable[..., None]]:
+        """See Progress."""
+        yield lambda remark="": None
 
 
 class Calibrated(NamedTuple):

@@ -22,6 +22,14 @@ CELL_LAYER = 0.7  # of them, in a layer under the surface
 CELL_START = (1.0, 0.5)  # of the tissue's mu and lambda: where the fit of cells begins
 RETURN_START = 0.01  # of the organ's return springs, where the search begins: the clamp holds the organ
 
+_BOUNDS = {
+    "seed": (0, 2**31),
+    "cases": (8, 10_000),
+    "evaluations": (1, 10_000),
+    "smooth": (1, 1000),
+    "sharp": (0, 1000),
+}
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -29,7 +37,7 @@ class Settings:
 
     cases: linear loads of the fit; smooth and sharp: held-out ones; evaluations: of the misfit; interior: atoms in the
     result, None for as many as `aim` asks for, most of them in a layer under the surface (for groups the organ's own,
-    as in the paper).
+    as in the paper). Raises UserError for a number out of range and for an unknown method or aim.
     """
 
     seed: int = 0
@@ -41,13 +49,21 @@ class Settings:
     smooth: int = 30
     sharp: int = 10
 
+    def __post_init__(self) -> None:
+        for name, (least, most) in _BOUNDS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise UserError(f"{name} {value} is outside {least}..{most}")
+        if self.interior is not None and self.interior < 0:
+            raise UserError(f"interior {self.interior} is negative; use 0 or more")
+        if self.method not in METHODS:
+            raise UserError(f"unknown method '{self.method}'; choose one of {', '.join(METHODS)}")
+        if self.aim not in INTERIOR_SHARE:
+            raise UserError(f"unknown aim '{self.aim}'; choose one of {', '.join(INTERIOR_SHARE)}")
+
 
 def prepared(organ: Organ, settings: Settings) -> Organ:
     """The organ with the interior atoms wanted, and with cells of its tissue where those are fitted."""
-    if settings.method not in METHODS:
-        raise UserError(f"unknown method '{settings.method}'; choose one of {', '.join(METHODS)}")
-    if settings.aim not in INTERIOR_SHARE:
-        raise UserError(f"unknown aim '{settings.aim}'; choose one of {', '.join(INTERIOR_SHARE)}")
     by_cells = settings.method == "cells"
     interior = settings.interior
     if interior is None:

@@ -7,7 +7,10 @@ COMMANDS = {
     "build": ("tissue_sim.commands.build", "make an organ from a CT, a mask or a surface mesh"),
     "abdomen": ("tissue_sim.commands.abdomen", "make a scene of liver, kidneys and spleen that breathe"),
     "info": ("tissue_sim.commands.info", "print what an organ file holds"),
-    "export": ("tissue_sim.commands.export", "write an organ's surface or skeleton for other programs"),
+    "export": (
+        "tissue_sim.commands.export",
+        "write an organ's surface, or frames of a bag, for other programs",
+    ),
     "solve": ("tissue_sim.commands.solve", "settled displacements under given loads"),
     "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and judge it"),
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),

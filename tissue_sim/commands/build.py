@@ -4,39 +4,34 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import hashlib
 import importlib.util
 import itertools
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from tissue_sim.array_types import Floats
-from tissue_sim.commands.build_inclusions import parse_inclusions, surrounded
+from tissue_sim.commands.build_inclusions import parse_inclusions
 from tissue_sim.commands.build_refine import HELP as REFINE_HELP
 from tissue_sim.commands.build_refine import parse_refine
 from tissue_sim.errors import UserError
+from tissue_sim.organ.build import EXTRA, digest_of, make, stem_of
 from tissue_sim.organ.build_record import STAGES, Progress
 from tissue_sim.organ.fineness import FAIR, FAIR_WITHIN, FINE, FINE_WITHIN, mean_edge
 from tissue_sim.organ.fixed_nodes import select_fixed
-from tissue_sim.organ.making import organ_from_image, organ_from_mask, organ_from_mesh
 from tissue_sim.organ.request import MOST_ATOMS, SPARSE, Request
 from tissue_sim.organ.segmenting.parameters import SegmentationParameters
 from tissue_sim.progress import task
 
-if TYPE_CHECKING:
-    from tissue_sim.organ.organ import Organ
-
-
 # What stages take of a usual build, beside each other: only the bar's pace depends on it.
 _SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
 _UNITS = ("mm", "cm", "m", "um", "in")
-_EXTRA = "install the extra: pip install 'tissue_sim[image]'"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -131,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         return _run(args)
     except ModuleNotFoundError as error:
-        raise UserError(f"building organs needs {error.name}; {_EXTRA}") from None
+        raise UserError(f"building organs needs {error.name}; {EXTRA}") from None
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -142,7 +137,7 @@ def _run(args: argparse.Namespace) -> int:
         raise UserError(f"folder {out.parent} for the organ file does not exist; make it first")
     report = report_path(args, out)
     _check_counts(args)
-    name = args.name or _stem(Path(source))
+    name = args.name or stem_of(Path(source))
     request = Request(
         name=name,
         points=args.points,
@@ -163,8 +158,9 @@ def _run(args: argparse.Namespace) -> int:
             **({"refine": [Path(where).name for where in args.refine]} if args.refine else {}),
         },
     )
+    kind, given = _given(args)
     with _under_way(_stages_of(args)) as progress:
-        organ = _build(args, request, progress)
+        organ = make(kind, source, request, given, progress)
         organ.save(out)
         if report:
             from tissue_sim.organ.reporting.page import write_report
@@ -300,12 +296,8 @@ def report_path(args: argparse.Namespace, out: Path) -> Path | None:
     if not path.parent.is_dir():
         raise UserError(f"folder {path.parent} for the report does not exist; make it first")
     if importlib.util.find_spec("matplotlib") is None:
-        raise UserError(f"--report needs matplotlib; {_EXTRA}")
+        raise UserError(f"--report needs matplotlib; {EXTRA}")
     return path
-
-
-def _stem(path: Path) -> str:
-    return path.name.removesuffix(".gz").rsplit(".", 1)[0] if not path.is_dir() else path.resolve().name
 
 
 # the work -----------------------------------------------------------------------------------------
@@ -319,34 +311,17 @@ def _stages_of(args: argparse.Namespace) -> list[str]:
     return [*stages, "report"] if args.report is not None else stages
 
 
-def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Organ:
+def _given(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
+    """What the input is, and its options as the library takes them."""
+    part = int(args.part) if args.part and args.part.isdigit() else args.part
+    of_parts = {"part": part, "merge_parts": args.merge_parts}
     if args.surface:
-        from tissue_sim.organ.meshes.mesh_input import read_mesh
-
-        with progress.stage("read"):
-            part = int(args.part) if args.part and args.part.isdigit() else args.part
-            mesh = read_mesh(args.surface, args.unit, longest=args.length, part=part, merge_parts=args.merge_parts)
-        return organ_from_mesh(mesh, request, args.keep_points, progress=progress)
+        return "surface", {"unit": args.unit, "length": args.length, "keep_points": args.keep_points, **of_parts}
     if args.mask:
-        from tissue_sim.organ.imaging.mask_parts import one_part
-        from tissue_sim.organ.imaging.masks import read_masks
-
-        wanted = parse_inclusions(args.inclusion, args.label)
-        with progress.stage("read"):
-            mask, *parts = read_masks(args.mask, args.label, list(wanted))
-            mask = one_part(mask, int(args.part) if args.part else None, merge=args.merge_parts)
-            request = dataclasses.replace(request, inclusions=surrounded(parts, wanted, progress))
-        for note in mask.notes:
-            progress.say(note)
-        return organ_from_mask(mask, request, progress=progress)
-    from tissue_sim.organ.imaging.image import read_image
-
-    parameters = _parameters(args)
-    given = parse_triple("--seed", args.seed) if args.seed else parse_triple("--seed-voxel", args.seed_voxel)
-    with progress.stage("read"):
-        ct = read_image(args.image, args.series)
-    seed = given if args.seed else ct.to_points(given)
-    return organ_from_image(ct, seed, request, parameters, progress=progress)
+        return "mask", {"label": args.label, "inclusions": parse_inclusions(args.inclusion, args.label), **of_parts}
+    seed = {"seed": parse_triple("--seed", args.seed)} if args.seed else {}
+    voxel = {} if args.seed else {"seed_voxel": parse_triple("--seed-voxel", args.seed_voxel)}
+    return "image", {**seed, **voxel, "series": args.series, "segmentation": asdict(_parameters(args))}
 
 
 @contextmanager
@@ -361,19 +336,6 @@ def _under_way(stages: list[str]) -> Iterator[Progress]:
                 whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never back
 
         yield Progress(partial(print, flush=True), watch)
-
-
-def digest_of(source: Path) -> str:
-    """SHA-256 (hex) of a file, or of the names and contents of a folder's files in order; empty if there is none."""
-    if source.is_file():
-        with source.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    if not source.is_dir():
-        return ""
-    whole = hashlib.sha256()
-    for path in sorted(path for path in source.iterdir() if path.is_file()):
-        whole.update(f"{path.name} {digest_of(path)}\n".encode())
-    return whole.hexdigest()
 
 
 def parse_triple(option: str, text: str) -> Floats:

@@ -1,17 +1,11 @@
-"""The option --inclusion of `tissue_sim build`: what it says, and the surfaces around the labels that it names."""
+"""The option --inclusion of `tissue_sim build`: what it says."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from tissue_sim.errors import UserError
-from tissue_sim.organ.build_record import Progress
-from tissue_sim.organ.inclusions import Inclusion, check_stiffness
-
-if TYPE_CHECKING:
-    from tissue_sim.organ.imaging.image import Volume
+from tissue_sim.organ.inclusions import check_stiffness
 
 
 def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str, float]:
@@ -30,16 +24,3 @@ def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str
         check_stiffness(stiffness)
         found[part] = stiffness
     return found
-
-
-def surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: Progress) -> tuple[Inclusion, ...]:
-    """Inclusions around what each label covers, in the order of their masks."""
-    from tissue_sim.organ.surfaces.inclusion_surface import surround
-
-    found: list[Inclusion] = []
-    for mask, (label, stiffness) in zip(parts, wanted.items(), strict=True):
-        inclusions, specks = surround(replace(mask, name=f"label {label}"), stiffness)
-        found += inclusions
-        if specks:
-            progress.say(f"left out {specks} specks of label {label}")
-    return tuple(found)

@@ -163,20 +163,11 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
 
 def _settings(args: argparse.Namespace) -> Settings:
     """The settings that the arguments name; raises UserError for numbers out of range."""
-    for option, least, most in (
-        ("seed", 0, 2**31),
-        ("cases", 8, 10_000),
-        ("evaluations", 1, 10_000),
-        ("smooth", 1, 1000),
-        ("sharp", 0, 1000),
-    ):
-        value = getattr(args, option)
-        if not least <= value <= most:
-            raise UserError(f"--{option.replace('_', '-')} {value} is outside {least}..{most}")
-    if args.interior is not None and args.interior < 0:
-        raise UserError(f"--interior {args.interior} is negative; use 0 or more")
     names = ("seed", "method", "aim", "cases", "evaluations", "interior", "smooth", "sharp")
-    return Settings(**{name: getattr(args, name) for name in names})
+    try:
+        return Settings(**{name: getattr(args, name) for name in names})
+    except UserError as error:
+        raise UserError(f"--{error}") from None
 
 
 def _missed(figures: dict[str, Any]) -> Iterator[str]:

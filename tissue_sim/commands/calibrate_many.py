@@ -8,14 +8,13 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import tissue_sim
 from tissue_sim import progress
-from tissue_sim.calibration.calibrate import Calibrated, calibrate
+from tissue_sim.calibration.calibrate import Calibrated, Silent, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.cohort import spread
 from tissue_sim.calibration.stiffness import Settings
@@ -130,7 +129,7 @@ def worked_out(task: Task | str) -> Done:
     with tempfile.TemporaryDirectory(prefix="tissue_sim-") as spare:
         checkpoint = Checkpoint(Path(task.folder or spare), inputs)
         try:
-            found: Calibrated = calibrate(task.organ, task.settings, checkpoint, _Silent())
+            found: Calibrated = calibrate(task.organ, task.settings, checkpoint, Silent())
         finally:
             checkpoint.remove()  # after a refusal, too: the organ must change; a process that is killed leaves it
     return Done(found.organ, found.figures, (time.perf_counter() - began) / 60.0)
@@ -187,12 +186,3 @@ def cells_of(figures: dict[str, Any], minutes: str) -> list[str]:
 def _row(name: str, cells: Sequence[str]) -> list[tuple[str, int]]:
     """Cells with the widths that they are shown in; a reason takes what room it needs."""
     return list(zip((name, *cells), (_WIDTHS[0], *(0,)) if len(cells) == 1 else _WIDTHS, strict=True))
-
-
-class _Silent:
-    """Progress that nobody sees."""
-
-    @contextmanager
-    def stage(self, name: str, total: int) -> Iterator[Any]:
-        """See calibrate.Progress."""
-        yield lambda remark="": None

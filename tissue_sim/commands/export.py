@@ -1,4 +1,4 @@
-"""`tissue_sim export`: an organ's surface, its skeleton and its cells for other programs."""
+"""`tissue_sim export`: an organ's surface, its skeleton and its cells, or frames of a bag, for other programs."""
 
 from __future__ import annotations
 
@@ -10,18 +10,38 @@ from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.reporting.exchange import CELLS, LINES, SURFACES, UNITS, Writer, bones
 
+EVERY = 20  # ticks from one frame of a bag to the next
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
-    parser.add_argument("out", metavar="OUT", help=f"surface to write, by its ending: {', '.join(SURFACES)}")
+    parser.add_argument("organ", metavar="ORGAN|BAG", help="organ file (.npz), or folder of a recorded bag")
+    parser.add_argument(
+        "out",
+        metavar="OUT",
+        help=f"surface to write, by its ending: {', '.join(SURFACES)}; of a bag OUT.pvd, beside which frames are"
+        " written as VTU, with their times, or OUT.glb, for OUT_0000.glb and on",
+    )
+    parser.add_argument(
+        "--every", type=int, metavar="TICKS", help=f"of a bag: ticks from one frame to the next (default: {EVERY})"
+    )
     parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
     parser.add_argument("--cells", metavar="FILE", help=f"write nodes and cells too, with moduli: {', '.join(CELLS)}")
     parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="length unit (default: %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the surface, and skeleton and cells where asked; returns 0. Raises UserError."""
+    """Write the surface, and skeleton and cells where asked, or a bag's frames; returns 0. Raises UserError."""
+    if Path(args.organ).is_dir():
+        from tissue_sim.commands.export_bag import export_bag
+
+        for option, value in (("--skeleton", args.skeleton), ("--cells", args.cells)):
+            if value is not None:
+                raise UserError(f"{option} belongs to an organ file, and {args.organ} is a bag")
+        export_bag(Path(args.organ), Path(args.out), EVERY if args.every is None else args.every, args.unit)
+        return 0
+    if args.every is not None:
+        raise UserError(f"--every belongs to a bag, and {args.organ} is none")
     surface = _writer(args.out, SURFACES, "surface")
     lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
     cells = _writer(args.cells, CELLS, "cells") if args.cells else None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.arguments import finite, number_of
 from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.gripper import about
@@ -15,6 +16,7 @@ from tissue_sim.contact.joining import join
 from tissue_sim.contact.pair_finder import PairFinder
 from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.contact.touched import TouchedOrgan
+from tissue_sim.errors import UserError
 from tissue_sim.model.contact_set import ContactSet
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
@@ -53,6 +55,9 @@ class Scene:
     ) -> None:
         self.tools = ToolSet(tools)
         organs = [organ] if isinstance(organ, Organ) else list(organ)
+        if not organs:
+            raise UserError("a scene wants at least one organ")
+        self.names = [one.name for one in organs]
         self.organs = [
             TouchedOrgan(
                 Simulation(
@@ -69,9 +74,10 @@ class Scene:
             )
             for one in organs
         ]
-        for one, factor in zip(self.simulations, stiffness, strict=bool(stiffness)):
-            one.settings.stiffness_scale = factor
-            one.set_substeps()
+        for one, factor in zip(self.simulations, _factors(stiffness, len(organs)), strict=True):
+            if factor != 1.0:
+                one.settings.stiffness_scale = factor
+                one.set_substeps()
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
@@ -81,6 +87,16 @@ class Scene:
         self._pairs = None if self.joined.alone else PairFinder(organs)
         self._own = [self_contact] * len(organs)
         self._found_at = self.offsets  # when pairs were last looked for
+
+    def __repr__(self) -> str:
+        tools = ", ".join(f"{tool.name} ({tool.shape})" for tool in self.tools.tools) or "no tools"
+        first = self.simulation
+        return f"<Scene of {', '.join(self.names)}; {tools}; {first.rate:g} Hz, {self.time:.3f} s>"
+
+    @property
+    def time(self) -> float:
+        """Return the simulated seconds."""
+        return self.simulation.time
 
     @property
     def simulations(self) -> list[Simulation]:
@@ -139,40 +155,122 @@ class Scene:
         origins = self._origin - self.offsets[0]
         return np.array([about(at, felt[own], poses[own]) for at, own in zip(origins, self.tools.bodies, strict=True)])
 
+    def wrench(self, tool: int | str) -> Floats:
+        """Return the force and torque that a tool's hand should feel.
+
+        Parameters
+        ----------
+        tool
+            Its name or number.
+
+        Returns
+        -------
+        Floats
+            (6,) N and N m about the tool's origin, in the scene's axes; a copy.
+
+        Raises
+        ------
+        UserError
+            For a tool that the scene doesn't have.
+        """
+        return self.wrenches[self.tools.index(tool)].copy()
+
+    def surface_positions(self, organ: int | str = 0) -> Floats:
+        """Return where the surface nodes of an organ are, carried by the breath.
+
+        Parameters
+        ----------
+        organ
+            Its name (see `names`) or number.
+
+        Returns
+        -------
+        Floats
+            (n_surface, 3) m.
+
+        Raises
+        ------
+        UserError
+            For an organ that the scene doesn't have.
+        """
+        simulation = self.simulations[number_of(organ, self.names, "organ")]
+        return np.asarray(simulation.surface_positions + simulation.state.carried)
+
+    def surface_normals(self, organ: int | str = 0) -> Floats:
+        """Return the outward unit normals at the surface nodes of an organ, (n_surface, 3).
+
+        Raises
+        ------
+        UserError
+            For an organ that the scene doesn't have.
+        """
+        return self.simulations[number_of(organ, self.names, "organ")].surface_normals
+
     def move(
         self,
-        tool: int,
+        tool: int | str,
         position: ArrayLike,
         quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         angle: float = 0.0,
         stamp: int = 0,
     ) -> None:
-        """A new pose of a tool: position (3,) m and unit quaternion xyzw; angle rad between a gripper's jaws.
+        """Give a tool a new pose, which it takes up in the next tick.
 
-        stamp: ns, when the tool was there; 0: it came as fast as it moved.
+        Parameters
+        ----------
+        tool
+            Its name or number.
+        position
+            (3,) m, of its origin.
+        quaternion
+            (4,) xyzw, of length 1.
+        angle
+            rad, between a gripper's jaws.
+        stamp
+            ns, when the tool was there; 0: it came as fast as it moved.
+
+        Raises
+        ------
+        UserError
+            For a tool that the scene doesn't have, and for numbers that are no pose.
         """
-        pose = np.concatenate([np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)])
-        self._origin[tool] = pose[:3]
+        number = self.tools.index(tool)
+        name = f"of tool '{self.tools.tools[number].name}'"
+        turn = finite(quaternion, 4, f"the quaternion {name}")
+        if abs(np.sqrt(np.sum(turn**2)) - 1.0) > 1e-6:
+            raise UserError(f"the quaternion {name}, {turn.tolist()}, is not of length 1")
+        pose = np.concatenate([finite(position, 3, f"the position {name}"), turn])
+        finite([angle], 1, f"the angle {name}")
+        self._origin[number] = pose[:3]
         self._sequence += 1
-        for body, at in zip(self.tools.bodies[tool], self.tools.poses(tool, pose, angle), strict=True):
+        for body, at in zip(self.tools.bodies[number], self.tools.poses(number, pose, angle), strict=True):
             for simulation, offset in zip(self.simulations, self.offsets, strict=True):
                 carried = at.copy()
                 carried[:3] -= offset
                 simulation.take_pose(body, carried, self._sequence, stamp)
 
-    def push(self, tool: int, force: ArrayLike) -> None:
-        """A new external force (3,) N on the tissue at a tool's tip."""
-        self._sequence += 1
-        body = self.tools.bodies[tool][0]
-        for simulation in self.simulations:
-            simulation.take_force(body, np.asarray(force, dtype=np.float64), self._sequence)
+    def push(self, tool: int | str, force: ArrayLike) -> None:
+        """Give the external force (3,) N on the tissue at a tool's tip.
 
-    def step(self) -> None:
-        """Find the contacts when it is time, and advance by one tick."""
-        if self._ticks % self._ticks_a_set == 0:
-            self.find()
-        self._ticks += 1
-        self.joined.step()
+        Raises
+        ------
+        UserError
+            For a tool that the scene doesn't have, and for a force that is not finite.
+        """
+        number = self.tools.index(tool)
+        given = finite(force, 3, f"the force of tool '{self.tools.tools[number].name}'")
+        self._sequence += 1
+        body = self.tools.bodies[number][0]
+        for simulation in self.simulations:
+            simulation.take_force(body, given, self._sequence)
+
+    def step(self, ticks: int = 1) -> None:
+        """Advance by some ticks of 1/rate seconds; contacts are found when it is time."""
+        for _ in range(ticks):
+            if self._ticks % self._ticks_a_set == 0:
+                self.find()
+            self._ticks += 1
+            self.joined.step()
 
     def find(self) -> None:
         """Find what tools and organs may touch where they are now, and take it up."""
@@ -193,3 +291,13 @@ class Scene:
         there = [one.positions + offset for one, offset in zip(self.simulations, offsets, strict=True)]
         own = [one and not simulation.asleep for one, simulation in zip(self._own, self.simulations, strict=True)]
         self.joined.take_pairs(self._pairs.find(there, own))
+
+
+def _factors(stiffness: Sequence[float], count: int) -> list[float]:
+    """Return factors on the stiffness of each organ's tissue: 1 where none are given."""
+    if not len(stiffness):
+        return [1.0] * count
+    factors = finite(stiffness, count, "stiffness")
+    if np.any(factors <= 0.0):
+        raise UserError(f"stiffness is {factors.tolist()}; wanted: factors greater than 0")
+    return factors.tolist()

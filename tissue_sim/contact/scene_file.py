@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,7 +95,7 @@ class SceneFile:
 
     def scene(self, tools: list[Tool], **options: Any) -> Scene:
         """The scene, with tools; options as Scene takes them. Raises UserError where things don't fit together."""
-        return Scene(
+        made = Scene(
             self.organs,
             tools,
             stiffness=self.stiffness,
@@ -106,6 +107,33 @@ class SceneFile:
             self_contact=True,
             **options,
         )
+        made.names = list(self.names)
+        return made
+
+
+def load_scene(path: str | os.PathLike[str], tools: Sequence[Tool] = (), **options: Any) -> Scene:
+    """Read a scene of several organs, and put tools into it.
+
+    Parameters
+    ----------
+    path
+        YAML file; organ files are named relative to it.
+    tools
+        The rigid tools.
+    **options
+        `rate`, `model`, `ticks_a_set` and others that `Scene` takes.
+
+    Returns
+    -------
+    Scene
+        At rest, its organs called as in the file.
+
+    Raises
+    ------
+    UserError
+        For a file that is missing or no scene, and where organs and tools don't fit together.
+    """
+    return SceneFile.read(Path(path)).scene(list(tools), **options)
 
 
 class _Wrong(Exception):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue_sim.array_types import Floats
+from tissue_sim.contact.arguments import number_of
 from tissue_sim.contact.gripper import Jaws, jaw_poses
 from tissue_sim.errors import UserError
 from tissue_sim.model.shapes import CAPSULE, CONVEX, GRID, SPHERE, Grid, make_shapes
@@ -68,6 +69,9 @@ class ToolSet:
 
     def __init__(self, tools: list[Tool]) -> None:
         self.tools = list(tools)
+        names = [tool.name for tool in self.tools]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise UserError(f"two tools are called '{twice[0]}'; give each a name of its own")
         self.bodies: list[list[int]] = []  # of each tool
         bodies: list[_Body] = []
         for tool in self.tools:
@@ -102,6 +106,16 @@ class ToolSet:
             [(body.smallest, float(np.linalg.norm(body.corners, axis=1).max())) for body in bodies],
             [tool.smoothing for tool, members in zip(self.tools, self.bodies, strict=True) for _ in members],
         )
+
+    def index(self, tool: int | str) -> int:
+        """Return the number of a tool that is given by its name or its number; negative ones count from the last.
+
+        Raises
+        ------
+        UserError
+            For a tool that the scene doesn't have.
+        """
+        return number_of(tool, [one.name for one in self.tools], "tool")
 
     def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
         """Poses (b, 7) of a tool's bodies at a pose (7,), m and a unit quaternion xyzw; angle rad of a gripper."""

@@ -41,6 +41,7 @@ from tissue_sim.model.world import (
     show_world,
     touch_world,
 )
+from tissue_sim.organ.normals import surface_normals
 from tissue_sim.organ.organ import Organ
 
 # s, however soft the organ. In a longer one a tool that is finer than FINE, m, or of any shape, slips through what it
@@ -146,6 +147,10 @@ class Simulation:
         self.refer()
         self.reset()
 
+    def __repr__(self) -> str:
+        state = "asleep" if self.asleep else "awake"
+        return f"<Simulation of '{self.organ.name}': {self.variant}, {self.rate:g} Hz, {self.time:.3f} s, {state}>"
+
     def refer(self) -> None:
         """Hand the arrays to the kernels, at the start and whenever `model` was replaced."""
         self.world = handle(make_world(self.model, self.state, self.shapes, self.settings, self.scratch))
@@ -174,6 +179,16 @@ class Simulation:
         if status.region == Region.MODAL and status.shown != status.tick and not self.asleep:
             show_world(self.world)
         return self.state.position
+
+    @property
+    def surface_positions(self) -> Floats:
+        """Return the positions of the surface nodes, (n_surface, 3) m: a view of `positions`."""
+        return self.positions[: self.organ.n_surface]
+
+    @property
+    def surface_normals(self) -> Floats:
+        """Return the outward unit normals of the deformed surface, (n_surface, 3)."""
+        return surface_normals(self.surface_positions, self.organ.surface_triangles)
 
     @property
     def velocities(self) -> Floats:
@@ -257,9 +272,10 @@ class Simulation:
         """Take up a contact set; sequence: its number."""
         touch_world(self.world, found, sequence)
 
-    def step(self) -> None:
-        """Advance by 1/rate seconds."""
-        tick(self.world)
+    def step(self, ticks: int = 1) -> None:
+        """Advance by some ticks of 1/rate seconds."""
+        for _ in range(ticks):
+            tick(self.world)
 
     def reset(self) -> None:
         """Back to the rest shape, asleep, without tools; the counters go on."""

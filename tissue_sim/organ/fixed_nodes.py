@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
@@ -13,11 +15,24 @@ from tissue_sim.errors import UserError
 _FIXED = re.compile(r"([xyz])\s*([<>])\s*([0-9]*\.?[0-9]+)")
 
 
-def select_fixed(choice: str, positions: Floats) -> Ints:
-    """Indices of the surface nodes that `choice` names: `none`, `z<0.1` or a .npy file of indices.
+def select_fixed(choice: str | ArrayLike, positions: Floats) -> Ints:
+    """Return the indices of the surface nodes that are held.
 
-    `z<0.1` is the lowest tenth of the extent along z; axes x, y, z, < or >. Raises UserError otherwise.
+    Parameters
+    ----------
+    choice
+        `none`; `z<0.1` for the lowest tenth of the extent along z (axes x, y, z; < or >); a .npy file of indices; or
+        the indices (k,).
+    positions
+        (n, 3) m, of the surface nodes.
+
+    Raises
+    ------
+    UserError
+        For a choice that is none of these, or names nodes that aren't there.
     """
+    if not isinstance(choice, str):
+        return _indices(np.asarray(choice), len(positions), "fixed")
     text = choice.strip()
     if text.lower() == "none":
         return np.empty(0, dtype=np.int32)
@@ -42,8 +57,12 @@ def _fixed_from_file(path: Path, count: int) -> Ints:
         raise UserError(f"--fixed file {path} does not exist") from None
     except (OSError, ValueError, EOFError):
         raise UserError(f"--fixed file {path} is no .npy file of indices") from None
+    return _indices(index, count, f"--fixed file {path}")
+
+
+def _indices(index: NDArray[Any], count: int, name: str) -> Ints:
     if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer):
-        raise UserError(f"--fixed file {path} must hold a 1-D array of integers, has {index.dtype} {index.shape}")
+        raise UserError(f"{name} must hold a 1-D array of integers, has {index.dtype} {index.shape}")
     if len(index) and (index.min() < 0 or index.max() >= count):
-        raise UserError(f"--fixed file {path} names nodes outside 0..{count - 1}")
+        raise UserError(f"{name} names nodes outside 0..{count - 1}")
     return np.unique(index).astype(np.int32)

@@ -260,7 +260,7 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
         "branches": request.branches,
         "interior_atoms": request.interior_atoms,
         "skeleton_length_mm": round(skeleton.length, 3),
-        "fixed": Path(request.fixed).name,
+        "fixed": Path(request.fixed).name if isinstance(request.fixed, str) else f"{len(request.fixed)} nodes",
         "packages": _versions(),
     }
     for inclusion in request.inclusions:

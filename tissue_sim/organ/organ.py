@@ -20,6 +20,8 @@ from scipy.sparse.csgraph import connected_components
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError, shown
 from tissue_sim.npz import read_npz
+from tissue_sim.organ.normals import surface_normals
+from tissue_sim.organ.shipped import shipped_organ
 
 SCHEMA_VERSION = 5  # 2: interior_spoke; 3: springs that harden, gone; 4: cells; 5: inclusions
 
@@ -58,7 +60,7 @@ def _array(dtype: type, shape: tuple[int | str, ...], empty: tuple[int, ...] | N
     return field(default_factory=lambda: np.zeros(empty, dtype=dtype), metadata=metadata)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Organ:
     """An organ ready to be simulated. SI units; every array is read-only.
 
@@ -112,6 +114,14 @@ class Organ:
         self._check_numbers()
         self._check(sizes)
 
+    def __repr__(self) -> str:
+        tissue = f"{len(self.cell_nodes)} cells" if len(self.cell_nodes) else f"{len(self.spring_nodes)} springs"
+        return (
+            f"<Organ '{self.name}': {1e6 * self.volume:.1f} mL, {self.n_surface} surface nodes,"
+            f" {len(self.surface_triangles)} triangles, {self.n_atoms} medial and {self.n_interior} interior atoms,"
+            f" {tissue}, {len(self.fixed)} nodes fixed>"
+        )
+
     # sizes -------------------------------------------------------------------------------------
     @property
     def n_surface(self) -> int:
@@ -137,6 +147,11 @@ class Organ:
     def rest_positions(self) -> Floats:
         """Rest positions of all nodes, (n, 3) m: surface, medial atoms, interior."""
         return np.concatenate([self.surface_positions, self.atom_positions, self.interior_positions])
+
+    @property
+    def surface_normals(self) -> Floats:
+        """Return the outward unit normals of the rest surface, (n_surface, 3)."""
+        return surface_normals(self.surface_positions, self.surface_triangles)
 
     @property
     def schema_version(self) -> int:
@@ -205,6 +220,17 @@ class Organ:
                 raise UserError(f"organ '{self.name}': {item.name} holds {odd:.3g}, outside {least:g}..{most:g}")
 
     # files -------------------------------------------------------------------------------------
+    @classmethod
+    def shipped(cls, name: str = "kidney") -> Organ:
+        """Return an organ that ships with the package: kidney, kidney_as_built (of springs) or kidney_tumour.
+
+        Raises
+        ------
+        UserError
+            When none of that name is installed.
+        """
+        return cls.load(shipped_organ(name))
+
     def to_bytes(self) -> bytes:
         """The organ file: a compressed NPZ with schema version and the SHA-256 of its content inside.
 

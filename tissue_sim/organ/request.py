@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from tissue_sim.array_types import Ints
 from tissue_sim.organ.inclusions import Inclusion
 from tissue_sim.organ.refinement import Refinement
 
@@ -30,7 +31,7 @@ class Request:
     interior_atoms: int = 0
     organ: str | None = None
     accept: bool = False
-    fixed: str = "z<0.1"
+    fixed: str | Ints = "z<0.1"
     youngs_modulus: float = 10_000.0  # Pa
     poisson_ratio: float = 0.45
     density: float = 1060.0  # kg/m^3

@@ -28,7 +28,7 @@ logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints
 
 _TRIMESH = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 # glTF 2.0, 3.4: +Y up, +Z forward, -X right; so these rows take it to LPS (x left, y back, z up).
-_GLTF_TO_LPS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+GLTF_TO_LPS = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def _pieces(loaded: Any, suffix: str) -> MeshFile:
             pieces.append(_piece(mesh, str(node), transform))
     if suffix not in (".glb", ".gltf"):
         return MeshFile(tuple(pieces))
-    turned = tuple(Piece(p.name, p.positions @ _GLTF_TO_LPS.T, p.triangles) for p in pieces)
+    turned = tuple(Piece(p.name, p.positions @ GLTF_TO_LPS.T, p.triangles) for p in pieces)
     return MeshFile(turned, ("glTF is y up, z to the front: turned into the patient frame (z to the head)",))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.errors import UserError
 from tissue_sim.organ.imaging.image import MM, Volume
 from tissue_sim.organ.lengths import UNITS, is_organ
-from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, read_pieces
+from tissue_sim.organ.meshes.mesh_formats import FORMATS, MeshFile, Piece, read_pieces
 from tissue_sim.organ.meshes.mesh_parts import choose, closed_part, split
 from tissue_sim.organ.meshes.mesh_repair import area_of, capped_volume, longest_side
 from tissue_sim.organ.meshes.mesh_union import merged
@@ -66,9 +67,57 @@ def read_mesh(
     none of which dominates (with their volumes), a hollow shell, or no organ in size.
     """
     source = Path(path)
-    scale = _scale(source, unit, longest)
-    found = _load(source)
-    name = str(source)
+    _check_source(source, unit, longest)
+    return _closed(_load(source), str(source), unit, longest, part, merge_parts)
+
+
+def mesh_of(
+    positions: NDArray[Any],
+    triangles: NDArray[Any],
+    name: str,
+    unit: str | None = "m",
+    *,
+    longest: float | None = None,
+    part: int | str | None = None,
+    merge_parts: bool = False,
+) -> SurfaceMesh:
+    """Return the closed surface of one organ from arrays, checked and repaired as `read_mesh` does.
+
+    Parameters
+    ----------
+    positions
+        (n, 3), in the unit.
+    triangles
+        (t, 3), indices of their corners.
+    name
+        What the surface is called in messages.
+    unit, longest, part, merge_parts
+        As `read_mesh` takes them.
+
+    Raises
+    ------
+    UserError
+        For arrays of other shapes or without numbers, and as `read_mesh` does.
+    """
+    for what, array in (("positions", positions), ("triangles", triangles)):
+        if array.ndim != 2 or array.shape[1] != 3 or not len(array) or array.dtype.kind not in "fiu":
+            raise UserError(f"surface {name}: {what} has shape {array.shape}; wanted: numbers (n, 3)")
+    if triangles.dtype.kind == "f":
+        raise UserError(f"surface {name}: triangles must be whole numbers, indices of positions")
+    piece = Piece(name, positions.astype(np.float64), triangles.astype(np.int64))
+    return _closed(_checked(MeshFile((piece,)), Path(name)), name, unit, longest, part, merge_parts)
+
+
+def _closed(
+    found: MeshFile,
+    name: str,
+    unit: str | None,
+    longest: float | None,
+    part: int | str | None,
+    merge_parts: bool,
+) -> SurfaceMesh:
+    """Return the closed surface of what was read, in m."""
+    scale = _factor(unit, longest)
     if scale is None:
         assert longest is not None
         side = longest_side(np.concatenate([piece.positions for piece in found.pieces]))
@@ -103,27 +152,32 @@ def read_mesh(
     return replace(surface, notes=tuple(notes))
 
 
-def _scale(source: Path, unit: str | None, longest: float | None) -> float | None:
-    """Metres in the file's unit; None where the longest side is given instead. Refuses what can't be read."""
+def _check_source(source: Path, unit: str | None, longest: float | None) -> None:
+    """Refuse a file that can't be read, and one whose unit nobody knows."""
     if not source.is_file():
         raise UserError(f"surface {source} does not exist; name a mesh file ({', '.join(FORMATS)})")
     suffix = source.suffix.lower()
     if suffix not in FORMATS:
         raise UserError(f"surface {source} has no known mesh format; use one of {', '.join(FORMATS)}")
-    if unit is not None and unit not in UNITS:
-        raise UserError(f"unit {unit} is not known; use one of {', '.join(UNITS)}")
-    if longest is not None:
-        if unit is not None:
-            raise UserError("--unit and --length were given; choose one")
-        if not is_organ(longest):
-            raise UserError(f"--length {longest:g} m is no organ's longest side; give metres, 0.005 to 1")
-        return None
-    if unit is None and suffix not in _METRES:
+    if unit is None and longest is None and suffix not in _METRES:
         raise UserError(
             f"surface {source}: {suffix[1:].upper()} doesn't say its length unit; give --unit mm or --unit m"
             " (or cm, um, in), or the organ's longest side with --length METRES"
         )
-    return UNITS[unit or "m"]
+    _factor(unit, longest)
+
+
+def _factor(unit: str | None, longest: float | None) -> float | None:
+    """Return the metres in a unit, m by default; None where the longest side is given instead."""
+    if unit is not None and unit not in UNITS:
+        raise UserError(f"unit {unit} is not known; use one of {', '.join(UNITS)}")
+    if longest is None:
+        return UNITS[unit or "m"]
+    if unit is not None:
+        raise UserError("--unit and --length were given; choose one")
+    if not is_organ(longest):
+        raise UserError(f"--length {longest:g} m is no organ's longest side; give metres, 0.005 to 1")
+    return None
 
 
 def _load(source: Path) -> MeshFile:
@@ -135,6 +189,10 @@ def _load(source: Path) -> MeshFile:
         raise
     except Exception as error:  # trimesh, meshio and their loaders raise anything on damaged files
         raise UserError(f"surface {source} can't be read as a mesh ({type(error).__name__}); export it again") from None
+    return _checked(found, source)
+
+
+def _checked(found: MeshFile, source: Path) -> MeshFile:
     if not any(len(piece.triangles) for piece in found.pieces):
         raise UserError(f"surface {source} holds no triangles")
     for piece in found.pieces:

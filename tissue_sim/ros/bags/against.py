@@ -54,13 +54,10 @@ def align(first: Recording, second: Recording) -> Alignment:
 def taken_up(recording: Recording) -> dict[tuple[str, bytes], int]:
     """The tick that took up a pose first, by the tool's name and the pose's bytes."""
     found: dict[tuple[str, bytes], int] = {}
-    journal = recording.organs[0].journal
-    rows, bodies = journal["inputs"]["tick"], journal["body_inputs"]["pose"]
     body = 0
     for index, tool in enumerate(tools_of(recording.config)):
-        sequences, poses = bodies[:, body], recording.poses[index]
-        is_new = np.diff(sequences, prepend=0) != 0
-        for tick, number in zip(rows[is_new].tolist(), sequences[is_new].tolist(), strict=True):
+        poses = recording.poses[index]
+        for tick, number in zip(*recording.taken_up(body, "pose"), strict=True):
             if number in poses:
                 found.setdefault((tool.name, poses[number].tobytes()), tick)
         body += tool.n_bodies

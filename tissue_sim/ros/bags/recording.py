@@ -115,6 +115,13 @@ class Recording:
         """True where organs have names."""
         return "organs" in self.config
 
+    def taken_up(self, body: int, kind: str) -> tuple[list[int], list[int]]:
+        """Return the ticks that took up a new input of a body, and its sequence numbers; kind: pose or force."""
+        journal = self.organs[0].journal
+        sequences = journal["body_inputs"][kind][:, body]
+        is_new = np.diff(sequences, prepend=0) != 0
+        return journal["inputs"]["tick"][is_new].tolist(), sequences[is_new].tolist()
+
     @property
     def first_tick(self) -> int:
         """That of the states."""

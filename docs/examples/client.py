@@ -1,0 +1,31 @@
+"""A ROS client: press 6 mm into the kidney of a running node, and plot the force. Start `tissue_node` beside it."""
+
+import matplotlib.pyplot as plt
+import rclpy
+from geometry_msgs.msg import Point, Pose, PoseStamped, WrenchStamped
+from rclpy.qos import qos_profile_sensor_data as qos
+
+rclpy.init()
+node = rclpy.create_node("hand")
+felt: list[WrenchStamped] = []
+poses = node.create_publisher(PoseStamped, "/left/measured_cp", qos)
+node.create_subscription(WrenchStamped, "/left/servo_cf", felt.append, qos)
+
+xs, forces = [], []
+while len(xs) < 900:
+    outside = 0.110 - 2e-5 * len(xs)  # m; it goes in for half of the time, and out again
+    x = max(outside, 0.110 - 2e-5 * (900 - len(xs)))
+    pose = PoseStamped(pose=Pose(position=Point(x=x, y=0.042, z=-0.002)))
+    pose.header.frame_id, pose.header.stamp = "organ", node.get_clock().now().to_msg()
+    poses.publish(pose)
+    rclpy.spin_once(node, timeout_sec=0.01)  # until the wrench that answers the pose
+    if felt:  # the node hears us
+        xs.append(x)
+        forces.append(felt[-1].wrench.force.x)
+rclpy.shutdown()
+print(f"{max(forces):.2f} N at most")
+
+figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+axis.plot([1e3 * (xs[0] - x) for x in xs], forces)
+axis.set(xlabel="way of the tool (mm)", ylabel="force (N)")
+figure.savefig("client.png", dpi=100)

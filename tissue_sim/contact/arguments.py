@@ -1,0 +1,55 @@
+"""What a script gives: numbers that must be finite, and things that are named or numbered."""
+
+from __future__ import annotations
+
+import difflib
+import operator
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError, shown
+
+
+def finite(given: ArrayLike, count: int, name: str) -> Floats:
+    """Return given numbers as an array (count,). Raises UserError, with their name, unless all are finite."""
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.shape != (count,) or not np.all(np.isfinite(values)):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise UserError(f"{name} is {shown(repr(given))}; wanted: {wanted}")
+    return values
+
+
+def number_of(given: int | str, names: Sequence[str], what: str) -> int:
+    """Return the number of a thing that is given by its name or its number; negative ones count from the last.
+
+    Parameters
+    ----------
+    given
+        The name or the number.
+    names
+        Of all that there are, in order.
+    what
+        What they are, for the message: `tool`.
+
+    Raises
+    ------
+    UserError
+        For one that isn't there.
+    """
+    if isinstance(given, str):
+        if given in names:
+            return names.index(given)
+        near = difflib.get_close_matches(given, names, 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+    else:
+        number, hint = operator.index(given), ""
+        if -len(names) <= number < len(names):
+            return number % len(names)
+    there = f"there are {', '.join(names)}" if names else "there are none"
+    raise UserError(f"no {what} {shown(repr(given))}{hint or f'; {there}'}")

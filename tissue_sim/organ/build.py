@@ -1,0 +1,317 @@
+"""From a file or arrays to an organ, in one call: an image with a seed, a mask or a closed surface."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tissue_sim.array_types import Floats
+from tissue_sim.errors import UserError
+from tissue_sim.organ.build_record import Progress
+from tissue_sim.organ.inclusions import Inclusion, check_stiffness
+from tissue_sim.organ.making import organ_from_image, organ_from_mask, organ_from_mesh
+from tissue_sim.organ.request import Request
+from tissue_sim.organ.segmenting.parameters import SegmentationParameters
+
+if TYPE_CHECKING:
+    from tissue_sim.organ.imaging.image import Volume
+    from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
+    from tissue_sim.organ.organ import Organ
+
+EXTRA = "install the extra: pip install 'tissue_sim[image]'"
+_PACKAGE = str(Path(__file__).resolve().parents[1])
+
+
+class BuildOptions(TypedDict, total=False):
+    """What `build` takes beside its source: the names are those of `tissue_sim build`.
+
+    Of the organ: name; points of its surface; atoms, medial ones; branches, `auto` or `none`; interior atoms; organ,
+    what it is, so that leaks are noticed; accept what can't be that organ; fixed nodes, `z<0.1` or indices (k,);
+    youngs_modulus Pa; poisson_ratio; density kg/m^3. Of a surface: length m of its longest side, instead of a unit;
+    keep_points. Of a mask: inclusions, how many times as stiff each further label is. Of both: part, merge_parts. Of an
+    image: series of a DICOM folder; seed_voxel (3,); segmentation, fields of SegmentationParameters. progress: where
+    the stages report.
+    """
+
+    name: str
+    points: int
+    atoms: int | None
+    branches: str
+    interior: int
+    organ: str | None
+    accept: bool
+    fixed: str | NDArray[np.integer[Any]]
+    youngs_modulus: float
+    poisson_ratio: float
+    density: float
+    length: float | None
+    keep_points: bool
+    inclusions: Mapping[str, float]
+    part: int | str | None
+    merge_parts: bool
+    series: str | None
+    seed_voxel: ArrayLike | None
+    segmentation: Mapping[str, float]
+    progress: Progress
+
+
+# Whose options these are; the rest are the organ's.
+_OF_KIND = {
+    "surface": {"unit", "length", "keep_points", "part", "merge_parts"},
+    "mask": {"label", "spacing", "inclusions", "part", "merge_parts"},
+    "image": {"seed", "seed_voxel", "spacing", "series", "segmentation"},
+}
+_OF_SOURCE = set().union(*_OF_KIND.values())
+_A = {"surface": "a surface", "mask": "a mask", "image": "an image with a seed"}
+
+
+def build(
+    source: Any,
+    *,
+    seed: ArrayLike | None = None,
+    label: int | str | None = None,
+    unit: str | None = None,
+    spacing: ArrayLike | None = None,
+    **options: Unpack[BuildOptions],
+) -> Organ:
+    """Build an organ from an image, a mask or a closed surface.
+
+    What can be repaired, or may be wrong, is warned of (`UserWarning`), or goes to `progress` where one is given.
+
+    Parameters
+    ----------
+    source
+        A file or DICOM folder; or a mesh, as `trimesh.Trimesh` or as positions (n, 3) and triangles (t, 3); or voxels
+        (nx, ny, nz), along x, y and z, of a mask or in HU. A mesh file is a surface, an image with a seed is segmented,
+        another one is a mask.
+    seed
+        (3,) mm, a point inside the organ: in the patient frame of the image, LPS.
+    label
+        Value or name of the organ in a mask that holds several.
+    unit
+        Length unit of a surface whose format doesn't say: m, cm, mm, um, in. Arrays are in m by default.
+    spacing
+        (3,) mm, of voxels that are given as an array.
+    **options
+        See `BuildOptions`.
+
+    Returns
+    -------
+    Organ
+        With springs; `calibrate` gives it cells that are as stiff as its tissue.
+
+    Raises
+    ------
+    UserError
+        In one line that names the source and the remedy, for what no organ can be made from.
+
+    References
+    ----------
+    The stages are described on the page "Organs from images and meshes".
+    """
+    if unknown := sorted(options.keys() - BuildOptions.__annotations__.keys()):
+        raise TypeError(f"build() got an unexpected keyword argument '{unknown[0]}'")
+    try:
+        return _built(source, {"seed": seed, "label": label, "unit": unit, "spacing": spacing, **options})
+    except ModuleNotFoundError as error:
+        raise UserError(f"building organs needs {error.name}; {EXTRA}") from None
+    except UserError as error:  # of stages that the command line has, too
+        raise UserError(re.sub(r"--([a-z]+(?:-[a-z]+)*)", lambda m: m[1].replace("-", "_"), str(error))) from None
+
+
+def _built(source: Any, given: dict[str, Any]) -> Organ:
+    kind = _kind_of(source, given["seed"] is not None or given.get("seed_voxel") is not None)
+    own = {name: value for name, value in given.items() if name in _OF_SOURCE and value is not None}
+    if foreign := sorted(own.keys() - _OF_KIND[kind]):
+        raise UserError(f"{foreign[0]} does not belong to {_A[kind]}, which {_told(source)} is taken for")
+    of_organ = {name: value for name, value in given.items() if name not in _OF_SOURCE}
+    progress = of_organ.pop("progress", None) or Progress(_warn)
+    path = Path(source) if isinstance(source, str | os.PathLike) else None
+    provenance = {"source": "arrays"} if path is None else {"source": path.name, "source_sha256": digest_of(path)}
+    of_organ.setdefault("name", stem_of(path) if path is not None else "organ")
+    request = Request(interior_atoms=of_organ.pop("interior", 0), provenance=provenance, **of_organ)
+    return make(kind, source, request, own, progress)
+
+
+def make(kind: str, source: Any, request: Request, given: Mapping[str, Any], progress: Progress) -> Organ:
+    """Read a source of a kind (surface, mask or image) and build the organ that is asked for.
+
+    Parameters
+    ----------
+    kind
+        What the source is.
+    source
+        See `build`.
+    request
+        What the organ is made with.
+    given
+        Options of the source, by name; see `build`.
+    progress
+        Where the stages report.
+
+    Raises
+    ------
+    UserError
+        As the stages do.
+    """
+    if kind == "surface":
+        with progress.stage("read"):
+            mesh = _surface(source, request.name, given)
+        return organ_from_mesh(mesh, request, given.get("keep_points", False), progress=progress)
+    if kind == "mask":
+        from tissue_sim.organ.imaging.mask_parts import one_part
+
+        wanted = dict(given.get("inclusions", {}))
+        for stiffness in wanted.values():
+            check_stiffness(stiffness)
+        with progress.stage("read"):
+            mask, *parts = _masks(source, request.name, given, list(wanted))
+            mask = one_part(mask, given.get("part"), merge=given.get("merge_parts", False))
+            request = replace(request, inclusions=_surrounded(parts, wanted, progress))
+        for note in mask.notes:
+            progress.say(note)
+        return organ_from_mask(mask, request, progress=progress)
+    with progress.stage("read"):
+        image = _image(source, request.name, given)
+    voxel = given.get("seed_voxel")
+    seed = _triple(given["seed"], "seed") if voxel is None else image.to_points(_triple(voxel, "seed_voxel"))
+    parameters = SegmentationParameters(**given.get("segmentation", {}))
+    return organ_from_image(image, seed, request, parameters, progress=progress)
+
+
+# sources -------------------------------------------------------------------------------------------
+
+
+def _kind_of(source: Any, is_seeded: bool) -> str:
+    """Return what a source is: surface, mask or image. Raises UserError for what is none of them."""
+    if isinstance(source, str | os.PathLike):
+        from tissue_sim.organ.meshes.mesh_formats import FORMATS
+
+        is_surface = Path(source).suffix.lower() in FORMATS
+    else:
+        is_surface = hasattr(source, "faces") or (isinstance(source, tuple | list) and len(source) == 2)
+        if not is_surface and np.ndim(source) != 3:
+            raise UserError(
+                f"nothing can be built from {_told(source)}; give a file, a mesh, positions and triangles, or voxels"
+                " (nx, ny, nz)"
+            )
+    return "surface" if is_surface else "image" if is_seeded else "mask"
+
+
+def _told(source: Any) -> str:
+    if isinstance(source, str | os.PathLike):
+        return str(source)
+    shape = np.shape(source) if isinstance(source, np.ndarray) else ()
+    return f"an array of shape {shape}" if shape else f"a {type(source).__name__}"
+
+
+def _surface(source: Any, name: str, given: Mapping[str, Any]) -> SurfaceMesh:
+    from tissue_sim.organ.meshes import mesh_input
+
+    options: dict[str, Any] = {
+        "longest": given.get("length"),
+        "part": given.get("part"),
+        "merge_parts": given.get("merge_parts", False),
+    }
+    if isinstance(source, str | os.PathLike):
+        return mesh_input.read_mesh(source if isinstance(source, str) else Path(source), given.get("unit"), **options)
+    positions, triangles = (source.vertices, source.faces) if hasattr(source, "faces") else source
+    unit = given.get("unit") or ("m" if options["longest"] is None else None)
+    return mesh_input.mesh_of(np.asarray(positions), np.asarray(triangles), name, unit, **options)
+
+
+def _masks(source: Any, name: str, given: Mapping[str, Any], parts: Sequence[str]) -> list[Volume]:
+    label = given.get("label")
+    if isinstance(source, str | os.PathLike):
+        from tissue_sim.organ.imaging.masks import read_masks
+
+        return read_masks(source if isinstance(source, str) else Path(source), label, parts)
+    voxels = np.asarray(source)
+    values = np.unique(voxels[voxels != 0])
+    if label is None and len(values) > 1:
+        raise UserError(f"the mask holds {len(values)} values other than 0; choose one with label")
+    inside = voxels != 0 if label is None else voxels == label
+    covered = [voxels == float(part) for part in parts]
+    inside = np.logical_or.reduce([inside, *covered])
+    return [_volume(one, name, given) for one in (inside, *covered)]
+
+
+def _image(source: Any, name: str, given: Mapping[str, Any]) -> Volume:
+    if isinstance(source, str | os.PathLike):
+        from tissue_sim.organ.imaging.image import read_image
+
+        return read_image(source if isinstance(source, str) else Path(source), given.get("series"))
+    return _volume(np.asarray(source, dtype=np.float32), name, given)
+
+
+def _volume(voxels: NDArray[Any], name: str, given: Mapping[str, Any]) -> Volume:
+    """Return voxels (nx, ny, nz) as an image; the first one's centre is the origin."""
+    from tissue_sim.organ.imaging.image import Volume
+
+    if "spacing" not in given:
+        raise UserError("voxels need a spacing: the distance, mm, of their centres along x, y and z")
+    steps = _triple(given["spacing"], "spacing")
+    if np.any(steps <= 0.0):
+        raise UserError(f"spacing is {steps.tolist()}; wanted: three numbers greater than 0, mm")
+    return Volume(np.ascontiguousarray(voxels.transpose(2, 1, 0)), steps, np.zeros(3), np.eye(3), name)
+
+
+def _surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: Progress) -> tuple[Inclusion, ...]:
+    """Return inclusions around what each label covers, in the order of their masks."""
+    if not wanted:
+        return ()
+    from tissue_sim.organ.surfaces.inclusion_surface import surround
+
+    found: list[Inclusion] = []
+    for mask, (label, stiffness) in zip(parts, wanted.items(), strict=True):
+        inclusions, specks = surround(replace(mask, name=f"label {label}"), stiffness)
+        found += inclusions
+        if specks:
+            progress.say(f"left out {specks} specks of label {label}")
+    return tuple(found)
+
+
+def _triple(given: ArrayLike, name: str) -> Floats:
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (3,) or not np.all(np.isfinite(values)):
+        raise UserError(f"{name} is {given!r}; wanted: three finite numbers")
+    return values
+
+
+# what is said of a source -----------------------------------------------------------------------------
+
+
+def stem_of(path: Path) -> str:
+    """Return the name of a file or folder, without its endings."""
+    return path.name.removesuffix(".gz").rsplit(".", 1)[0] if not path.is_dir() else path.resolve().name
+
+
+def digest_of(source: Path) -> str:
+    """SHA-256 (hex) of a file, or of the names and contents of a folder's files in order; empty if there is none."""
+    if source.is_file():
+        with source.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    if not source.is_dir():
+        return ""
+    whole = hashlib.sha256()
+    for path in sorted(path for path in source.iterdir() if path.is_file()):
+        whole.update(f"{path.name} {digest_of(path)}\n".encode())
+    return whole.hexdigest()
+
+
+def _warn(line: str) -> None:
+    """Warn of what the stages found wrong or repaired, in the caller's file; the rest is said to who asks for it."""
+    if line.startswith(("warning: ", "repaired: ", "left out ")):
+        warnings.warn(line.removeprefix("warning: "), stacklevel=2, skip_file_prefixes=(_PACKAGE,))
