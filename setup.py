@@ -10,8 +10,8 @@ HERE = Path(__file__).resolve().parent
 
 
 def version() -> str:
-    """Version named in tissue_sim/__init__.py, read without importing the package."""
-    text = (HERE / NAME / "__init__.py").read_text(encoding="utf-8")
+    """Version named in tissue_sim/version.py, read without importing the package."""
+    text = (HERE / NAME / "version.py").read_text(encoding="utf-8")
     return re.search(r'^__version__ = "(.+)"$', text, re.MULTILINE).group(1)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from tissue_sim.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from tissue_sim.calibration.api import calibrate
     from tissue_sim.contact.attachments import Attachment, Breathing
@@ -16,8 +18,6 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
     from tissue_sim.organ.placing import placed
     from tissue_sim.ros.bags.reading import Bag, read_bag
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Attachment",

@@ -14,6 +14,7 @@ from tissue_sim import progress
 from tissue_sim.commands import COMMANDS
 from tissue_sim.errors import UserError, give_up_output, output_is_gone, printable
 from tissue_sim.unexpected import INTERRUPTED, catch_all, tell
+from tissue_sim.version import __version__
 
 UNTIL_ASKED = ("demo", "view", "bridge")  # commands that Ctrl-C ends as it should; they tell no progress once they run
 
@@ -93,7 +94,7 @@ def _title(words: Sequence[str]) -> str:
 
 def _run(words: Sequence[str], chosen: str | None) -> int:
     parser = _Parser(prog="tissue_sim", description=tissue_sim.__doc__)
-    parser.add_argument("--version", action="version", version=f"tissue_sim {tissue_sim.__version__}")
+    parser.add_argument("--version", action="version", version=f"tissue_sim {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
     for name, (module, summary) in COMMANDS.items():
         command = commands.add_parser(

@@ -8,12 +8,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TypedDict, Unpack
 
-import tissue_sim
 from tissue_sim.calibration import calibrate as calibration
 from tissue_sim.calibration.checkpoint import Checkpoint
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.version import __version__
 
 
 class CalibrationOptions(TypedDict, total=False):
@@ -71,7 +71,7 @@ def calibrate(
         raise TypeError(f"calibrate() got an unexpected keyword argument '{unknown[0]}'")
     settings = Settings(**options)
     given = organ if isinstance(organ, Organ) else Organ.load(organ)
-    inputs = {"organ": given.digest(), "version": tissue_sim.__version__, **asdict(settings)}
+    inputs = {"organ": given.digest(), "version": __version__, **asdict(settings)}
     with tempfile.TemporaryDirectory() as folder:
         kept = Checkpoint(Path(checkpoint or folder), inputs)
         try:

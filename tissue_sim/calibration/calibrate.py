@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-import tissue_sim
 from tissue_sim.array_types import Floats, Longs
 from tissue_sim.calibration.background import Poke, Reference
 from tissue_sim.calibration.cases import (
@@ -39,6 +38,7 @@ from tissue_sim.model.assembly import assemble
 from tissue_sim.model.critical_step import model_step, substeps_for
 from tissue_sim.model.frequency import largest_frequency
 from tissue_sim.organ.organ import Organ
+from tissue_sim.version import __version__
 
 CELL_BOUNDS = (-3.5, 2.5)  # of the logarithm of a cell's moduli over the first: without, some cells are all but void
 GROUP_STEPS = 4  # evaluations of the search over groups for one of the fit, which takes more time
@@ -165,7 +165,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
         reference.stop()
     figures: dict[str, Any] = {
         "made_of": organ.digest(),
-        "version": tissue_sim.__version__,
+        "version": __version__,
         "method": settings.method,
         "settings": asdict(settings),
         "reference": {

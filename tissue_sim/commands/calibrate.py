@@ -11,7 +11,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import tissue_sim
 from tissue_sim import progress
 from tissue_sim.calibration.calibrate import calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
@@ -27,6 +26,7 @@ from tissue_sim.commands.calibrate_many import (
 )
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.version import __version__
 
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check on held-out loads: smooth, smooth, the sharp ones' mean
 RELEASE = 15.0  # %
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     organ = Organ.load(args.organ[0])
     started = time.perf_counter()
     folder = out.with_name(f".{out.name}.calibration")
-    checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": tissue_sim.__version__, **asdict(settings)})
+    checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": __version__, **asdict(settings)})
     if checkpoint.found:
         print(f"going on from {folder}")
     try:

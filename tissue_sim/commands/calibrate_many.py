@@ -12,7 +12,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import tissue_sim
 from tissue_sim import progress
 from tissue_sim.calibration.calibrate import Calibrated, Silent, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
@@ -20,6 +19,7 @@ from tissue_sim.calibration.cohort import spread
 from tissue_sim.calibration.stiffness import Settings
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
+from tissue_sim.version import __version__
 
 _HEAD = ("organ", "smooth %", "worst", "sharp %", "worst", "release %", "settled", "substeps", "reference %", "minutes")
 _WIDTHS = (28, 9, 7, 9, 7, 10, 9, 9, 12, 8)
@@ -125,7 +125,7 @@ def worked_out(task: Task | str) -> Done:
     if isinstance(task, str):
         raise UserError(task)
     began = time.perf_counter()
-    inputs = {"organ": task.organ.digest(), "version": tissue_sim.__version__, **asdict(task.settings)}
+    inputs = {"organ": task.organ.digest(), "version": __version__, **asdict(task.settings)}
     with tempfile.TemporaryDirectory(prefix="tissue_sim-") as spare:
         checkpoint = Checkpoint(Path(task.folder or spare), inputs)
         try:
@@ -142,7 +142,7 @@ def made_before(source: Path, out: Path, settings: Settings) -> dict[str, Any] |
         made_of = Organ.load(source).digest()
     except UserError:
         return None
-    same = {"made_of": made_of, "version": tissue_sim.__version__, "settings": asdict(settings)}
+    same = {"made_of": made_of, "version": __version__, "settings": asdict(settings)}
     if isinstance(figures, dict) and all(figures.get(key) == value for key, value in same.items()):
         return figures
     return None

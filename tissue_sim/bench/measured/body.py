@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-import tissue_sim
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.calibration.calibrate import Progress, calibrate
 from tissue_sim.calibration.checkpoint import Checkpoint
@@ -22,6 +21,7 @@ from tissue_sim.organ.making import organ_from_mesh
 from tissue_sim.organ.meshes.mesh_input import SurfaceMesh
 from tissue_sim.organ.organ import Organ
 from tissue_sim.organ.request import Request
+from tissue_sim.version import __version__
 
 MOST_STEPS = 40  # of Newton's method
 SHORTEST = 1e-4  # of a step of it
@@ -53,7 +53,7 @@ def built(name: str, positions: Floats, triangles: Ints, fixed: str, material: M
 def calibrated(organ: Organ, folder: Path, progress: Progress) -> Organ:
     """The organ calibrated with defaults; what it takes is kept in the folder, and the organ written there."""
     settings = Settings()
-    inputs = {"organ": organ.digest(), "version": tissue_sim.__version__, **asdict(settings)}
+    inputs = {"organ": organ.digest(), "version": __version__, **asdict(settings)}
     checkpoint = Checkpoint(folder / f".{organ.name}.calibration", inputs)
     made = calibrate(organ, settings, checkpoint, progress).organ
     made.save(folder / f"{organ.name}.npz")

@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 
-import tissue_sim
 from tissue_sim import progress
 from tissue_sim.organ.organ import Organ
 from tissue_sim.store import user_cache
+from tissue_sim.version import __version__
 
 SLAB = np.array([0.06, 0.06, 0.025])  # m
 
@@ -21,7 +21,7 @@ def slab() -> Organ:
     """
     from tissue_sim.bench.measured.body import calibrated
 
-    folder = user_cache() / f"slab-{tissue_sim.__version__}"
+    folder = user_cache() / f"slab-{__version__}"
     path = folder / "slab.npz"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import tissue_sim
 from tissue_sim.errors import shown
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.config import organs_of
+from tissue_sim.version import __version__
 
 # Where and whether a bag is written changes nothing; an organ is told by its digest, not by its path.
 BESIDE_THE_POINT = frozenset({"record", "record_folder", "record_markers", "organ_file", "scene_file"})
@@ -37,7 +37,7 @@ class Described:
     def replayed(self, organ: Organ | None) -> Described:
         """The same run by this package, with another organ if there is one."""
         name, digest = (self.organ, self.digest) if organ is None else (organ.name, organ.digest())
-        return Described("replayed with", name, digest, tissue_sim.__version__, self.parameters)
+        return Described("replayed with", name, digest, __version__, self.parameters)
 
 
 def differences(first: Described, second: Described) -> list[str]:

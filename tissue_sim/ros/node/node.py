@@ -15,7 +15,6 @@ from typing import Any
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-import tissue_sim
 from tissue_sim.contact.finder import ContactFinder
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
@@ -59,6 +58,7 @@ from tissue_sim.ros.shared.parameters import Parameters, frames_of, placed_frame
 from tissue_sim.ros.shared.priority import below, prefer
 from tissue_sim.ros.shared.qos import LATCHED
 from tissue_sim.ros.shared.report import Report, Reports
+from tissue_sim.version import __version__
 
 NAME = "tissue_sim"
 BAG_PATIENCE = 0.4  # s that the bag's queue gets at the end; what it holds then is left out
@@ -268,7 +268,7 @@ class TissueNode(GuardedNode):
         of_scene = {"scene": scene.title, "organs": dict(zip(scene.names, organs, strict=True))}
         return {
             "format": bag.FORMAT,
-            "package_version": tissue_sim.__version__,
+            "package_version": __version__,
             "node": self.get_fully_qualified_name(),
             "parameters": self.parameters.values(),
             "shape_gravity": scene.simulations[0].model.shape_gravity.tolist(),

@@ -12,7 +12,6 @@ from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-import tissue_sim
 from tissue_sim import progress
 from tissue_sim.errors import UserError, give_up_output, shown
 from tissue_sim.ros.node.node import NAME, TissueNode
@@ -21,6 +20,7 @@ from tissue_sim.ros.shared.ending import Ending, Interrupted
 from tissue_sim.ros.shared.executors import OLD_RCLPY, make_executor
 from tissue_sim.ros.shared.parameters import NODE_SPECS, TOOL_SPECS, Spec
 from tissue_sim.unexpected import tell, told, write_error
+from tissue_sim.version import __version__
 
 RCLError, UnknownROSArgsError = rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError
 PROGRAM = "tissue_node"
@@ -39,7 +39,7 @@ def serve(arguments: list[str], ending: Ending) -> int:
 
     arguments: the program's name, and behind it what ROS takes.
     """
-    asked = {"-h": usage, "--help": usage, "--version": lambda: f"{PROGRAM} {tissue_sim.__version__}"}
+    asked = {"-h": usage, "--help": usage, "--version": lambda: f"{PROGRAM} {__version__}"}
     for answer in (asked[word] for word in arguments[1:] if word in asked):
         try:
             print(answer(), flush=True)

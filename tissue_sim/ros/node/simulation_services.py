@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import tissue_sim
 from tissue_sim.errors import UserError, shown
 from tissue_sim.ros.node.entities import Entities, Placed, Sphere
 from tissue_sim.ros.node.guarded import GuardedNode
@@ -18,6 +17,7 @@ from tissue_sim.ros.node.pausing import BY_CLOCK, NEXT_TICK, Pausing, step_resul
 from tissue_sim.ros.node.tool_input import Refused
 from tissue_sim.ros.shared.frames import UnknownFrame
 from tissue_sim.ros.shared.loop import Loop
+from tissue_sim.version import __version__
 
 try:
     from simulation_interfaces.msg import Bounds, Result, SimulationState, SimulatorFeatures
@@ -39,7 +39,7 @@ SERVICES = (
     *("reset_simulation", "set_entity_state", "set_simulation_state", "step_simulation"),
 )
 INFO = (
-    f"tissue_sim {tissue_sim.__version__}: a step is a tick. Entities are the organs and the tools; twist and"
+    f"tissue_sim {__version__}: a step is a tick. Entities are the organs and the tools; twist and"
     " acceleration are always zero. A tool is placed as by a pose of its bridge, and so lets go after stale_time. A"
     " reset brings the organs back to rest."
 )

@@ -5,14 +5,35 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from tissue_sim.ros.shared.loop import Loop
+from typing import Any, Protocol
 
 LONGEST = 1.0  # s that the loop may need until it stands, goes on, or has done a tick
 LOOK = 1e-4  # s between two looks at whether it has
 SECOND = 1_000_000_000  # ns
+
+
+class Holdable(Protocol):
+    """What a hold needs of the loop, which has it for a part."""
+
+    words: Any
+
+    @property
+    def alive(self) -> bool:
+        """Whether its thread runs."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks executed so far."""
+
+    @property
+    def tick_time(self) -> float:
+        """Seconds of a tick."""
+
+    def post_time(self, nanoseconds: int) -> None:
+        """Give the time that is followed, ns."""
+
+    def follow_posted_time(self, on: bool) -> None:
+        """Follow times that are posted, or the monotonic clock."""
 
 
 class Hold:
@@ -22,7 +43,7 @@ class Hold:
     that exactly those ticks are due.
     """
 
-    def __init__(self, loop: Loop) -> None:
+    def __init__(self, loop: Holdable) -> None:
         self._loop = loop
         self._time = 0  # ns, that a held loop follows
         self._lost = 0.0  # s of the monotonic clock that held loops took no part in
