@@ -98,7 +98,7 @@ clean: ## removes .venv, caches and builds
 # The same where the Python below .venv is gone.
 STALE := $(if $(realpath .venv/bin/python),$(subst $(CURDIR),,$(file < .venv/.installed-demo)),gone)
 
-.venv/.installed-demo: setup.py setup.cfg constraints.txt tissue_sim/__init__.py .ci/venv $(if $(STALE),FORCE)
+.venv/.installed-demo: setup.py setup.cfg constraints.txt tissue_sim/version.py .ci/venv $(if $(STALE),FORCE)
 	$(if $(shell .ci/venv --python),,$(error $(NO_PYTHON)))
 	.ci/venv $(DEMO_EXTRAS)
 	@printf %s '$(CURDIR)' > $@

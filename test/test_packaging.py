@@ -225,7 +225,7 @@ def test_wrong_use_takes_one_line(arguments, capsys):
 def checkout(tmp_path):
     """What make needs of a checkout, without an environment."""
     scripts = (".ci/alive", ".ci/venv")
-    for name in ("Makefile", "constraints.txt", "setup.cfg", "setup.py", *scripts, "tissue_sim/__init__.py"):
+    for name in ("Makefile", "constraints.txt", "setup.cfg", "setup.py", *scripts, "tissue_sim/version.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     return tmp_path
