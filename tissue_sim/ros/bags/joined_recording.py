@@ -57,13 +57,11 @@ class JoinedRecording:
         return cls(fields, sets, journal)
 
     @classmethod
-    def alone(cls, messages: Mapping[str, Sequence[bytes]], below: str) -> JoinedRecording:
-        """Return that of an organ alone: the wrenches that its own journal names."""
-        rows = [bag.unpack(parse_octets(raw)) for raw in messages[f"{below}/journal"]]
+    def alone(cls, wrenches: np.ndarray) -> JoinedRecording:
+        """Return that of an organ alone, whose own journal has the rows of wrenches."""
         journal = {kind: np.zeros(0, dtype=record.dtype) for kind, record in _ROWS.items()}
         journal["joined"] = np.array([(-1, 0, 0)], dtype=JoinedRow.dtype)  # nothing was taken up before its first tick
-        journal |= {"pair_ticks": np.zeros((0, 1), dtype=np.int64)}
-        return cls({}, {}, journal | {"wrenches": np.concatenate([one["wrenches"] for one in rows])})
+        return cls({}, {}, journal | {"pair_ticks": np.zeros((0, 1), dtype=np.int64), "wrenches": wrenches})
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
         """Simulations in the states of the bag, joined as they were. Raises UserError where they don't fit."""

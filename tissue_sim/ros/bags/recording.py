@@ -83,8 +83,10 @@ class Recording:
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
         organs = [OrganRecording.parsed(path, messages, path_of(name, one), n_bodies) for one in organs_of(config)]
         sizes = [len(one.state["position"]) for one in organs]
-        is_scene = "organs" in config
-        joined = JoinedRecording.parsed(messages, name, sizes) if is_scene else JoinedRecording.alone(messages, name)
+        if "organs" in config:
+            joined = JoinedRecording.parsed(messages, name, sizes)
+        else:
+            joined = JoinedRecording.alone(organs[0].journal["wrenches"])
         recording = cls(config, organs, joined, [_registration(raw) for raw in messages[f"{name}/organ_pose"]])
         for tool in config["tools"]:
             topics = {topic: _topic(config["topics"], tool, topic) for topic in TOOL_TOPICS}

@@ -47,7 +47,7 @@ class ServedScene:
 
     @property
     def simulations(self) -> list[Simulation]:
-        """Of each."""
+        """Return the simulation of each organ."""
         return self.joined.simulations
 
     @property
