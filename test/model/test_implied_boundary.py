@@ -95,7 +95,7 @@ def test_at_rest_nothing_pulls_and_the_organ_sleeps():
 
 def test_without_it_nothing_is_prepared():
     model = assemble(kidney())
-    assert len(model.spokes.node) == 0
+    assert model.spokes is None
     assert model.return_target is model.rest
 
 

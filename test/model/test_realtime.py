@@ -12,10 +12,11 @@ import pytest
 from helpers.patience import LIMIT, wait_for
 from helpers.scenes import ball
 from helpers.states import assert_same
-from tissue_sim.handles import handle
+from tissue_sim.handles import handle, row
 from tissue_sim.model import mailboxes as mb
 from tissue_sim.model import realtime as rt
 from tissue_sim.model.contact_set import contact_set
+from tissue_sim.model.joined_box import make_joined_box
 from tissue_sim.model.records import copy_of, words_of
 from tissue_sim.model.simulation import Simulation, sphere_tools
 from tissue_sim.model.state import results_in
@@ -48,7 +49,8 @@ class Loop:
     def _run(self):
         one = self.simulation
         world = make_world(one.model, one.state, one.shapes, copy_of(one.settings), one.scratch)
-        rt.run_loop((handle(world),), (handle(self.box),), handle(self.words))
+        world, box = row([handle(world)]), row([handle(self.box)])
+        rt.run_loop(world, box, handle(self.words), None, handle(make_joined_box(1)))
 
     def __enter__(self):
         self.thread.start()

@@ -6,12 +6,13 @@ import pytest
 from helpers.scenes import ball, changed, free_ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.errors import UserError
 from tissue_sim.handles import handle, row
 from tissue_sim.model.breathing import Breath, breathed_in
 from tissue_sim.model.links import least_substeps, make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Together, carried_with, fastest, tick_together
+from tissue_sim.model.together import Joined, Together, carried_with, fastest, tick_together
 from tissue_sim.model.unfelt import unfelt_by
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
@@ -80,6 +81,32 @@ def test_organs_that_nothing_joins_are_each_as_alone():
     first, second = organs.simulations
     np.testing.assert_array_equal(poked(first, organs.step), poked(alone, alone.step))
     assert second.state.count.asleep_ticks == 120, "nobody has touched the other one"
+
+
+def test_one_organ_that_nothing_joins_is_alone():
+    """Its kernels are compiled without links, pairs and breath, and its wrench is its own."""
+    simulation, same = Simulation(ball()), Simulation(ball())
+    alone = Joined([same])
+    assert alone.alone
+    assert alone.handle is None
+    alone.set_substeps()
+    np.testing.assert_array_equal(poked(simulation, simulation.step), poked(same, alone.step))
+    assert alone.wrench is same.state.wrench
+    alone.take_settings(0, same.settings)
+    alone.tell_breath(1.0)
+    same.reset()
+    alone.reset()
+    alone.step()
+    assert not same.state.carried.any()
+
+
+def test_what_is_joined_is_not_alone():
+    assert not Joined([Simulation(ball()), Simulation(ball())]).alone
+    for what in ({"links": make_links(1)}, {"pairs": make_pairs()}, {"breath": a_breath()}):
+        assert not Joined([Simulation(ball())], **what).alone
+    with pytest.raises(UserError, match="return target rest"):
+        Joined([Simulation(ball(), return_target="implied")], pairs=make_pairs())
+    assert Joined([Simulation(ball(), return_target="implied")]).alone
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.02, 50.0])

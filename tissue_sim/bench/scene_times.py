@@ -34,10 +34,7 @@ from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.scene_file import SceneFile
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
-from tissue_sim.model.breathing import Breath
 from tissue_sim.model.inputs import load_nodes
-from tissue_sim.model.links import make_links
-from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined, tick_together
 from tissue_sim.model.unfelt import UNFELT, UNFELT_FORCE
@@ -163,8 +160,6 @@ def lacking(scene: SceneFile) -> Lacking:
     """Compare a scene with itself where organs feel everything."""
     scenes = [_pressed(scene, 1) for _ in range(2)]
     (some, _), (everything, _) = scenes
-    assert some.joined is not None
-    assert everything.joined is not None
     everything.joined.unfelt.most[:] = 0.0
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
     moved = felt = 0.0
@@ -207,14 +202,13 @@ def _ticks_of(scene: Scene, poked: Iterable[int], move: Callable[[], None]) -> J
         move()
         scene.find()
 
-    assert scene.joined is not None
     return JoinedTicks(scene.joined, poked, look)
 
 
 def apart(organ: Organ, count: int) -> Joined:
     """So many of an organ in a row, that nothing joins."""
     simulations = [Simulation(placed(organ, (APART * place, 0.0, 0.0))) for place in range(count)]
-    return Joined(simulations, make_links(0), make_pairs(), Breath.new())
+    return Joined(simulations)
 
 
 class JoinedTicks:

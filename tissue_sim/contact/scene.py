@@ -74,13 +74,13 @@ class Scene:
             one.set_substeps()
         self._sequence, self._ticks_a_set, self._ticks = 0, ticks_a_set, 0
         self._origin = np.zeros((len(tools), 3))  # m, where each tool was moved to
-        self.joined: Joined | None = None  # what joins organs; of one that nothing joins: nothing
-        self._pairs: PairFinder | None = None
-        self._found_at = self.offsets  # when they were last looked for
         if len(organs) > 1 or attachments or breathing is not None or self_contact:
             self.joined = join(self.simulations, attachments, breathing, breathes, organ_friction)
-            self._own = [self_contact] * len(organs)
-            self._pairs = PairFinder(organs)
+        else:
+            self.joined = Joined(self.simulations)
+        self._pairs = None if self.joined.alone else PairFinder(organs)
+        self._own = [self_contact] * len(organs)
+        self._found_at = self.offsets  # when pairs were last looked for
 
     @property
     def simulations(self) -> list[Simulation]:
@@ -111,8 +111,7 @@ class Scene:
         """Back to rest, breathed out, without tools; the settings stay."""
         for one in self.organs:
             one.reset()
-        if self.joined is not None:
-            self.joined.reset()
+        self.joined.reset()
         if self._pairs is not None:
             self._pairs.forget()
         self._ticks = 0
@@ -122,15 +121,11 @@ class Scene:
         """Gravity (3,) m/s^2 of all organs, under which they have their shapes."""
         for one in self.simulations:
             one.set_gravity(gravity)
-        if self.joined is not None:
-            self.joined.note_gravity()
+        self.joined.note_gravity()
 
     def set_substeps(self) -> None:
         """Work out the substeps of each tick, after stiffness, damping or the rate changed."""
-        if self.joined is None:
-            self.simulation.set_substeps()
-        else:
-            self.joined.set_substeps()
+        self.joined.set_substeps()
 
     @property
     def wrenches(self) -> Floats:
@@ -138,9 +133,7 @@ class Scene:
 
         The live array of an organ alone, unless a tool has more than one body.
         """
-        felt, poses = self.simulation.state.wrench, self.simulation.state.body_pose[:, :3]
-        if self.joined is not None:
-            felt = self.joined.wrench
+        felt, poses = self.joined.wrench, self.simulation.state.body_pose[:, :3]
         if len(felt) == len(self.tools.tools):
             return felt
         origins = self._origin - self.offsets[0]
@@ -179,10 +172,7 @@ class Scene:
         if self._ticks % self._ticks_a_set == 0:
             self.find()
         self._ticks += 1
-        if self.joined is None:
-            self.simulation.step()
-        else:
-            self.joined.step()
+        self.joined.step()
 
     def find(self) -> None:
         """Find what tools and organs may touch where they are now, and take it up."""
@@ -193,9 +183,11 @@ class Scene:
 
     def _find_pairs(self) -> None:
         """Where organs touch each other, unless all of them sleep and the breath has not moved them since."""
+        if self._pairs is None:
+            return
         offsets = self.offsets
         is_still = np.array_equal(offsets, self._found_at) and all(one.asleep for one in self.simulations)
-        if self._pairs is None or self.joined is None or is_still:
+        if is_still:
             return
         self._found_at = offsets
         there = [one.positions + offset for one, offset in zip(self.simulations, offsets, strict=True)]

@@ -14,7 +14,7 @@ from tissue_sim.model.blocks import BLOCK, Blocks, aligned, empty_blocks, pack
 from tissue_sim.model.cells import SLOPES, Tissue, penalty_of, shapes_of, tissue_of, with_penalty
 from tissue_sim.model.critical_step import largest_frequency
 from tissue_sim.model.forces import elastic_forces
-from tissue_sim.model.implied_boundary import NO_SPOKES, Spokes, spokes_of
+from tissue_sim.model.implied_boundary import Spokes, spokes_of
 from tissue_sim.model.unloaded import Law, unloaded_shape
 from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.organ import Organ, SpringKind
@@ -86,7 +86,7 @@ class Model(NamedTuple):
     return_nodes: Ints  # (r,) nodes with a return spring
     return_stiffness: Floats  # (n,) N/m
     return_target: Floats  # (n, 3) m where they pull to: rest, or written by imply_boundary
-    spokes: Spokes  # of the M-rep; empty when nothing is implied
+    spokes: Spokes | None  # of the M-rep, when it implies where return springs pull to
     damping_rate: float  # 1/s, nodal damping over mass, the mean
     cells: Ints  # (c, 4) what is inside: the tissue's cells, or tetrahedra of a triangle and its nearest medial atom
     cell_volume: Floats  # (c,) m^3 at rest
@@ -200,7 +200,7 @@ def assemble(
             return_nodes=_ints(returning),
             return_stiffness=organ.return_stiffness.copy(),
             return_target=rest.copy() if implied else rest,
-            spokes=spokes_of(organ) if implied else NO_SPOKES,
+            spokes=spokes_of(organ) if implied else None,
             damping_rate=float(damping[used].sum() / mass[used].sum()),
             cells=cells,
             cell_volume=cell_volume,

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Ints
-from tissue_sim.jit import kernel
+from tissue_sim.handles import has
+from tissue_sim.jit import chosen, kernel
 from tissue_sim.model.arrays import copy
 from tissue_sim.organ.medial import neighbours, represent
 from tissue_sim.organ.organ import Organ
@@ -26,7 +27,7 @@ _SHORTEST = 1e-12  # m
 
 
 class Spokes(NamedTuple):
-    """The M-rep at rest and room to work in. a atoms, m spokes; no atoms when nothing is implied."""
+    """The M-rep at rest and room to work in. a atoms, m spokes."""
 
     first_atom: int  # node number of atom 0
     towards: Ints  # (a,) neighbour A of each atom
@@ -39,22 +40,6 @@ class Spokes(NamedTuple):
     spoke: Floats  # (m, 3) m, from there to the node
     frame: Floats  # (a, 3, 3) rotations, written by imply_boundary
     work: Floats  # (5, 3, 3)
-
-
-_NONE, _NOWHERE = np.zeros(0, dtype=np.int32), np.zeros((0, 3))
-NO_SPOKES = Spokes(
-    first_atom=0,
-    towards=_NONE,
-    parent=_NONE,
-    bone=_NOWHERE,
-    offset=_NOWHERE,
-    axis=np.zeros(3),
-    node=_NONE,
-    atom=_NONE,
-    spoke=_NOWHERE,
-    frame=np.zeros((0, 3, 3)),
-    work=np.zeros((5, 3, 3)),
-)
 
 
 def spokes_of(organ: Organ) -> Spokes:
@@ -83,6 +68,22 @@ def spokes_of(organ: Organ) -> Spokes:
         frame=np.zeros((len(x), 3, 3)),
         work=np.zeros((5, 3, 3)),
     )
+
+
+@kernel
+def _lead(model: Any, state: Any) -> None:
+    if not state.status.asleep:
+        imply_boundary(model.spokes, state.position, model.return_target)
+
+
+@kernel
+def _leave(model: Any, state: Any) -> None:
+    """Return springs pull to where they always do."""
+
+
+@chosen(lambda model, *_: _lead if has(model, "spokes") else _leave)
+def lead_return_springs(model: Any, state: Any) -> None:
+    """Have return springs pull to the boundary that the skeleton implies now, where they do."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""What goes in and out of organs that are joined, beside the mailboxes of each: where they touch, what tools feel."""
+"""What goes in and out of all organs, beside the mailboxes of each: where they touch, what tools feel."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Kept(NamedTuple):
 
 
 class JoinedBox(NamedTuple):
-    """Mailboxes of organs that are joined. T rigid bodies."""
+    """Mailboxes of all organs. T rigid bodies."""
 
     pairs: Mailbox  # PairSet.words
     respiration: Mailbox  # (1,) a share of the breath's way
@@ -96,10 +96,15 @@ def note_joined(box: Any, tick: int) -> None:
 
 
 @kernel
-def post_felt(worlds: Any, box: Any) -> None:
-    """Hand out what tools feel of all organs."""
+def post_felt(worlds: Any, joined: Any, box: Any) -> None:
+    """Hand out what tools feel of all organs; of one that nothing joins as it is, which is clamped already."""
     box.felt_words[0] = worlds[0].state.status.tick
-    sum_felt(worlds, box.wrench)
+    if joined is None:
+        for body in range(len(box.wrench)):
+            for axis in range(6):
+                box.wrench[body, axis] = worlds[0].state.wrench[body, axis]
+    else:
+        sum_felt(worlds, box.wrench)
     put(box.felt, 0, box.felt_words)
 
 

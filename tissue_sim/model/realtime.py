@@ -13,13 +13,12 @@ from typing import Any
 
 from numba import types
 
-from tissue_sim.jit import kernel, part
+from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import note_gravity
 from tissue_sim.model.joined_box import keep_joined, post_felt, take_joined
 from tissue_sim.model.mailboxes import fence, keep_states, note_tick, post_results, take_inputs
 from tissue_sim.model.together import let_go, tick_together
 from tissue_sim.model.tool_motion import freshness
-from tissue_sim.model.world import tick_implied_world, tick_world
 
 CLOCK_MONOTONIC, TIMER_ABSTIME = 1, 1
 # ns; further behind than this, ticks are dropped instead of run in a burst. Posted times come in larger steps.
@@ -136,26 +135,11 @@ def nap(deadline: int, worlds: Any, boxes: Any, loop: Any) -> int:
 
 
 @kernel
-def take_one(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
-    """Take up what came in for the only organ."""
-    take_inputs(worlds[0], boxes[0], resets)
-
-
-@kernel
-def post_one(worlds: Any, boxes: Any, joined_box: Any) -> None:
-    """Hand out the results of the only organ."""
-    post_results(worlds[0], boxes[0])
-
-
-@kernel
-def keep_one(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
-    """Copy the whole state of the only organ."""
-    keep_states(worlds, boxes)
-
-
-@kernel
-def take_together(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
-    """Take up what came in for organs that are joined: a reset lets go of all, gravity is what it is without breath."""
+def take_all(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box: Any) -> None:
+    """Take up what came in: a reset lets go of all that joins organs, gravity is what it is without the breath."""
+    if joined is None:
+        take_inputs(worlds[0], boxes[0], resets)
+        return
     was_reset = resets != boxes[0].row.resets
     for organ in range(len(worlds)):
         row, before = boxes[organ].row, boxes[organ].row.settings
@@ -168,41 +152,31 @@ def take_together(worlds: Any, boxes: Any, resets: int, joined: Any, joined_box:
 
 
 @kernel
-def post_together(worlds: Any, boxes: Any, joined_box: Any) -> None:
+def post_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
     """Hand out the results of every organ, and what tools feel of all."""
     for organ in range(len(worlds)):
         post_results(worlds[organ], boxes[organ])
-    post_felt(worlds, joined_box)
+    post_felt(worlds, joined, joined_box)
 
 
 @kernel
-def keep_together(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
+def keep_all(worlds: Any, boxes: Any, joined: Any, joined_box: Any) -> None:
     """Copy the whole states, and what joins them."""
     keep_states(worlds, boxes)
-    keep_joined(joined, joined_box, worlds[0].state.status.tick)
+    if joined is not None:
+        keep_joined(joined, joined_box, worlds[0].state.status.tick)
 
 
 @kernel
-def tick_one(worlds: Any, joined: Any) -> None:
-    """Advance the only organ."""
-    tick_world(worlds[0])
+def run_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -> None:
+    """Tick a row of worlds, each with its mailboxes, every settings.tick_time s of the first one until control.stop.
 
-
-@kernel
-def tick_implied_one(worlds: Any, joined: Any) -> None:
-    """Advance the only organ, whose return springs pull to the boundary that the skeleton implies."""
-    tick_implied_world(worlds[0])
-
-
-@part
-def _loop(
-    worlds: Any, boxes: Any, loop: Any, take: Any, tick: Any, post: Any, keep: Any, joined: Any, joined_box: Any
-) -> None:
-    """Tick a row of worlds, each with its mailboxes; take, tick, post, keep: kernels for them, and what joins them."""
+    joined: what joins them, see `together.Together`; None, and compiled without any of it, for an organ alone.
+    """
     settings, control, pace = worlds[0].settings, loop.control, loop.pace
     for organ in range(len(boxes)):
         boxes[organ].demand.moved = True  # the rest shape
-    post(worlds, boxes, joined_box)
+    post_all(worlds, boxes, joined, joined_box)
     control.looked_up = now(loop.now)
     control.started = True
     due = 0  # when the last tick was due by the clock that ticks follow; 0 before its first time
@@ -212,7 +186,7 @@ def _loop(
         control.looked_up = now(loop.now)
         asked = control.snapshot_asked
         if asked != control.snapshot_done:
-            keep(worlds, boxes, joined, joined_box)
+            keep_all(worlds, boxes, joined, joined_box)
             fence()
             control.snapshot_done = asked
         if posted != control.sim_time:
@@ -225,7 +199,7 @@ def _loop(
             while due + 2 * period <= rested:
                 due += period
                 begin = now(loop.now)
-                tick(worlds, joined)
+                tick_together(worlds, joined)
                 note_tick(loop, due, period, 0, now(loop.now) - begin)
         if posted:
             start = wait_until(due + period, loop)
@@ -247,28 +221,10 @@ def _loop(
             control.overruns += 1
         before, answered = answered, control.asked
         fence()  # what was posted before it was asked for is taken up
-        take(worlds, boxes, control.resets, joined, joined_box)
-        tick(worlds, joined)
-        post(worlds, boxes, joined_box)
+        take_all(worlds, boxes, control.resets, joined, joined_box)
+        tick_together(worlds, joined)
+        post_all(worlds, boxes, joined, joined_box)
         if answered != before:
             _sem_post(loop.answered.ctypes.data)
         control.standing = False
         note_tick(loop, due, period, late, now(loop.now) - begin)
-
-
-@kernel
-def run_loop(worlds: Any, boxes: Any, loop: Any) -> None:
-    """Tick the only organ every settings.tick_time s until control.stop."""
-    _loop(worlds, boxes, loop, take_one, tick_one, post_one, keep_one, None, None)
-
-
-@kernel
-def run_implied_loop(worlds: Any, boxes: Any, loop: Any) -> None:
-    """The same where return springs pull to the boundary that the skeleton implies."""
-    _loop(worlds, boxes, loop, take_one, tick_implied_one, post_one, keep_one, None, None)
-
-
-@kernel
-def run_joined_loop(worlds: Any, boxes: Any, loop: Any, joined: Any, joined_box: Any) -> None:
-    """The same for several organs, or one that hangs or breathes: joined, see `together.Together`."""
-    _loop(worlds, boxes, loop, take_together, tick_together, post_together, keep_together, joined, joined_box)

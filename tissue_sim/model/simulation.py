@@ -36,7 +36,6 @@ from tissue_sim.model.world import (
     push_world,
     reset_world,
     show_world,
-    tick_implied_world,
     tick_world,
     touch_world,
 )
@@ -115,9 +114,7 @@ class Simulation:
         self.rate = float(rate)
         self.shapes = shapes
         self.integrator = integrator
-        # A kernel of its own, so that the usual one is not compiled with what it doesn't need.
         self.implied = return_target == "implied"
-        self._tick = tick_implied_world if self.implied else tick_world
         self._fixed_substeps = substeps
         self._made_for = [(0.0, 0.0, 0.0)] * 2  # step, stiffness and damping of the implicit factor in each slot
         self.settings = Settings.new()
@@ -260,7 +257,7 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by 1/rate seconds."""
-        self._tick(self.world)
+        tick_world(self.world)
 
     def reset(self) -> None:
         """Back to the rest shape, asleep, without tools; the counters go on."""

@@ -1,4 +1,4 @@
-"""Several organs in one tick: carried by the breath, pulled by links, each then advanced as one alone is."""
+"""The organs of a scene in one tick: carried by the breath, pulled by links, each then advanced as one alone is."""
 
 from __future__ import annotations
 
@@ -14,13 +14,23 @@ from tissue_sim.handles import handle, row
 from tissue_sim.jit import kernel
 from tissue_sim.model.breathing import Breath, breathe, weigh
 from tissue_sim.model.felt import sum_felt
-from tissue_sim.model.links import Links, least_substeps, load_links, measure_links, pull_links
-from tissue_sim.model.pairs import MOST_ORGANS, Pairs, PairSet, press_pairs, resolve_pairs, take_pairs, wake_touched
+from tissue_sim.model.links import Links, least_substeps, load_links, make_links, measure_links, pull_links
+from tissue_sim.model.pairs import (
+    MOST_ORGANS,
+    Pairs,
+    PairSet,
+    make_pairs,
+    press_pairs,
+    resolve_pairs,
+    take_pairs,
+    wake_touched,
+)
 from tissue_sim.model.records import words_of
 from tissue_sim.model.settings import Settings
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.tick import begin_tick, end_tick, plan_tick, take_substep
 from tissue_sim.model.unfelt import UNFELT, Unfelt, share_loads, unfelt_by
+from tissue_sim.model.world import tick_world
 
 
 class Carried(NamedTuple):
@@ -46,28 +56,34 @@ class Together(NamedTuple):
 
 
 class Joined:
-    """Simulations that are advanced together.
+    """Simulations that are advanced together: one, or several.
 
     links between them; pairs where they touch, found by others; breath, and how far each goes with it, (k,), or nothing
     where none does. unfelt: m that an organ may lack of what links and the breath do to it, see `unfelt`; 0: nothing.
     Raises UserError where simulations don't fit together. worlds and handle are what `tick_together` takes.
+
+    alone: one organ, and nothing to join it. Then handle is None, and kernels are compiled without all of this.
     """
 
     def __init__(
         self,
         simulations: Sequence[Simulation],
-        links: Links,
-        pairs: Pairs,
-        breath: Breath,
+        links: Links | None = None,
+        pairs: Pairs | None = None,
+        breath: Breath | None = None,
         moves: Sequence[float] = (),
         unfelt: float = UNFELT,
     ) -> None:
-        self.simulations, self.links, self.pairs = list(simulations), links, pairs
+        self.simulations = list(simulations)
+        self.alone = len(self.simulations) == 1 and links is None and pairs is None and breath is None
+        self.links = links = make_links(0) if links is None else links
+        self.pairs = pairs = make_pairs() if pairs is None else pairs
+        breath = Breath.new() if breath is None else breath
         if len(self.simulations) > MOST_ORGANS:
             raise UserError(f"{len(self.simulations)} organs are joined; wanted: {MOST_ORGANS} at the most")
         if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
             raise UserError("organs of one scene have one rate, model, local region, integrator and return target")
-        if self.simulations[0].implied:
+        if self.simulations[0].implied and not self.alone:
             raise UserError("organs of one scene have return target rest, not implied")
         moves = list(moves) or [0.0] * len(self.simulations)
         if len(moves) != len(self.simulations):
@@ -78,16 +94,25 @@ class Joined:
         self.carried = carried_with(breath, moves, gravity)
         self.unfelt = unfelt_by(self.simulations, links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
         self.worlds = row([one.world for one in self.simulations])
-        self.handle = handle(Together(self.carried, links, pairs, self.unfelt, np.zeros(len(moves), dtype=np.int64)))
+        awake = np.zeros(len(moves), dtype=np.int64)
+        self.handle = None if self.alone else handle(Together(self.carried, links, pairs, self.unfelt, awake))
         self.set_substeps()
 
     def step(self) -> None:
         """Advance all by one tick."""
-        tick_together(self.worlds, self.handle)
+        if self.alone:
+            self.simulations[0].step()
+        else:
+            tick_together(self.worlds, self.handle)
 
     @property
     def wrench(self) -> Floats:
-        """What every body of the tools feels of all organs, (b, 6) N and N m about its origin."""
+        """What every body of the tools feels of all organs, (b, 6) N and N m about its origin.
+
+        The live array of an organ alone.
+        """
+        if self.alone:
+            return np.asarray(self.simulations[0].state.wrench)
         wrench = np.zeros_like(self.simulations[0].state.wrench)
         sum_felt(self.worlds, wrench)
         return wrench
@@ -128,7 +153,8 @@ class Joined:
 
     def reset(self) -> None:
         """Breathed out, untouched by each other; simulations are reset by themselves."""
-        let_go(self.worlds, self.handle)
+        if not self.alone:
+            let_go(self.worlds, self.handle)
 
 
 def gravity_of(settings: Settings) -> tuple[float, float, float]:
@@ -167,7 +193,10 @@ def let_go(worlds: Any, joined: Any) -> None:
 
 @kernel
 def tick_together(worlds: Any, joined: Any) -> None:
-    """Advance several organs, a row of worlds, by one tick of the first one's settings."""
+    """Advance organs, a row of worlds, by one tick of the first one's settings; joined: None for an organ alone."""
+    if joined is None:
+        tick_world(worlds[0])
+        return
     step, carried, links, unfelt = worlds[0].settings.tick_time, joined.carried, joined.links, joined.unfelt
     pairs, awake, linked = joined.pairs, joined.awake, len(links.slack) > 0
     breathes = carried.breath.period > 0.0 or carried.breath.follows

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from tissue_sim.array_types import Longs
 from tissue_sim.jit import kernel
 from tissue_sim.model.gravity import add_weight, is_out_of_balance
-from tissue_sim.model.implied_boundary import imply_boundary
+from tissue_sim.model.implied_boundary import lead_return_springs
 from tissue_sim.model.inputs import load_nodes, reset_state, take_contacts, take_force, take_pose
 from tissue_sim.model.prescribed import free_nodes, prescribe_nodes
 from tissue_sim.model.records import words_of
@@ -36,15 +36,8 @@ def make_world(model: Any, state: Any, shapes: Any, settings: Settings, scratch:
 @kernel
 def tick_world(world: Any) -> None:
     """Advance by one tick."""
+    lead_return_springs(world.model, world.state)
     tick(world.model, world.state, world.shapes, world.settings, world.scratch)
-
-
-@kernel
-def tick_implied_world(world: Any) -> None:
-    """The same, after the return springs were led to the boundary that the skeleton implies."""
-    if not world.state.status.asleep:
-        imply_boundary(world.model.spokes, world.state.position, world.model.return_target)
-    tick_world(world)
 
 
 @kernel

@@ -28,7 +28,7 @@ def written():
     """What a recorder writes of two balls that touch, hang on each other and have breathed, by topic; and the loop."""
     both = simulations()
     hang = Attachment((0, 1), stiffness=5.0, within=0.01, slack=0.0)
-    loop = Loop(both, join(both, [hang], Breathing(60.0, [0.0, 0.0, 0.01]), [1.0, 0.0], 0.3))
+    loop = Loop(join(both, [hang], Breathing(60.0, [0.0, 0.0, 0.01]), [1.0, 0.0], 0.3))
     messages, topics = SimpleNamespace(together=None, active=True), {}
     messages.packed = lambda name, arrays: topics.setdefault(name.rpartition("/")[2], []).append(arrays)
     recorder = JoinedRecorder(messages, "/node", loop)

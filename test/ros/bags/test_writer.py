@@ -17,6 +17,7 @@ from helpers.scenes import ball
 from tissue_sim.cli import main
 from tissue_sim.errors import UserError
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.bags import bag, recovery, spool
 from tissue_sim.ros.bags.recorder import Recorder
 from tissue_sim.ros.bags.recording import Recording
@@ -147,7 +148,7 @@ def stalled(tmp_path, monkeypatch):
 
     monkeypatch.setattr(BagWriter, "write", when_let_go)
     monkeypatch.setattr(spool, "MOST_WAITING", 8e6)
-    organs = Organs(Loop([Simulation(ball(2))]))
+    organs = Organs(Loop(Joined([Simulation(ball(2))])))
     recorder = Recorder("/tissue_sim", organs, {"": (ball(2), ball(2).to_bytes)}, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")

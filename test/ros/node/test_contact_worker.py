@@ -14,6 +14,7 @@ from tissue_sim.contact.tools import Tool, ToolSet
 from tissue_sim.model.contact_set import Engaged
 from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.state import BodyStatus
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.node.contact_search import ContactSearch
 from tissue_sim.ros.node.contact_worker import ContactWorker
 from tissue_sim.ros.node.served_organ import ServedOrgan
@@ -47,7 +48,7 @@ class Port:
 def scene(monkeypatch):
     """A worker that isn't started, its finder, what the loop tells of the tool, and the lines that it warned with."""
     organ, tools = ball(1), ToolSet([Tool("left", "sphere", 0.005)])
-    physics = Physics(Loop([Simulation(organ, shapes=tools.shapes)]))
+    physics = Physics(Loop(Joined([Simulation(organ, shapes=tools.shapes)])))
     finder = ContactFinder(organ, tools)
     top = organ.surface_positions[np.argmax(organ.surface_positions[:, 2])]
     warned, port = [], Port(top + (0.0, 0.0, 0.006))

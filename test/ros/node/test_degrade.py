@@ -11,6 +11,7 @@ from helpers.ros.clients import Client
 from helpers.ros.processes import PUSHED, UNHURRIED, poke_path, shipped, start_node
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.node import degrade
 from tissue_sim.ros.node.degrade import HOLD, LOOK_EVERY, MARKERS, NONE, PATIENCE, RATE, REGION, Ladder, Look
 from tissue_sim.ros.node.live_settings import ANY_FORCE, LiveSettings
@@ -126,9 +127,9 @@ def live(local_region="auto", integrator="symplectic", rate=1000.0, **settings):
     values = Values(rate=rate, marker_rate=60.0, local_region=local_region, region_force=0.3) | settings
     values = {"coupling_stiffness": 0.0, "left.device_damping": 0.0, "right.device_damping": 0.0} | values
     values = {"left.smoothing": 1.0, "right.smoothing": 1.0} | values
-    posted, physics = [], Physics(Loop([simulation]))
+    posted, physics = [], Physics(Loop(Joined([simulation])))
     made = LiveSettings(
-        ServedScene("ball", ("",), (simulation,), (1.0,), None),
+        ServedScene("ball", ("",), (1.0,), Joined([simulation])),
         Values(values),
         lambda _, one: posted.append((physics.post_settings(one), one)),
         [SimpleNamespace(period=period, delay=0.0, counts=True) for period in (1e-3, 4e-3)],

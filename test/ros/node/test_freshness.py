@@ -7,6 +7,7 @@ import pytest
 
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.node.freshness import Freshness
 from tissue_sim.ros.shared.cdr import UNSTAMPED
 from tissue_sim.ros.shared.loop import Loop
@@ -19,7 +20,7 @@ def scene():
     clock = SimpleNamespace(
         time=10.0, now=lambda: clock.time, jumped=[], age_of=lambda stamp: clock.time - 1e-9 * stamp
     )
-    made = Organs(Loop([Simulation(ball(1))]))
+    made = Organs(Loop(Joined([Simulation(ball(1))])))
     organs = SimpleNamespace(
         loop=SimpleNamespace(standing=False, clock_stands=False), stale_time=made.stale_time, ramp_time=made.ramp_time
     )

@@ -31,6 +31,7 @@ from helpers.ros.processes import (
 from helpers.scenes import ball
 from tissue_sim.cli import main
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.organ.shipped import shipped_organ
 from tissue_sim.ros.bags import spool
 from tissue_sim.ros.bags.recorder import Recorder
@@ -334,7 +335,7 @@ def test_signal_while_loading_ends_it(tmp_path, start, delay):
 def test_bag_with_a_full_queue_is_closed_without_the_rest(tmp_path, monkeypatch):
     """What a slow disk can't take in time is left out and counted; the bag can be read."""
     simulation = Simulation(ball(2))
-    loop = Loop([simulation])
+    loop = Loop(Joined([simulation]))
     recorder = Recorder("/tissue_sim", Organs(loop), {"": (ball(2), ball(2).to_bytes)}, {"tools": ["left"]})
     for topic in TOOL_TOPICS:
         recorder.add_topic("left", topic, f"/left/{topic}")

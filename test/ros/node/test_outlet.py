@@ -9,6 +9,7 @@ import pytest
 from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.node import outlet
 from tissue_sim.ros.node.backlog import Backlog
 from tissue_sim.ros.node.outlet import Outlet
@@ -66,7 +67,7 @@ def scene(request, monkeypatch):
         parts.told.append(report)
 
     parts.outlet = Outlet(
-        Organs(Loop([Simulation(ball(1))])),
+        Organs(Loop(Joined([Simulation(ball(1))]))),
         [SimpleNamespace(input=SimpleNamespace(poses=0), output=parts.output)],
         [parts.presenter.present, parts.presenter.present_tools],
         live,

@@ -12,6 +12,7 @@ from helpers.ros.clients import Client
 from helpers.ros.processes import running_node
 from helpers.scenes import ball
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 from tissue_sim.ros.shared.priority import below, is_allowed
@@ -38,7 +39,7 @@ def test_asking_whether_it_is_allowed_changes_nothing():
 
 
 def test_only_the_loop_goes_first():
-    loop = Loop([Simulation(ball(2))])
+    loop = Loop(Joined([Simulation(ball(2))]))
     physics = Physics(loop)
     loop.start()
     try:

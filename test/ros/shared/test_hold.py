@@ -8,6 +8,7 @@ from helpers.patience import wait_for
 from helpers.scenes import ball
 from tissue_sim.model.records import copy_of
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.node.loop_timing import TimingReader
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.organs import Organs
@@ -17,7 +18,7 @@ MOMENT = 0.03  # s in which a loop that were not held would take 30 ticks
 
 @pytest.fixture
 def organs():
-    made = Organs(Loop([Simulation(ball(1))]))
+    made = Organs(Loop(Joined([Simulation(ball(1))])))
     made.loop.start()
     wait_for(lambda: made.loop.ticks > 0)
     yield made

@@ -80,7 +80,7 @@ def by_hand(ticks, journals, poses, settings, pair_sets, pair_rows):
 def test_ticks_of_joined_organs_repeat_by_hand_bit_for_bit():
     scene = make_scene()
     finder = PairFinder(organs())
-    loop = Loop(scene.simulations, scene.joined)
+    loop = Loop(scene.joined)
     both = [Physics(loop, organ) for organ in range(2)]
     poses, pair_sets, settings = {}, {}, [{}, {}]
     positions = [np.empty_like(one.positions) for one in scene.simulations]

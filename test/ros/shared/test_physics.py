@@ -8,6 +8,7 @@ import pytest
 from helpers.scenes import ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
+from tissue_sim.model.together import Joined
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.physics import Physics
 
@@ -22,7 +23,7 @@ def test_contact_forces_are_of_whole_ticks():
         scene.move(0, top + (0.0, 0.0, height))
         scene.step()
     held = np.append(top + (0.0, 0.0, 0.003), (0.0, 0.0, 0.0, 1.0))
-    physics = Physics(Loop([scene.simulation]))
+    physics = Physics(Loop(Joined([scene.simulation])))
     physics.post_contacts(scene.contacts)
     physics.post_pose(0, held)
     physics.loop.start()

@@ -21,8 +21,6 @@ class JoinedRecorder:
     """Writes where organs touch, and what they hang on. below: the topics' beginning, absolute."""
 
     def __init__(self, messages: BagMessages, below: str, loop: Loop) -> None:
-        assert loop.joined is not None
-        assert loop.joined_box is not None
         self.names = {name: f"{below}/{name}" for name in bag.SCENE_TOPICS}
         self.together = messages.together
         self._messages, self._joined, self._box = messages, loop.joined, loop.joined_box

@@ -58,7 +58,7 @@ class Recorder:
             for (name, (organ, as_file)), physics in zip(named.items(), organs.each, strict=True)
         ]
         self._names = {name: f"{node_name}/{name}" for name in bag.NODE_TOPICS}
-        self.joined = None if organs.loop.joined is None else JoinedRecorder(self._messages, node_name, organs.loop)
+        self.joined = None if organs.loop.joined.alone else JoinedRecorder(self._messages, node_name, organs.loop)
         self._tool_topics: dict[str, str] = {}  # tool/topic to the name in a bag
         self._tool_qos: dict[str, QoSProfile] = {}  # by the name in a bag
         self._wrenches: list[tuple[int, int]] = []  # rows that wait for the journal

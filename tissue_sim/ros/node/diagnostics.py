@@ -80,7 +80,7 @@ class LoopReport:
         for number, (name, title, one) in enumerate(zip(self._names, self._titles, results, strict=True)):
             part = report.part(f"organ {title}", f"{name}." if name else "")
             _add_organ(part, one)
-            if joined is not None:
+            if not joined.alone:
                 part.values["skipped.unfelt"] = int(joined.unfelt.ticks[number])
         if len(results) > 1:
             _add_all(report, results)

@@ -55,7 +55,7 @@ class LiveSettings:
                 self._give_up(settings)
             if not any(map(_differ, every, before)):
                 return
-            self._served.set_substeps()
+            self._served.joined.set_substeps()
             for organ, (settings, old) in enumerate(zip(every, before, strict=True)):
                 if _differ(settings, old):
                     self._post(organ, copy_of(settings))

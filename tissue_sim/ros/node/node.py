@@ -84,8 +84,8 @@ class TissueNode(GuardedNode):
         self.scene = ServedScene.of_parameters(values, tools.shapes)
         values.tell_organs([name for name in self.scene.names if name])
         self.scene.apply(values)
-        self.scene.set_substeps()
-        self.loop = Loop(self.scene.simulations, self.scene.joined)
+        self.scene.joined.set_substeps()
+        self.loop = Loop(self.scene.joined)
         self.organs = Organs(self.loop)
         self.served = [
             ServedOrgan(name, organ, physics)
@@ -103,7 +103,7 @@ class TissueNode(GuardedNode):
             for one, recorder in zip(self.served, of_organ, strict=True)
         ]
         joined = self.recorder.joined
-        pairs = None if joined is None else PairSearch(self.organs, joined)
+        pairs = None if self.scene.joined.alone else PairSearch(self.organs, joined)
         self.contacts = ContactWorker(searches, pairs, self.ports, self._woken, warn)
         self.answers = Answers(self.organs, self.ports, self._woken, warn)
         self._warm_up = [
@@ -111,7 +111,7 @@ class TissueNode(GuardedNode):
             for one, served in zip(searches, self.served, strict=True)
         ]
         self.respiration = None
-        if joined is not None and self.scene.joined is not None and self.scene.joined.carried.breath.follows:
+        if self.scene.joined.carried.breath.follows:
             self.respiration = RespirationInput(self, self.loop, joined, self.sim_clock)
         self._broadcast = TfBroadcast(self) if values["broadcast_tf"] and tf_installed() else None
         self._registrations = 0  # how often organ_pose changed

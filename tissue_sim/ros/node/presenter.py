@@ -128,7 +128,7 @@ class ScenePresenter:
         frame_id: str,
         ports: Sequence[ToolPort],
         organs: Organs,
-        joined: Joined | None,
+        joined: Joined,
         values: Values,
     ) -> None:
         self._values, self._clock = values, node.get_clock()
@@ -138,7 +138,7 @@ class ScenePresenter:
         self._sent: tuple[object, ...] = ()
         self._had = 0
         self._ligaments: Ligaments | None = None
-        if joined is not None and len(joined.links.slack):
+        if len(joined.links.slack):
             self._ligaments = Ligaments(frame_id, joined, self._shown.first_rows)
             self._lines = node.create_publisher(MarkerArray, "~/ligaments", LATCHED)
         self._lines_sent: tuple[int, ...] = ()

@@ -37,14 +37,18 @@ class ServedScene:
     """The organs that `organ_file` or `scene_file` names, k of them.
 
     title: what all of it is called; names (k,), those of a scene, or one that is empty; stiffness (k,) factors on that
-    of their tissue, beside the parameter's; joined: None for an organ alone.
+    of their tissue, beside the parameter's; joined: what advances them.
     """
 
     title: str
     names: tuple[str, ...]
-    simulations: tuple[Simulation, ...]
     stiffness: tuple[float, ...]
-    joined: Joined | None
+    joined: Joined
+
+    @property
+    def simulations(self) -> list[Simulation]:
+        """Return the simulation of each organ."""
+        return self.joined.simulations
 
     @property
     def organs(self) -> list[Organ]:
@@ -77,22 +81,15 @@ class ServedScene:
         }
         if said is None:
             organ = Organ.load(Path(organ_file or shipped_organ()))
-            return cls(organ.name, ("",), (Simulation(organ, **options),), (1.0,), None)
-        simulations = tuple(Simulation(organ, **options) for organ in said.organs)
-        return cls(Path(scene_file).stem, said.names, simulations, said.stiffness, said.join(simulations))
+            return cls(organ.name, ("",), (1.0,), Joined([Simulation(organ, **options)]))
+        simulations = [Simulation(organ, **options) for organ in said.organs]
+        return cls(Path(scene_file).stem, said.names, said.stiffness, said.join(simulations))
 
     def apply(self, values: Parameters) -> None:
         """Write the parameters that are settings, with the scene's own factors; substeps are yet to be worked out."""
         for simulation, stiffness in zip(self.simulations, self.stiffness, strict=True):
             values.apply(simulation.settings)
             simulation.settings.stiffness_scale *= stiffness
-
-    def set_substeps(self) -> None:
-        """Work out substeps after settings changed."""
-        if self.joined is not None:
-            self.joined.set_substeps()
-        else:
-            self.simulations[0].set_substeps()
 
 
 def told(names: Sequence[str], organs: Sequence[Organ]) -> str:

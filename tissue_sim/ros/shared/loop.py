@@ -6,7 +6,7 @@ import ctypes
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -17,7 +17,6 @@ from tissue_sim.model import realtime as rt
 from tissue_sim.model.joined_box import make_joined_box
 from tissue_sim.model.pairs import PairSet, used_words
 from tissue_sim.model.records import copy_of, field_of
-from tissue_sim.model.simulation import Simulation
 from tissue_sim.model.together import Joined
 from tissue_sim.model.world import make_world
 from tissue_sim.ros.shared.hold import Hold
@@ -28,20 +27,17 @@ _waiting_libc = ctypes.CDLL(None)
 
 
 class Loop:
-    """Ticks simulations at the rate of the first one. Methods may be called from any one thread each.
+    """Ticks a scene's simulations at the rate of the first one. Methods may be called from any one thread each.
 
-    joined: what joins them; none for a single organ that nothing pulls. boxes: each one's mailboxes, see
-    `physics.Physics`.
+    boxes: the mailboxes of each, see `physics.Physics`; joined_box: those of all.
     """
 
-    def __init__(self, simulations: Sequence[Simulation], joined: Joined | None = None) -> None:
-        self.simulations, self.joined = tuple(simulations), joined
-        self.boxes = tuple(mb.make_mailboxes(one.state) for one in simulations)
+    def __init__(self, joined: Joined) -> None:
+        self.simulations, self.joined = tuple(joined.simulations), joined
+        self.boxes = tuple(mb.make_mailboxes(one.state) for one in self.simulations)
         self.words = mb.make_loop_words()
-        self.joined_box = None if joined is None else make_joined_box(len(simulations[0].shapes.kind))
-        self._pairs = self._respiration = None
-        if self.joined_box is not None:
-            self._pairs, self._respiration = handle(self.joined_box.pairs), handle(self.joined_box.respiration)
+        self.joined_box = make_joined_box(len(self.simulations[0].shapes.kind))
+        self._pairs, self._respiration = handle(self.joined_box.pairs), handle(self.joined_box.respiration)
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self.ended = False  # though nobody has asked for that
         self.failure: BaseException | None = None  # what ended it
@@ -70,13 +66,8 @@ class Loop:
             handle(make_world(one.model, one.state, one.shapes, settings, one.scratch))
             for one, settings in zip(self.simulations, self._settings, strict=True)
         ]
-        loop = row(worlds), row([handle(box) for box in self.boxes]), handle(self.words)
-        if self.joined is not None:
-            rt.run_joined_loop(*loop, self.joined.handle, handle(self.joined_box))
-        elif self.simulations[0].implied:
-            rt.run_implied_loop(*loop)
-        else:
-            rt.run_loop(*loop)
+        boxes = row([handle(box) for box in self.boxes])
+        rt.run_loop(row(worlds), boxes, handle(self.words), self.joined.handle, handle(self.joined_box))
 
     def start(self) -> None:
         """Start the loop; returns when it runs (compiling takes a while)."""

@@ -28,7 +28,7 @@ class Organs:
         self.loop = loop
         self.each = tuple(Physics(loop, organ) for organ in range(len(loop.simulations)))
         self.n_bodies = self.each[0].n_bodies
-        self._felt = None if loop.joined_box is None else handle(loop.joined_box.felt)
+        self._felt = handle(loop.joined_box.felt)
         self._went_on = -math.inf  # monotonic s, when ticks went on; infinite while they stand
 
     # in ----------------------------------------------------------------------------------------
@@ -90,8 +90,6 @@ class Organs:
         return (tick, felt) if returned == 1.0 else (-1, returned * felt)
 
     def _newest(self) -> tuple[int, Floats]:
-        if self._felt is None:
-            return self.each[0].newest_wrenches()
         words = np.zeros(1 + 6 * self.n_bodies, dtype=np.int64)
         mb.take(self._felt, 0, 0, words)
         return int(words[0]), words[1:].view(np.float64).reshape(self.n_bodies, 6)

@@ -102,10 +102,6 @@ class Physics:
         """
         if self.loop.standing or not self.answers:
             return -1, np.zeros((self.n_bodies, 6))
-        return self.newest_wrenches()
-
-    def newest_wrenches(self) -> tuple[int, Floats]:
-        """Return the newest tick and its wrenches (T, 6) N, N m, however old they are; a copy."""
         words = self._newest()
         return int(words[self._tick_at]), words[self._wrench_at].view(np.float64)
 

@@ -215,7 +215,7 @@ def use(
     for tick in range(TICKS):
         if rng.random() < storm:
             change_settings(rng, scene)
-        if breath is not None and scene.joined is not None:
+        if breath is not None:
             scene.joined.tell_breath(breath(tick))
         for tool, hand in enumerate(hands):
             if (place := hand(tick)) is not None:
@@ -275,8 +275,7 @@ def look(scene: Scene, tick: int) -> None:
 def settle_down(scene: Scene, defaults: list[Settings]) -> None:
     """Without poses, loads and breath, with the usual settings: no force is left soon, and all sleep. Raises Broken."""
     usual(scene, defaults)
-    if scene.joined is not None:
-        scene.joined.tell_breath(0.0)
+    scene.joined.tell_breath(0.0)
     for tick in range(MOST_AFTER):
         scene.step()
         asleep = all(one.asleep for one in scene.simulations)
