@@ -11,6 +11,7 @@ from tissue_sim.contact.attachments import Attachment, Breathing
 from tissue_sim.contact.joining import join
 from tissue_sim.contact.pair_finder import PairFinder
 from tissue_sim.model.simulation import Simulation
+from tissue_sim.model.together import Joined
 from tissue_sim.organ.placing import placed
 from tissue_sim.ros.bags.joined_recorder import JoinedRecorder
 from tissue_sim.ros.bags.joined_recording import JoinedRecording, _check_fields
@@ -38,7 +39,7 @@ def written():
     wait_for(lambda: loop.ticks > 300)
     loop.take_snapshots()
     recorder.state(300)
-    recorder.write_journal({"wrenches": np.zeros(0)})
+    topics["journal"] = [recorder.rows()]
     loop.stop()
     return topics, loop
 
@@ -61,6 +62,15 @@ def test_it_comes_back_as_it_was(written):
     assert rows["pairs"]["pairs"].tolist() == [1]
     assert rows["joined"]["pairs"].max() == 1
     assert int(topics["pair_set"][0]["sequence"]) == 1
+
+
+def test_of_an_organ_alone_there_is_nothing_but_the_journal():
+    recorder = JoinedRecorder(SimpleNamespace(together=None, active=True), "/node", Loop(Joined(simulations()[:1])))
+    assert recorder.names == {"journal": "/node/journal"}
+    recorder.begin()
+    recorder.state(300)
+    assert recorder.rows() == {}
+    assert JoinedRecording({}, {}, {}).join(simulations()[:1]).alone
 
 
 @pytest.mark.parametrize(

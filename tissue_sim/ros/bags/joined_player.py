@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.pair_finder import PairFinder
@@ -18,7 +19,6 @@ class JoinedPlayer:
     def __init__(self, recording: JoinedRecording, organs: Sequence[OrganPlayer]) -> None:
         self._recording, self._organs = recording, list(organs)
         self.joined = recording.join([one.simulation for one in organs])
-        self._finder = PairFinder([one.simulation.organ for one in organs])
         rows = recording.journal
         first = organs[0].tick
         self._taken_at = {int(row["tick"]): row for row in rows["joined"]}
@@ -32,6 +32,10 @@ class JoinedPlayer:
         self._found_from = dict(zip(rows["pairs"]["pairs"].tolist(), rows["pair_ticks"].tolist(), strict=True))
         self._needed = [set(ticks) for ticks in rows["pair_ticks"].T.tolist()]
         self._kept: list[dict[int, Floats]] = [{} for _ in organs]
+
+    @cached_property
+    def _finder(self) -> PairFinder:
+        return PairFinder([one.simulation.organ for one in self._organs])
 
     def step(self, tick: int, was_reset: bool) -> None:
         """Advance by a tick, after every organ has taken up its own."""

@@ -18,10 +18,14 @@ from tissue_sim.ros.shared.loop import Loop
 
 
 class JoinedRecorder:
-    """Writes where organs touch, and what they hang on. below: the topics' beginning, absolute."""
+    """Writes where organs touch, and what they hang on; nothing for an organ alone.
+
+    below: the topics' beginning, absolute.
+    """
 
     def __init__(self, messages: BagMessages, below: str, loop: Loop) -> None:
-        self.names = {name: f"{below}/{name}" for name in bag.SCENE_TOPICS}
+        topics = ["journal"] if loop.joined.alone else bag.SCENE_TOPICS
+        self.names = {name: f"{below}/{name}" for name in topics}
         self.together = messages.together
         self._messages, self._joined, self._box = messages, loop.joined, loop.joined_box
         self._read = 0  # rows of the loop's journal
@@ -41,6 +45,8 @@ class JoinedRecorder:
     def state(self, tick: int) -> None:
         """What joined organs at the tick of the states that the loop has handed out, and all that doesn't change."""
         joined, kept = self._joined, self._box.kept
+        if joined.alone:
+            return
         count = int(kept.pairs.found[0])
         fields: dict[str, NDArray[Any]] = {f"links.{name}": array for name, array in joined.links._asdict().items()}
         fields |= {
@@ -74,22 +80,22 @@ class JoinedRecorder:
         if self._messages.active:
             self._shares.append(self._newest_share)
 
-    def write_journal(self, of_all: dict[str, NDArray[Any]]) -> None:
-        """The rows since the last call, with those that don't concern one organ alone; `together` is held."""
+    def rows(self) -> dict[str, NDArray[Any]]:
+        """Return the journal's rows since the last call; to be called with `together` held."""
+        if self._joined.alone:
+            return {}
         written = int(self._box.journal_written[0])
         chosen = np.arange(max(self._read, written - JOURNAL_ROWS + 64), written) % JOURNAL_ROWS
         self._read = written
         noted, self._notes = self._notes, []
         shares, self._shares = self._shares, []
         n_organs = len(self._joined.simulations)
-        rows = of_all | {
+        return {
             "joined": self._box.journal[chosen],
             "respiration": np.array(shares, dtype=bag.RespirationRow.dtype),
             "pairs": np.array([(sequence,) for sequence, _ in noted], dtype=bag.PairRow.dtype),
             "pair_ticks": np.array([ticks for _, ticks in noted], dtype=np.int64).reshape(-1, n_organs),
         }
-        if any(len(found) for found in rows.values()):
-            self._messages.packed(self.names["journal"], rows)
 
     def _whole_set(self, sequence: int, words: Longs) -> None:
         self._messages.packed(self.names["pair_set"], {"sequence": np.array(sequence), "words": words})

@@ -31,7 +31,8 @@ _ROWS = {
 class JoinedRecording:
     """What joined organs at the tick of their states, by name (see joined_recorder), and what happened since.
 
-    pair_sets: those that are whole, by number; journal: records by kind, see joined_recorder.
+    fields: empty of an organ alone; pair_sets: those that are whole, by number; journal: records by kind, see
+    joined_recorder.
     """
 
     fields: dict[str, np.ndarray]
@@ -55,9 +56,18 @@ class JoinedRecording:
         _check_fields(fields, sizes)
         return cls(fields, sets, journal)
 
+    @classmethod
+    def alone(cls, wrenches: np.ndarray) -> JoinedRecording:
+        """Return that of an organ alone, whose own journal has the rows of wrenches."""
+        journal = {kind: np.zeros(0, dtype=record.dtype) for kind, record in _ROWS.items()}
+        journal["joined"] = np.array([(-1, 0, 0)], dtype=JoinedRow.dtype)  # nothing was taken up before its first tick
+        return cls({}, {}, journal | {"pair_ticks": np.zeros((0, 1), dtype=np.int64), "wrenches": wrenches})
+
     def join(self, simulations: Sequence[Simulation]) -> Joined:
         """Simulations in the states of the bag, joined as they were. Raises UserError where they don't fit."""
         fields = self.fields
+        if not fields:
+            return Joined(simulations)
         links = Links(**{name: fields[f"links.{name}"].copy() for name in Links._fields})
         breath = Breath.at(fields["breath"].view(np.int64).reshape(-1).copy())
         joined = Joined(simulations, links, make_pairs(float(fields["friction"][0])), breath, fields["moves"].tolist())

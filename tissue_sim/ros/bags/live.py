@@ -40,7 +40,7 @@ def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
 
     Raises UserError where the node is not there, does not follow /clock, or has other tools.
     """
-    if recording.joined is not None:
+    if recording.is_scene:
         raise UserError("--live goes with the bag of one organ alone, and this one holds a scene")
     with client.client_node("replay", target) as node:
         return _Live(node, recording, target).play()

@@ -13,7 +13,6 @@ from tissue_sim import progress
 from tissue_sim.array_types import Floats
 from tissue_sim.contact.tools import ToolSet
 from tissue_sim.errors import UserError
-from tissue_sim.model.settings import Settings
 from tissue_sim.organ.organ import Organ
 from tissue_sim.ros.bags.comparing import Shown
 from tissue_sim.ros.bags.joined_player import JoinedPlayer
@@ -37,7 +36,7 @@ def replay(recording: Recording, organ: Organ | None = None, wanted: Shown | Non
 
     organ: instead of the recorded one. Raises UserError for a scene that another organ is given for.
     """
-    if organ is not None and recording.joined is not None:
+    if organ is not None and recording.is_scene:
         raise UserError("another organ goes with the bag of one organ alone, and this one holds a scene")
     organs = [organ] if organ is not None else [one.organ() for one in recording.organs]
     return Player(recording, organs).run(recording.shown() if wanted is None else wanted)
@@ -54,15 +53,15 @@ class Player:
             OrganPlayer(own, organ, recording.config, self.tools, inputs)
             for own, organ in zip(recording.organs, organs, strict=True)
         ]
-        self.joined = None if recording.joined is None else JoinedPlayer(recording.joined, self.organs)
+        self.joined = JoinedPlayer(recording.joined, self.organs)
         self.tick = self.organs[0].tick
-        self._take_settings = [self._settings_of(number) for number in range(len(self.organs))]
+        take_settings = self.joined.joined.take_settings
+        self._take_settings = [partial(take_settings, number) for number in range(len(self.organs))]
 
     def _wrench(self, tool: int, recorded: Floats) -> Floats:
         """A tool's wrench, (6,). Of a gripper the force: its torque is about a pose that the journal lacks."""
         bodies = self.tools.bodies[tool]
-        joined, alone = self.joined, self.organs[0].simulation
-        of_bodies = np.asarray(alone.state.wrench if joined is None else joined.joined.wrench)
+        of_bodies = self.joined.joined.wrench
         if len(bodies) == 1:
             return np.asarray(of_bodies[bodies[0]])
         return np.concatenate([of_bodies[bodies, :3].sum(axis=0), recorded[3:]])
@@ -109,16 +108,7 @@ class Player:
                 result.inputs += 1
                 result.contact_sets += taken.contact_set
                 was_reset |= taken.reset
-        if self.joined is not None:
-            self.joined.step(tick, was_reset)
-        else:
-            self.organs[0].simulation.step()
-
-    def _settings_of(self, number: int) -> Callable[[Settings], None]:
-        """What takes settings of an organ."""
-        if self.joined is None:
-            return self.organs[number].simulation.take_settings
-        return partial(self.joined.joined.take_settings, number)
+        self.joined.step(tick, was_reset)
 
 
 def _by_tick(ticks: Sequence[np.ndarray]) -> dict[int, list[tuple[int, int]]]:

@@ -58,7 +58,7 @@ class Recorder:
             for (name, (organ, as_file)), physics in zip(named.items(), organs.each, strict=True)
         ]
         self._names = {name: f"{node_name}/{name}" for name in bag.NODE_TOPICS}
-        self.joined = None if organs.loop.joined.alone else JoinedRecorder(self._messages, node_name, organs.loop)
+        self.joined = JoinedRecorder(self._messages, node_name, organs.loop)
         self._tool_topics: dict[str, str] = {}  # tool/topic to the name in a bag
         self._tool_qos: dict[str, QoSProfile] = {}  # by the name in a bag
         self._wrenches: list[tuple[int, int]] = []  # rows that wait for the journal
@@ -130,8 +130,7 @@ class Recorder:
             messages.recording = True
             for one in self.of_organ:
                 one.begin_inputs()
-            if self.joined is not None:
-                self.joined.begin()
+            self.joined.begin()
             messages.spool.flush()
         return path
 
@@ -165,8 +164,7 @@ class Recorder:
         if not self._has_state and now - self._started > SETTLE_TIME:
             with self._organs.loop.snapshots():
                 tick = min([one.state() for one in self.of_organ])
-                if self.joined is not None:
-                    self.joined.state(tick)
+                self.joined.state(tick)
             self._has_state, self._journal_at, self._hurry = True, 0.0, True
         if now - self._journal_at < JOURNAL_EVERY:
             return
@@ -178,16 +176,14 @@ class Recorder:
             self._messages.spool.flush()
 
     def _write_journal(self) -> None:
-        rows = [one.rows() for one in self.of_organ]
-        of_all = {"wrenches": np.array(self._wrenches, dtype=bag.WrenchRow.dtype)}
+        rows = {one.names["journal"]: one.rows() for one in self.of_organ}
+        wrenches = np.array(self._wrenches, dtype=bag.WrenchRow.dtype)
         self._wrenches = []
-        if self.joined is None:
-            rows[0] |= of_all
-        else:
-            self.joined.write_journal(of_all)
-        for one, own in zip(self.of_organ, rows, strict=True):
+        # An only organ's journal is also that of all.
+        rows.setdefault(self.joined.names["journal"], {}).update(self.joined.rows(), wrenches=wrenches)
+        for name, own in rows.items():
             if any(len(found) for found in own.values()):
-                self._messages.packed(one.names["journal"], own)
+                self._messages.packed(name, own)
 
     def report(self, report: Report) -> None:
         """Add the bag, and what it is missing."""
@@ -230,8 +226,7 @@ class Recorder:
         for one in self.of_organ:
             for name, kind in bag.ORGAN_TOPICS.items():
                 topics[one.names[name]] = Topic(kind, [offered(OFFERED.get(name, RELIABLE))])
-        if self.joined is not None:
-            topics |= {name: Topic(bag.OCTETS, [offered(RELIABLE)]) for name in self.joined.names.values()}
+        topics |= {name: Topic(bag.OCTETS, [offered(RELIABLE)]) for name in self.joined.names.values()}
         return topics | {
             name: Topic(kinds[topic.split("/")[1]], [offered(self._tool_qos[name])])
             for topic, name in self._tool_topics.items()

@@ -47,7 +47,7 @@ class Recording:
 
     config: dict[str, Any]
     organs: list[OrganRecording]
-    joined: JoinedRecording | None  # of a scene
+    joined: JoinedRecording
     registrations: list[tuple[int, Floats]] = field(
         default_factory=list
     )  # from which tick on organ_pose was what, (7,)
@@ -83,7 +83,10 @@ class Recording:
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
         organs = [OrganRecording.parsed(path, messages, path_of(name, one), n_bodies) for one in organs_of(config)]
         sizes = [len(one.state["position"]) for one in organs]
-        joined = JoinedRecording.parsed(messages, name, sizes) if "organs" in config else None
+        if "organs" in config:
+            joined = JoinedRecording.parsed(messages, name, sizes)
+        else:
+            joined = JoinedRecording.alone(organs[0].journal["wrenches"])
         recording = cls(config, organs, joined, [_registration(raw) for raw in messages[f"{name}/organ_pose"]])
         for tool in config["tools"]:
             topics = {topic: _topic(config["topics"], tool, topic) for topic in TOOL_TOPICS}
@@ -107,7 +110,12 @@ class Recording:
     @property
     def wrench_rows(self) -> np.ndarray:
         """Which tick each wrench shows, records of bag.WrenchRow."""
-        return (self.organs[0] if self.joined is None else self.joined).journal["wrenches"]
+        return self.joined.journal["wrenches"]
+
+    @property
+    def is_scene(self) -> bool:
+        """True where organs have names."""
+        return "organs" in self.config
 
     @property
     def first_tick(self) -> int:
