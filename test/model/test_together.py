@@ -7,13 +7,11 @@ from helpers.scenes import ball, changed, free_ball
 from tissue_sim.contact.scene import Scene
 from tissue_sim.contact.tools import Tool
 from tissue_sim.errors import UserError
-from tissue_sim.handles import handle, row
 from tissue_sim.model.breathing import Breath, breathed_in
-from tissue_sim.model.links import least_substeps, make_links, weigh_ends
+from tissue_sim.model.links import make_links, weigh_ends
 from tissue_sim.model.pairs import make_pairs
 from tissue_sim.model.simulation import Simulation
-from tissue_sim.model.together import Joined, Together, carried_with, fastest, tick_together
-from tissue_sim.model.unfelt import unfelt_by
+from tissue_sim.model.together import Joined
 
 TOP, TOP_OF_FINE = (int(np.argmax(one.surface_positions[:, 2])) for one in (ball(), ball(2)))
 
@@ -33,24 +31,14 @@ class Organs:
                     self.links.point[number, side] = end
             self.links.slack[number] = slack
             self.links.stiffness[number], self.links.damping[number] = stiffness, damping
-        light = [one.model.inverse_mass for one in simulations]
-        weigh_ends(self.links, light)
-        self.least = least_substeps(self.links, fastest(simulations), 1e-3)
-        for one in simulations:
-            one.settings.least_substeps = self.least
-        moves = [*(moves or []), *[0.0] * len(simulations)][: len(simulations)]
-        gravity = np.zeros((len(simulations), 3))
-        breath = breath or Breath.new()
-        self.carried = carried_with(breath, moves, gravity)
-        self.unfelt = unfelt_by(simulations, self.links, np.outer(moves, [breath.x, breath.y, breath.z]), unfelt)
-        self._worlds = row([one.world for one in simulations])
-        self._joined = handle(
-            Together(self.carried, self.links, make_pairs(), self.unfelt, np.zeros(len(simulations), dtype=np.int64))
-        )
+        weigh_ends(self.links, [one.model.inverse_mass for one in simulations])
+        self.joined = Joined(simulations, self.links, make_pairs(), breath or Breath.new(), moves or (), unfelt)
+        self.carried, self.unfelt = self.joined.carried, self.joined.unfelt
+        self.least = simulations[0].settings.least_substeps
 
     def step(self, ticks=1):
         for _ in range(ticks):
-            tick_together(self._worlds, self._joined)
+            self.joined.step()
 
     @property
     def momentum(self):
