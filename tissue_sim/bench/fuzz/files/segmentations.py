@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.pixels import pack_bits
-from pydicom.uid import ExplicitVRLittleEndian
+from pydicom.uid import UID, ExplicitVRLittleEndian
 
 from tissue_sim.bench.fuzz.cases import Case, Input
 from tissue_sim.bench.fuzz.files.images import changed_field, check_place
@@ -112,8 +112,8 @@ def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
     file = Dataset()
     file.file_meta = FileMetaDataset()
     file.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    file.file_meta.MediaStorageSOPClassUID = file.SOPClassUID = f"1.2.840.10008.5.1.4.1.1.{_STORAGE[kind]}"
-    file.file_meta.MediaStorageSOPInstanceUID = file.SOPInstanceUID = f"{_UID}.1"
+    file.file_meta.MediaStorageSOPClassUID = file.SOPClassUID = UID(f"1.2.840.10008.5.1.4.1.1.{_STORAGE[kind]}")
+    file.file_meta.MediaStorageSOPInstanceUID = file.SOPInstanceUID = UID(f"{_UID}.1")
     file.StudyInstanceUID, file.SeriesInstanceUID = f"{_UID}.2", f"{_UID}.3"
     file.FrameOfReferenceUID, file.Modality, file.SegmentationType = f"{_UID}.4", "SEG", kind
     file.NumberOfFrames, file.Rows, file.Columns = shape
