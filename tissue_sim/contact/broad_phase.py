@@ -53,11 +53,16 @@ def boxes_apart(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
     return apart
 
 
+class Near(NamedTuple):
+    """Room for triangles that lie near something."""
+
+    node: Any  # (t, 3) their nodes
+    number: Any  # (t,) which of all they are
+
+
 @kernel
-def triangles_in_box(
-    position: Any, rest: Any, triangles: Any, low: Any, high: Any, found: Any, number: Any
-) -> tuple[int, float]:
-    """Write the triangles (t, 3) whose box meets the box low, high (3,) to found (t, 3), and which they are to number.
+def triangles_in_box(position: Any, rest: Any, triangles: Any, low: Any, high: Any, near: Near) -> tuple[int, float]:
+    """Write the triangles (t, 3) whose box meets the box low, high (3,) to near.
 
     Returns how many, and how far, m along an axis, the farthest of their nodes lies from rest (n, 3).
     """
@@ -71,10 +76,10 @@ def triangles_in_box(
         if not apart:
             for c in range(3):
                 node = triangles[t, c]
-                found[count, c] = node
+                near.node[count, c] = node
                 for axis in range(3):
                     moved = max(moved, abs(position[node, axis] - rest[node, axis]))
-            number[count] = t
+            near.number[count] = t
             count += 1
     return count, moved
 
@@ -207,12 +212,21 @@ def add_normals(position: Any, triangles: Any, normal: Any) -> None:
             normal[node, 2] += nz
 
 
+class Placed(NamedTuple):
+    """A body where it is: at origin (3,), rotation (9,), in the box low, high (3,), m."""
+
+    shapes: Any
+    body: int
+    origin: Any
+    rotation: Any
+    low: Any
+    high: Any
+
+
 @kernel
-def holds_node(
-    position: Any, n_surface: int, shapes: Any, body: int, origin: Any, rotation: Any, low: Any, high: Any
-) -> bool:
-    """True when a surface node lies inside a tool at origin (3,), rotation (9,), in the box low, high (3,)."""
-    r = rotation
+def holds_node(position: Any, n_surface: int, placed: Placed) -> bool:
+    """True when a surface node lies inside a body."""
+    shapes, body, origin, r, low, high = placed
     for node in range(n_surface):
         x, y, z = position[node, 0], position[node, 1], position[node, 2]
         if x < low[0] or y < low[1] or z < low[2] or x > high[0] or y > high[1] or z > high[2]:

@@ -14,6 +14,8 @@ from tissue_sim.contact.broad_phase import (
     Fineness,
     Found,
     Lattices,
+    Near,
+    Placed,
     Search,
     body_box,
     boxes_apart,
@@ -181,7 +183,8 @@ class ContactFinder:
         self._place(body, pose, reach)
         low, high, some, moved = self._box_low, self._box_high, 0, 0.0
         if boxes_meet(low, high, self._low, self._high):
-            some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, self._found, self._number)
+            room = Near(self._found, self._number)
+            some, moved = triangles_in_box(position, self._rest, self.triangles, low, high, room)
         # FCL has the surface at rest: to build what it collides takes longer than all else here. Where the triangles
         # near the body have moved by SLACK, it isn't asked.
         is_asked = margin == 0.0 and moved < SLACK / math.sqrt(3.0)
@@ -213,7 +216,7 @@ class ContactFinder:
         """
         self._place(body, pose, 0.0)
         origin, low, high = pose[:3], self._box_low, self._box_high
-        if holds_node(position, self.n_surface, self.tools.shapes, body, origin, self._matrix, low, high):
+        if holds_node(position, self.n_surface, Placed(self.tools.shapes, body, origin, self._matrix, low, high)):
             return True
         surface_box(position, self.n_surface, self._low, self._high)
         return self._swallowed(body, position, origin) is not None

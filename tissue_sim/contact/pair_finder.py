@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.array_types import Floats, Longs
-from tissue_sim.contact.broad_phase import approach, surface_box, triangles_in_box
+from tissue_sim.contact.broad_phase import Near, approach, surface_box, triangles_in_box
 from tissue_sim.contact.self_finder import SelfFinder
 from tissue_sim.contact.triangles import nearest_among
 from tissue_sim.model.pairs import MOST_PAIRS, PairSet, pair_set
@@ -117,8 +117,8 @@ class PairFinder:
         triangles, count = self._near[second], 0
         if len(nodes):
             low, high = nodes.min(axis=0) - DEEPEST, nodes.max(axis=0) + DEEPEST
-            numbers = self._numbers[second]
-            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, triangles, numbers)
+            room = Near(triangles, self._numbers[second])
+            count, _ = triangles_in_box(surface, surface, self._triangles[second], low, high, room)
         if count == 0:
             return np.zeros((len(nodes), 3), dtype=np.int64), np.zeros((len(nodes), 3)), np.full(len(nodes), DEEPEST)
         chosen, weights, distance = nearest_among(surface[triangles[:count]], nodes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -50,17 +50,22 @@ def nearest_among(corners: Floats, points: Floats) -> tuple[Longs, Floats, Float
     And the barycentric weights (k, 3) of the place, and how far it is, (k,) m. Of triangles that share the place it is
     the one that the point stands over most steeply, so that its normal tells inside from outside.
     """
-    found = np.zeros(len(points), dtype=np.int64)
-    weights, distances = np.zeros((len(points), 3)), np.zeros(len(points))
+    found = _Nearest(np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3)), np.zeros(len(points)))
     corners, points = (np.ascontiguousarray(given, dtype=np.float64) for given in (corners, points))
-    _find_nearest_among(corners, points, np.zeros((len(corners), 7)), np.zeros(3), found, weights, distances)
-    return found, weights, distances
+    _find_nearest_among(corners, points, np.zeros((len(corners), 7)), np.zeros(3), found)
+    return found.number, found.weights, found.distances
+
+
+class _Nearest(NamedTuple):
+    """Room for the places that are nearest to points."""
+
+    number: Any  # (k,) of the triangles that they are on
+    weights: Any  # (k, 3) barycentric
+    distances: Any  # (k,) m
 
 
 @kernel
-def _find_nearest_among(
-    corners: Any, points: Any, about: Any, weight: Any, found: Any, weights: Any, distances: Any
-) -> None:
+def _find_nearest_among(corners: Any, points: Any, about: Any, weight: Any, found: Any) -> None:
     """Write what `nearest_among` returns. about (t, 7): room for middles, radii and unit normals."""
     for t in range(len(corners)):
         _survey(corners[t], about[t])
@@ -80,10 +85,10 @@ def _find_nearest_among(
             if square > least * (1.0 + TIED) or (square >= least * (1.0 - TIED) and abs(height) <= steepest):
                 continue
             least, steepest, reach = min(square, least), abs(height), math.sqrt(square) * (1.0 + TIED)
-            found[k] = t
+            found.number[k] = t
             for c in range(3):
-                weights[k, c] = weight[c]
-        distances[k] = math.sqrt(least)
+                found.weights[k, c] = weight[c]
+        found.distances[k] = math.sqrt(least)
 
 
 @kernel

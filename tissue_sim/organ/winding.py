@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,16 @@ _TOGETHER = 64  # triangles of a group at the most
 _AFAR = 3.0  # times as far as a group reaches: from there it counts as one
 _FEW = 16  # points that are asked of every triangle sooner than groups are made
 _DOUBT = 0.2  # off a whole number, from which a winding number is worked out in full
+
+
+class _Groups(NamedTuple):
+    """Triangles in groups that lie together, and each group as it is seen from afar."""
+
+    corners: Any  # (t, 3, 3) of the triangles, group by group
+    starts: Any  # (g + 1,) where groups start
+    middle: Any  # (g, 3)
+    area: Any  # (g, 3) times the normal
+    afar: Any  # (g,) the square of where afar begins
 
 
 def winding_number(points: Floats, positions: Floats, triangles: Ints | Longs) -> Floats:
@@ -46,7 +56,7 @@ def _is_wound(points: Floats, positions: Floats, triangles: Ints) -> NDArray[np.
         return winding_number(points, positions, triangles) > 0.5
     corners, starts = _groups(np.asarray(positions[triangles], dtype=np.float64))
     found = np.empty(len(points))
-    _add_groups(points, corners, starts, *_seen_from_afar(corners, starts), found)
+    _add_groups(points, _Groups(corners, starts, *_seen_from_afar(corners, starts)), found)
     doubted = np.flatnonzero(np.abs(found - np.rint(found)) > _DOUBT)
     found[doubted] = winding_number(points[doubted], positions, triangles)
     return found > 0.5
@@ -102,7 +112,8 @@ def _half_angle(corner: Any, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _add_groups(points: Any, corners: Any, starts: Any, middle: Any, area: Any, afar: Any, found: Any) -> None:
+def _add_groups(points: Any, groups: Any, found: Any) -> None:
+    corners, starts, middle, area, afar = groups
     for p in range(len(points)):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         total = 0.0

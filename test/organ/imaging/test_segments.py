@@ -74,6 +74,17 @@ def test_a_damaged_segmentation_takes_one_line(tmp_path):
         assert "\n" not in str(caught.value)
 
 
+def test_an_element_that_claims_gigabytes_takes_one_line_and_no_room(tmp_path):
+    path = segmentation(tmp_path / "seg.dcm", boxes())
+    data = path.read_bytes()
+    at = data.index(bytes.fromhex("00523092")) + 8  # of the groups of each frame: tag, type, two zeros, length
+    path.write_bytes(data[:at] + (2**32 - 256).to_bytes(4, "little") + data[at + 4 :])
+    with pytest.raises(UserError, match=r"seg\.dcm") as caught:
+        read_mask(path, 1)
+    assert "\n" not in str(caught.value)
+    assert "MemoryError" not in str(caught.value), "it was not even asked for"
+
+
 # volumes in many frames ----------------------------------------------------------------------------------
 
 
@@ -110,3 +121,11 @@ def test_frames_of_several_intercepts_are_refused(tmp_path):
     enhanced_ct(path, values, heights(4), [-1024, -1000, -1024, -1024])
     with pytest.raises(UserError, match=r"ct\.dcm has frames of several rescale slopes or intercepts"):
         read_image(path)
+
+
+def test_a_mask_in_many_frames_that_is_no_segmentation_lies_where_they_say(tmp_path):
+    inside = boxes()["liver"].astype(np.float32)
+    path = enhanced_ct(tmp_path / "mask.dcm", inside, heights(8))
+    found = read_mask(path, 1)
+    np.testing.assert_array_equal(found.array, inside > 0.0)
+    np.testing.assert_allclose(found.spacing, [0.7, 0.81, 2.0])

@@ -93,6 +93,7 @@ SCENE = "bags/bad_input/metadata.yaml"  # of a bag that the tests replay
 FILES = {
     "organ": Kind("tissue_sim.bench.fuzz.files.organs", "organ files (.npz): loaded, and simulated for some ticks"),
     "image": Kind("tissue_sim.bench.fuzz.files.images", "NIfTI, NRRD, MHA and DICOM: read as an image or a mask"),
+    "segmentation": Kind("tissue_sim.bench.fuzz.files.segmentations", "DICOM segmentations: a segment of one is read"),
     "mesh": Kind("tissue_sim.bench.fuzz.files.meshes", "meshes of every format: read, repaired and made voxels of"),
     "bag": Kind(
         "tissue_sim.bench.fuzz.files.bags",

@@ -27,7 +27,7 @@ INPUT, SCRATCH, PRINTED, CRASH, WHAT = "input", "scratch", "printed", "crash", "
 OUTSIDE = "outside"  # files there that an input may name, and that nothing may open
 LONGEST_LINE = 1000  # characters
 SPARE = 1024  # MB that a case may reserve beyond what it may use, before an allocation fails
-_NO_MEMORY = re.compile(r"MemoryError|bad_alloc|[Aa]llocat|out of memory")
+_NO_MEMORY = re.compile(r"MemoryError|bad_alloc|[Aa]llocat(?!ed' value)|out of memory")
 _MB = 1024.0 * 1024.0
 _HIDDEN = (ResourceWarning, DeprecationWarning, PendingDeprecationWarning, ImportWarning)  # by Python from users
 

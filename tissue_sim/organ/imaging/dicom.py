@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -328,7 +329,8 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
 
     try:
         with decoding(file):
-            image = highdicom.Image.from_file(file)
+            # From memory: of a file, pydicom asks for room for as much as an element says that it is long.
+            image = highdicom.Image.from_file(BytesIO(file.read_bytes()))
             geometry = image.get_volume_geometry(allow_missing_positions=not whole, allow_duplicate_positions=not whole)
             count = int(image.NumberOfFrames)
             groups = [functional_group(image, frame, "PlanePositionSequence") for frame in range(count)]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from tissue_sim.array_types import Floats
 from tissue_sim.environment import environment
 from tissue_sim.errors import UserError
+from tissue_sim.memory import limited
 from tissue_sim.organ.imaging.dicom import Stack, is_dicom, read_frames, read_stack
 from tissue_sim.organ.imaging.meta_header import read_meta_header
 from tissue_sim.organ.imaging.nifti_header import read_nifti_header
@@ -35,6 +37,7 @@ _LARGEST_SKEW = 1e-3  # cosine between two axes
 _PAIR = re.compile(r"\.(hdr|img)(\.gz)?$", re.IGNORECASE)  # NIfTI in two files
 _PERMISSIVE = "ITK_NIFTI_SFORM_PERMISSIVE"  # how skewed a NIfTI is, is checked here
 _UNSCALED = (".tif", ".tiff", ".lsm")  # ITK takes the distance of their slices for 1 mm
+_ROOM = 1 << 28  # bytes that reading a header may need beside those of the file, whatever its counts say
 FORMATS = "NIfTI, NRRD, MHA or a DICOM folder"
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # ITK's multi-line warnings; what matters is checked here
@@ -187,13 +190,16 @@ def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[st
         _check_axes(path, header.affine[:3, :3])  # ITK finds no direction in some that are not at right angles
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
+    # A header of ours was looked at before; others ITK takes at their word.
+    bounds = nullcontext() if header is not None else limited(_ROOM + 4 * path.stat().st_size)
     try:
-        with silenced(), environment({_PERMISSIVE: "ON"}):
+        with silenced(), environment({_PERMISSIVE: "ON"}), bounds:
             reader.ReadImageInformation()
         size, dimension = reader.GetSize(), reader.GetDimension()
         components = reader.GetNumberOfComponents()
-    except RuntimeError as error:
-        raise UserError(f"{path} can't be read as an image ({_reason(error)}); name a {FORMATS}") from None
+    except (RuntimeError, MemoryError) as error:
+        reason = "a length that is more than it can hold" if isinstance(error, MemoryError) else _reason(error)
+        raise UserError(f"{path} can't be read as an image ({reason}); name a {FORMATS}") from None
     if components != 1 and not layers:
         raise UserError(f"{path} has {components} values a voxel; a CT or mask has one")
     if dimension > 3 and any(n != 1 for n in size[3:]):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tissue_sim.array_types import Mask
 from tissue_sim.errors import UserError, shown
-from tissue_sim.organ.imaging.dicom import read_stack
+from tissue_sim.organ.imaging.dicom import is_dicom, read_frames, read_stack
 from tissue_sim.organ.imaging.image import FORMATS, Volume, of_stack, placed, read_file
 from tissue_sim.organ.imaging.segments import read_segments, segmentation_in
 
@@ -97,8 +97,8 @@ def _read_labels(source: Path) -> tuple[Volume, list[Label]]:
     if dicom is not None:
         grid, segments = read_segments(dicom)
         return grid, [Label(str(one.number), one.number, one.name, one.voxels) for one in segments]
-    if source.is_dir():
-        volume = of_stack(read_stack(source), source.name)
+    if source.is_dir() or is_dicom(source):
+        volume = of_stack(read_stack(source) if source.is_dir() else read_frames(source), source.name)
         return volume, list(_values(volume.array, "", {}, str(source)))
     image, notes = read_file(source, layers=True)
     names = _names(image)

@@ -149,7 +149,7 @@ class _Reader:
             found = self._block(source if self._is_raw else _Base64(source))
         else:
             found = self._block(_Base64(text.encode("ascii", "replace")))
-        return np.frombuffer(found, kind.newbyteorder(self._order)).astype(kind)
+        return np.frombuffer(found, self._order + kind.str[1:]).astype(kind)
 
     def _block(self, source: bytes | _Base64) -> bytes:
         """Return the bytes behind a header that says how many they are, or how many there are of each block."""

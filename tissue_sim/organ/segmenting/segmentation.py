@@ -23,6 +23,7 @@ from tissue_sim.organ.segmenting.region import Index
 from tissue_sim.organ.segmenting.stages import (
     SMOOTHINGS,
     WINDOWS,
+    Seed,
     Segmentation,
     ball_at,
     gaussian,
@@ -78,7 +79,7 @@ def segment(
     # An organ that isn't named may be small: its neighbourhood is looked at closely first.
     reaches = (min(bounds.longest[1], _SURVEY_REACH),) if organ else (_CLOSE_REACH, _SURVEY_REACH)
     for reach in reaches:
-        tried = _surveys(ct, point, p, (mean, deviation), reach, organ, tell)
+        tried = _surveys(ct, Seed(point, mean, deviation), p, reach, organ, tell)
         if any(found.fits and not found.ran_out for found in tried):
             break
     results: list[Segmentation] = []
@@ -111,15 +112,14 @@ class _Survey(NamedTuple):
 
 def _surveys(
     ct: Volume,
-    point: NDArray[np.float64],
+    start: Seed,
     p: SegmentationParameters,
-    start: tuple[float, float],
     reach: float,
     organ: str | None,
     tell: Progress,
 ) -> list[_Survey]:
     """Rough segmentations within `reach` mm of the seed, one for each intensity window, the likeliest first."""
-    around = np.array([point - reach, point + reach])
+    around = np.array([start.point - reach, start.point + reach])
     crop = resample(ct, around, max(min(reach / _SURVEY_VOXELS, _SURVEY_GRID), working_grid(ct, p)))
     inside = within(ct, crop)
     smoothed = smooth_for(crop, p)
@@ -129,7 +129,7 @@ def _surveys(
     for k, window in enumerate(windows):
         tell("surveying the organ", 0.1 + 0.4 * k / len(windows))
         try:
-            found = segment_crop(crop, inside, point, replace(p, window=window), *start, smoothed, most)
+            found = segment_crop(crop, inside, start, replace(p, window=window), smoothed, most)
         except UserError:
             if k == len(windows) - 1 and not tried:
                 raise
@@ -146,7 +146,7 @@ def _closely(ct: Volume, point: NDArray[np.float64], p: SegmentationParameters, 
     for margin in _MARGINS:
         around = np.array([found.min(axis=0) - margin, found.max(axis=0) + margin])
         crop = resample(ct, around, working_grid(ct, p))
-        result = segment_crop(crop, within(ct, crop), point, p, survey.mean, survey.deviation)
+        result = segment_crop(crop, within(ct, crop), Seed(point, survey.mean, survey.deviation), p)
         if not _ran_out(result.mask, _clear_of_border(ct, result.mask)):
             break
     return result

@@ -8,7 +8,7 @@ millimetres on any grid.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import SimpleITK as sitk
@@ -93,13 +93,19 @@ def smooth_for(crop: Volume, p: SegmentationParameters) -> tuple[Singles, Single
     return gaussian(crop, float(p.smoothing or SMOOTHINGS[0])), gaussian(crop, p.wall_smoothing)
 
 
+class Seed(NamedTuple):
+    """Where an organ's tissue is, (3,) mm, and the mean and the deviation that its intensity is first taken for, HU."""
+
+    point: NDArray[np.float64]
+    mean: float
+    deviation: float
+
+
 def segment_crop(
     crop: Volume,
     inside: Mask,
-    point: NDArray[np.float64],
+    start: Seed,
     p: SegmentationParameters,
-    mean: float,
-    deviation: float,
     smoothed: tuple[Singles, Singles] | None = None,
     largest: float = np.inf,
 ) -> Segmentation:
@@ -110,6 +116,7 @@ def segment_crop(
 
     It may fall to the region's, but doesn't grow with it: a small leak would widen the window and let in more.
     """
+    point, mean, deviation = start
     h = float(crop.spacing[0])
     sigma = float(p.smoothing or SMOOTHINGS[0])
     smooth, sharp = smoothed or smooth_for(crop, p)

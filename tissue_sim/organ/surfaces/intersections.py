@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.array_types import Floats, Ints
 from tissue_sim.jit import kernel
 from tissue_sim.organ.surfaces.remesh import _normal
-from tissue_sim.organ.surfaces.surface_distance import _cells, _dot, _span, cells_of
+from tissue_sim.organ.surfaces.surface_distance import _dot, _span, listed_in_cells
 
 
 def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
@@ -17,9 +17,7 @@ def intersecting_pairs(positions: Floats, triangles: Ints) -> Ints:
     Moeller and Trumbore (1997) for each edge; candidates share a cell of a grid and overlap in their boxes.
     """
     corner = positions[triangles]
-    low, cell, shape = cells_of(corner)
-    start, member = _cells(corner, low, cell, shape)
-    return _pairs(corner, np.ascontiguousarray(triangles), low, cell, shape, start, member)
+    return _pairs(corner, np.ascontiguousarray(triangles), listed_in_cells(corner))
 
 
 @kernel
@@ -32,7 +30,8 @@ def is_crossed(start, end, corner):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pairs(corner, triangles, low, cell, shape, start, member):  # type: ignore[no-untyped-def]
+def _pairs(corner, triangles, cells):  # type: ignore[no-untyped-def]
+    low, cell, shape, start, member = cells
     faces = triangles.shape[0]
     found = np.empty((64, 2), dtype=np.int32)
     count = 0

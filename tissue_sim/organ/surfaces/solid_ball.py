@@ -48,7 +48,8 @@ def as_ball(solid: Mask, name: str) -> Mask:
         return ball
     raise UserError(
         f"{name or 'the mask'} has a hole through it (like a ring) that is too wide to fill and whose rim is too thick"
-        " to cut; the balloon needs a solid without one, so edit the mask"
+        " to cut; the balloon needs a solid without one: fill the hole or cut the ring in the mask or mesh, or build"
+        " the parts of a mesh each with --part N"
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,12 +19,26 @@ def distance_to_surface(points: Floats, positions: Floats, triangles: Ints) -> F
     The exact distance to the nearest point of the nearest triangle (Ericson, Real-Time Collision Detection, 5.1.5).
     """
     corner = positions[triangles]
-    low, cell, shape = cells_of(corner)
-    start, member = _cells(corner, low, cell, shape)
-    return _nearest(np.ascontiguousarray(points, dtype=np.float64), corner, low, cell, shape, start, member)
+    return _nearest(np.ascontiguousarray(points, dtype=np.float64), corner, listed_in_cells(corner))
 
 
-def cells_of(corner: Floats) -> tuple[Floats, float, NDArray[np.int64]]:
+class Cells(NamedTuple):
+    """A grid over triangles, and the triangles whose box touches each cell."""
+
+    low: Any  # (3,) its low corner
+    cell: float  # the edge of a cell
+    shape: Any  # (3,) how many cells
+    start: Any  # (cells + 1,) where the triangles of each cell start
+    member: Any  # the triangles, cell by cell
+
+
+def listed_in_cells(corner: Floats) -> Cells:
+    """Return the grid of triangles, corners (t, 3, 3); its cells are as large as a usual one of them."""
+    grid = _grid(corner)
+    return Cells(*grid, *_cells(corner, *grid))
+
+
+def _grid(corner: Floats) -> tuple[Floats, float, NDArray[np.int64]]:
     """Grid over triangles, corners (t, 3, 3): its low corner, the cells' edge (a usual triangle's), their number."""
     low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
     size = float((corner.max(axis=1) - corner.min(axis=1)).max(axis=1).mean())
@@ -64,7 +80,8 @@ def _span(corner, t, axis, low, cell, shape):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _nearest(points, corner, low, cell, shape, start, member):  # type: ignore[no-untyped-def]
+def _nearest(points, corner, cells):  # type: ignore[no-untyped-def]
+    low, cell, shape, start, member = cells
     found = np.empty(points.shape[0])
     middle, radius = _balls(corner)
     at = np.empty(3, dtype=np.int64)

@@ -72,14 +72,19 @@ def warm_up(folder: Path) -> None:
 def use(path: Path, *, mask: bool) -> str:
     """Read an image or a mask: its voxels and its place are finite."""
     volume = read_mask(path) if mask else read_image(path)
+    check_place(volume)
+    if not mask and not np.all(np.isfinite(volume.array)):
+        raise Broken("voxels that are not finite")
+    return f"{' x '.join(map(str, volume.size))} voxels"
+
+
+def check_place(volume: Volume) -> None:
+    """Raise Broken for an image whose place is not finite, or that has no extent."""
     for name, values in (("spacing", volume.spacing), ("origin", volume.origin), ("direction", volume.direction)):
         if not np.all(np.isfinite(values)):
             raise Broken(f"{name} {values} of an image that was read")
     if np.any(volume.spacing <= 0.0) or abs(np.linalg.det(volume.direction)) < 0.5:
         raise Broken(f"an image of spacing {volume.spacing} that was read")
-    if not mask and not np.all(np.isfinite(volume.array)):
-        raise Broken("voxels that are not finite")
-    return f"{' x '.join(map(str, volume.size))} voxels"
 
 
 def mutated(rng: Rng, form: Form, mask: bool) -> tuple[Files, str]:
@@ -334,11 +339,21 @@ def _dicom(rng: Rng) -> tuple[Files, str]:
 
 
 def _dicom_tag(rng: Rng, data: bytes) -> tuple[bytes, str]:
-    """A field of the header with another value of the same length, another length, or another type."""
+    """A field of the header, changed where it first stands."""
     name = some(rng, sorted(_TAGS))
     at = data.find(struct.pack("<HH", *_TAGS[name]))
-    if at < 0:
-        return of_bytes(rng, data)
+    return of_bytes(rng, data) if at < 0 else changed_field(rng, data, name, at)
+
+
+def changed_field(rng: Rng, data: bytes, name: str, at: int) -> tuple[bytes, str]:
+    """Return a DICOM file in which a field has another value of the same length, another length or another type.
+
+    Parameters
+    ----------
+    rng, data : draws what is changed, and the whole file
+    name : of the field, for who is told what was changed
+    at : where its tag begins, bytes
+    """
     made = bytearray(data)
     # Explicit VR: two letters, then two bytes of length; of OB and OW two zeros and four.
     wide = bytes(made[at + 4 : at + 6]) in (b"OB", b"OW", b"UN", b"SQ")

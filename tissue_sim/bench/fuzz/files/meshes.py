@@ -20,6 +20,7 @@ from tissue_sim.bench.fuzz.files.mutations import HUGE, Rng, odd_count, odd_floa
 from tissue_sim.bench.fuzz.files.zips import OUTSIDE
 from tissue_sim.organ.meshes.mesh_input import SurfaceMesh, read_mesh, voxelize
 from tissue_sim.organ.organ import check_surface
+from tissue_sim.organ.reporting.vtk_xml import tetrahedra
 
 LENGTH = 0.1  # m, that an organ's longest side is given as
 _AXIS = 24  # voxels along the longest side: as a mesh is used, in less time
@@ -304,6 +305,31 @@ def _vtk_head(rng: Rng, data: bytes) -> _Told:
 
 
 @lru_cache(maxsize=1)
+def _vtp() -> bytes:
+    points, triangles = _ball()
+
+    def array(name: str, kind: str, values: NDArray) -> str:
+        return f'<DataArray type="{kind}" Name="{name}" format="ascii">\n{_rows(values)}</DataArray>\n'
+
+    ends = 3 * np.arange(1, len(triangles) + 1)[:, None]
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian">\n<PolyData>\n'
+        f"<Piece>\n<Points>\n{array('p', 'Float64', points)}</Points>\n<Polys>\n"
+        f"{array('connectivity', 'Int64', triangles)}{array('offsets', 'Int64', ends)}</Polys>\n"
+        "</Piece>\n</PolyData>\n</VTKFile>\n"
+    ).encode()
+
+
+@lru_cache(maxsize=1)
+def _vtu() -> bytes:
+    """Of tetrahedra: a fan around the middle."""
+    points, triangles = _ball()
+    points = np.vstack([points, [0.0, 0.0, 0.0]])
+    cells = np.insert(triangles, 0, len(points) - 1, axis=1).astype(np.int32)
+    return tetrahedra(points, cells, {}, {})
+
+
+@lru_cache(maxsize=1)
 def _gmsh_1() -> bytes:
     points, triangles = _ball()
     elements = "".join(f"{k} 2 1 1 3 {a + 1} {b + 1} {c + 1}\n" for k, (a, b, c) in enumerate(triangles, 1))
@@ -356,6 +382,8 @@ _FORMS = (
     Form("VTK", ".vtk", _vtk_text, _text),
     Form("VTK, binary", ".vtk", _vtk_binary, _vtk_head),
     Form("VTK 5.1", ".vtk", _vtk_5, _text),
+    Form("VTK XML", ".vtp", _vtp, _text),
+    Form("VTK XML, binary", ".vtu", _vtu, _text),
     Form("Gmsh 1", ".msh", _gmsh_1, _text),
     Form("Gmsh 2.2", ".msh", _gmsh_2, _text),
     Form("Gmsh 4.1", ".msh", _gmsh_4, _text),

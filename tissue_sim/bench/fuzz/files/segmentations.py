@@ -1,0 +1,147 @@
+"""DICOM segmentations: fields that lie, segments that aren't there, frames that lie nowhere, parts cut off."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.pixels import pack_bits
+from pydicom.uid import UID, ExplicitVRLittleEndian
+
+from tissue_sim.bench.fuzz.cases import Case, Input
+from tissue_sim.bench.fuzz.files.images import changed_field, check_place
+from tissue_sim.bench.fuzz.files.mutations import Rng, of_bytes, some
+from tissue_sim.organ.imaging.masks import read_mask
+
+_STORAGE = {"BINARY": "66.4", "FRACTIONAL": "66.4", "LABELMAP": "66.7"}  # behind 1.2.840.10008.5.1.4.1.1.
+_UID = "1.2.826.0.1.3680043.2.1125"
+_LABELS = None, 1, 2, 7, "liver", "tumour", "no such"
+
+# Group and element of what says which frames are whose, where they lie and how their pixels are to be read.
+_TAGS = {
+    "frames": (0x28, 0x08),
+    "rows": (0x28, 0x10),
+    "columns": (0x28, 0x11),
+    "bits": (0x28, 0x100),
+    "bits stored": (0x28, 0x101),
+    "high bit": (0x28, 0x102),
+    "pixel spacing": (0x28, 0x30),
+    "spacing between slices": (0x18, 0x88),
+    "position": (0x20, 0x32),
+    "orientation": (0x20, 0x37),
+    "type": (0x62, 0x01),
+    "segments": (0x62, 0x02),
+    "segment number": (0x62, 0x04),
+    "segment label": (0x62, 0x05),
+    "referenced segment": (0x62, 0x0B),
+    "largest fraction": (0x62, 0x0E),
+    "groups of each frame": (0x5200, 0x9230),
+    "groups of all frames": (0x5200, 0x9229),
+    "class": (0x08, 0x16),
+    "transfer syntax": (0x02, 0x10),
+    "pixels": (0x7FE0, 0x10),
+}
+
+
+def prepare(case: Case, folder: Path) -> Input:
+    """A segmentation of one or more mutations, of which a segment is asked for."""
+    rng = case.rng()
+    kind, label = some(rng, tuple(_STORAGE)), some(rng, _LABELS)
+    data, told = _written(kind), []
+    for _ in range(int(rng.integers(1, 4))):
+        data, what = _lying(rng, data) if rng.random() < 0.7 else of_bytes(rng, data)
+        told.append(what)
+    path = folder / "seg.dcm"
+    path.write_bytes(data)
+    return Input(f"{kind}, label {label}: {'; '.join(told)}", lambda: use(path, label))
+
+
+def warm_up(folder: Path) -> None:
+    """Read one of each kind."""
+    for kind in _STORAGE:
+        path = folder / f"{kind}.dcm"
+        path.write_bytes(_written(kind))
+        use(path, "liver")
+
+
+def use(path: Path, label: int | str | None) -> str:
+    """Read a segment: its place is finite."""
+    volume = read_mask(path, label)
+    check_place(volume)
+    return f"{' x '.join(map(str, volume.size))} voxels, {np.count_nonzero(volume.array)} of the segment"
+
+
+def _lying(rng: Rng, data: bytes) -> tuple[bytes, str]:
+    """A field of the file with another value, in any one of the places where it stands."""
+    name = some(rng, sorted(_TAGS))
+    tag, places, at = struct.pack("<HH", *_TAGS[name]), [], -1
+    while (at := data.find(tag, at + 1)) >= 0:
+        places.append(at)
+    return changed_field(rng, data, name, some(rng, places)) if places else of_bytes(rng, data)
+
+
+# whole files --------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=8)
+def _written(kind: str) -> bytes:
+    """Two boxes that overlap, the second without some of its slices."""
+    liver, tumour = np.zeros((8, 24, 20), dtype=bool), np.zeros((8, 24, 20), dtype=bool)
+    liver[:, 4:20, 3:15] = True
+    tumour[2:6, 8:16, 8:18] = True
+    tumour[4] = False
+    if kind == "LABELMAP":
+        frames, places = np.where(tumour, 2, liver.astype(np.uint8)).astype(np.uint8), [(0, z) for z in range(8)]
+    else:
+        places = [(k, z) for k, mask in enumerate((liver, tumour), 1) for z in range(8) if mask[z].any()]
+        frames = np.stack([(liver, tumour)[k - 1][z] for k, z in places]).astype(np.uint8)
+    file = _described(kind, frames.shape)
+    file.PerFrameFunctionalGroupsSequence = [_of_frame(number, z) for number, z in places]
+    file.PixelData = pack_bits(frames) if kind == "BINARY" else (frames * (1 if kind == "LABELMAP" else 200)).tobytes()
+    stream = BytesIO()
+    file.save_as(stream, enforce_file_format=True)
+    return stream.getvalue()
+
+
+def _described(kind: str, shape: tuple[int, ...]) -> Dataset:
+    """A file of frames (n, rows, columns) of one kind, without these."""
+    file = Dataset()
+    file.file_meta = FileMetaDataset()
+    file.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    file.file_meta.MediaStorageSOPClassUID = file.SOPClassUID = UID(f"1.2.840.10008.5.1.4.1.1.{_STORAGE[kind]}")
+    file.file_meta.MediaStorageSOPInstanceUID = file.SOPInstanceUID = UID(f"{_UID}.1")
+    file.StudyInstanceUID, file.SeriesInstanceUID = f"{_UID}.2", f"{_UID}.3"
+    file.FrameOfReferenceUID, file.Modality, file.SegmentationType = f"{_UID}.4", "SEG", kind
+    file.NumberOfFrames, file.Rows, file.Columns = shape
+    file.SamplesPerPixel, file.PhotometricInterpretation, file.PixelRepresentation = 1, "MONOCHROME2", 0
+    bits = 1 if kind == "BINARY" else 8
+    file.BitsAllocated, file.BitsStored, file.HighBit = bits, bits, bits - 1
+    if kind == "FRACTIONAL":
+        file.MaximumFractionalValue = 200
+    file.SegmentSequence = [
+        _item(SegmentNumber=number, SegmentLabel=name) for number, name in ((1, "liver"), (2, "tumour"))
+    ]
+    measures = _item(PixelSpacing=[2.0, 2.5], SliceThickness=3.0, SpacingBetweenSlices=3.0)
+    plane = _item(ImageOrientationPatient=[1, 0, 0, 0, 1, 0])
+    file.SharedFunctionalGroupsSequence = [_item(PixelMeasuresSequence=[measures], PlaneOrientationSequence=[plane])]
+    return file
+
+
+def _of_frame(segment: int, z: int) -> Dataset:
+    """Where a frame lies, and whose it is; segment 0: of all."""
+    found = _item(PlanePositionSequence=[_item(ImagePositionPatient=[10.0, 20.0, 30.0 + 3.0 * z])])
+    if segment:
+        found.SegmentIdentificationSequence = [_item(ReferencedSegmentNumber=segment)]
+    return found
+
+
+def _item(**values: object) -> Dataset:
+    """A dataset of these elements."""
+    found = Dataset()
+    for name, value in values.items():
+        setattr(found, name, value)
+    return found
