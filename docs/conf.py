@@ -16,6 +16,8 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 import reference  # noqa: E402
 
+import tissue_sim  # noqa: E402
+
 ROOT = Path(importlib.util.find_spec("tissue_sim").origin).parents[1]
 PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
 
@@ -24,7 +26,7 @@ author = PACKAGE.findtext("author")
 version = release = PACKAGE.findtext("version")
 copyright = f"{author}. Licence: {PACKAGE.findtext('license')}"
 
-extensions = ["myst_parser", "autoapi.extension"]
+extensions = ["myst_parser", "autoapi.extension", "sphinx.ext.napoleon"]  # docstrings are numpydoc's
 myst_heading_anchors = 3  # links to headings: page.md#heading
 html_theme = "furo"
 html_title = project
@@ -33,10 +35,16 @@ html_css_files = ["pages.css"]
 highlight_language = "none"
 rosdoc2_settings = {"allow_other_extensions": True}  # autoapi
 
-# The reference is read from the sources, not imported: of the library, not of the programs and their machinery.
+# The reference is read from the sources, not imported: of the library, not of the programs and their machinery, but for
+# what has a public name.
 autoapi_dirs = [str(ROOT / "tissue_sim")]
 PROGRAMS = ("ros/", "bench/", "commands/", "cli.py", "child.py", "jit.py", "store.py", "__main__.py")
-autoapi_ignore = [f"*/tissue_sim/{part}*" for part in PROGRAMS]
+PUBLISHED = ("ros/__init__.py", "ros/bags/__init__.py", "ros/bags/reading.py")
+autoapi_ignore = [
+    str(path)
+    for path in (ROOT / "tissue_sim").rglob("*.py")
+    if (part := path.relative_to(ROOT / "tissue_sim").as_posix()).startswith(PROGRAMS) and part not in PUBLISHED
+]
 autoapi_root = "api"
 autoapi_add_toctree_entry = False
 autoapi_options = ["members", "show-module-summary"]
@@ -83,6 +91,17 @@ def _short_title(app: Sphinx, page: str, source: list[str]) -> None:
     title, _, rest = source[0].partition("\n")
     if page.startswith("api/"):
         source[0] = f"{title.rpartition('.')[2]}\n{rest}"
+    if page == "api/tissue_sim/index":
+        source[0] = re.sub(
+            r"^(Submodules|Subpackages)$", _public_names() + r"\1", source[0], count=1, flags=re.MULTILINE
+        )
+
+
+def _public_names() -> str:
+    """Return a section on what `from tissue_sim import` gives, with links to where each is described."""
+    rows = [f"* :py:obj:`{name} <{module}.{name}>`" for name, module in sorted(tissue_sim._MODULES.items())]
+    lead = "A script imports these from ``tissue_sim``. What is not among them may change between versions."
+    return "\n".join(["Public names", "------------", "", lead, "", *rows, "", ""])
 
 
 def setup(app: Sphinx) -> None:

@@ -29,7 +29,7 @@ FOREIGN_OPTIONS = {
 FOREIGN_TOPICS = {"/tf", "/tf_static"}  # published by tf2_ros for the node
 FOREIGN_WORDS = {"foxglove_bridge", "use_sim_time", "rclpy", "SCHED_FIFO", "ROS_DOMAIN_ID", "namespace"}
 
-COMMAND_LINE = re.compile(r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)")
+COMMAND_LINE = re.compile(r"(?<!ros2 run )(?<!ros2 launch )(?<!from )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)")
 
 _spec = importlib.util.spec_from_file_location("pages_reference", DOCS / "reference.py")
 reference = importlib.util.module_from_spec(_spec)
@@ -184,9 +184,7 @@ def test_commands_and_their_options_exist(page, commands):
         if module := re.search(r"python -m (tissue_sim[\w.]*)", snippet):
             source = (ROOT / module[1].replace(".", "/")).with_suffix(".py").read_text()
             assert all(f'"{option}"' in source for option in given), snippet
-        elif words := re.search(
-            r"(?<!ros2 run )(?<!ros2 launch )(?<!/)\btissue_sim((?: [a-z]\w*\b(?![./]))+)", snippet
-        ):
+        elif words := COMMAND_LINE.search(snippet):
             first, *rest = words[1].split()
             assert (first,) in commands, snippet
             own = (first,)

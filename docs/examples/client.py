@@ -13,8 +13,7 @@ node.create_subscription(WrenchStamped, "/left/servo_cf", felt.append, qos)
 
 xs, forces = [], []
 while len(xs) < 900:
-    outside = 0.110 - 2e-5 * len(xs)  # m; it goes in for half of the time, and out again
-    x = max(outside, 0.110 - 2e-5 * (900 - len(xs)))
+    x = 0.106 - 2e-5 * min(len(xs), 900 - len(xs))  # m; it goes in for half of the time, and out again
     pose = PoseStamped(pose=Pose(position=Point(x=x, y=0.042, z=-0.002)))
     pose.header.frame_id, pose.header.stamp = "organ", node.get_clock().now().to_msg()
     poses.publish(pose)
@@ -27,5 +26,5 @@ print(f"{max(forces):.2f} N at most")
 
 figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
 axis.plot([1e3 * (xs[0] - x) for x in xs], forces)
-axis.set(xlabel="way of the tool (mm)", ylabel="force (N)")
+axis.set(xlabel="distance from where the tool began (mm)", ylabel="force (N)")
 figure.savefig("client.png", dpi=100)

@@ -7,8 +7,7 @@ import trimesh
 from tissue_sim import Organ, Scene, Tool, build, calibrate
 
 # An STL file of a bean, 80 mm long; yours takes its place.
-bean = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
-bean.apply_scale([20.0, 24.0, 40.0])
+bean = trimesh.creation.icosphere(subdivisions=4).apply_scale([20.0, 24.0, 40.0])
 bean.vertices[:, 0] -= 0.006 * bean.vertices[:, 2] ** 2
 bean.export("bean.stl")
 
