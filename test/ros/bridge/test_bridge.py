@@ -164,9 +164,9 @@ def test_no_node_is_one_line_and_exit_code_1(capfd):
     [
         (["--rate", "0"], "outside 1..2000 Hz"),
         (["--rate", "fast"], "no number"),
-        (["--tools", "left,left"], "no name of its own"),
+        (["--tools", "left,left"], "not a valid or unique name"),
         (["--script", "stroke,cut"], "'cut' is unknown"),
-        (["--node", "a b"], "no name of a node"),
+        (["--node", "a b"], "not a node name"),
         (["--tools", "left", "--script", "nip"], "two tools"),
     ],
 )

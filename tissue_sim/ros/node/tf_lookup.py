@@ -49,7 +49,7 @@ class TfLookup:
             found = self._buffer.lookup_transform(self.target, frame_id, Time()).transform
         except tf2_ros.TransformException as error:
             raise UnknownFrame(
-                f"tf leads from none of that name to '{self.target}' ({shown(str(error), 200)})"
+                f"tf has no transform from it to '{self.target}' ({shown(str(error), 200)})"
             ) from None
         offset, turn = found.translation, found.rotation
         try:
