@@ -82,7 +82,7 @@ def test_other_friction_is_noticed(recording):
 def test_a_setting_that_one_of_both_lacks_is_named(recording):
     recorded = array_of(next(iter(recording.organs[0].settings.values())))
     names = [name for name in recorded.dtype.names if name != "friction"]
-    with pytest.raises(UserError, match="setting 'friction' is not in both"):
+    with pytest.raises(UserError, match="setting 'friction' is in the bag or in this version only"):
         settings_of(Path("bag"), recorded[names])
 
 
@@ -94,7 +94,7 @@ def test_a_state_that_lacks_a_field_is_named(recording):
 
 def test_lost_input_is_named(recording):
     poses = [dict(list(numbered.items())[:5]) for numbered in recording.poses]
-    with pytest.raises(UserError, match="the bag lacks pose number"):
+    with pytest.raises(UserError, match="the bag has no pose number"):
         replay(dataclasses.replace(recording, poses=poses))
 
 

@@ -160,8 +160,8 @@ def test_qos_that_does_not_match_is_told_both_ways_with_the_remedy(node, client)
 
 WRONG_WORDS = {
     "--bogus": "argument '--bogus' is unknown; 'tissue_node --help' lists",
-    "-p rate:=500.0": "'-p' is for ROS, which wants --ros-args: tissue_node --ros-args -p rate:=500.0",
-    "rate:=500.0": "'rate:=500.0' is for ROS, which wants --ros-args: tissue_node --ros-args -p rate:=500.0",
+    "-p rate:=500.0": "'-p' is an argument of ROS, which needs --ros-args: tissue_node --ros-args -p rate:=500.0",
+    "rate:=500.0": "'rate:=500.0' is an argument of ROS, which needs --ros-args: tissue_node --ros-args -p rate:=500.0",
     "--ros-args -r __ns:=/a -- more": "argument 'more' is unknown",
     "--ros-args --bogus": "ROS does not know '--bogus' behind --ros-args",
 }

@@ -78,7 +78,10 @@ def test_a_node_is_heard_on_its_machine_alone_until_the_switch_is_set(tmp_path, 
         wide = start(here, "wide", *program, "-r", "__ns:=/wide", **{REACH: "SUBNET"})
         node.wait_for(READY)
         wide.wait_for(READY)
-        assert "discoverable on this machine only; ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET extends that to the subnet" in node.text()
+        assert (
+            "discoverable on this machine only; ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET extends that to the subnet"
+            in node.text()
+        )
         assert "heard in the whole subnet" in wide.text()
 
         # ROS's own defaults on the same machine, which are those of rviz2 and ros2; the other machine; and the other

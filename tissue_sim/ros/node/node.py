@@ -248,9 +248,7 @@ class TissueNode(GuardedNode):
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
         other = "false" if topics.reliable else "true"
         for topic in filter(None, topics.names.values()):
-            self.remedies[self.resolve_topic_name(topic)] = (
-                f"set {name}.reliable:={other}, or another QoS there"
-            )
+            self.remedies[self.resolve_topic_name(topic)] = f"set {name}.reliable:={other}, or another QoS there"
         port = ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
         port.output.device = DevicePort(
             port.pose_freshness,

@@ -79,7 +79,9 @@ class Pausing:
         if not self.possible:
             raise UserError(BY_CLOCK)
         if not self.paused:
-            raise UserError("the node is not paused, but only a paused node can be stepped: call ~/pause with data: true")
+            raise UserError(
+                "the node is not paused, but only a paused node can be stepped: call ~/pause with data: true"
+            )
         if not self._stepping.acquire(blocking=False):
             raise UserError("another step is in progress; wait for its answer")
         self.stopped = False

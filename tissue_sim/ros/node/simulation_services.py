@@ -120,7 +120,9 @@ class SimulationServices:
             return None
         try:
             if self._pausing.stopped:
-                raise UserError("the simulation is stopped, but only a paused one can be stepped: set STATE_PAUSED first")
+                raise UserError(
+                    "the simulation is stopped, but only a paused one can be stepped: set STATE_PAUSED first"
+                )
             self._pausing.begin_step()
         except UserError as error:
             _answered(response, Result.RESULT_OPERATION_FAILED, str(error))

@@ -163,8 +163,10 @@ class ToolPort:
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
         if own.state == "held_off":
-            own.warnings.append(f"tool '{self.name}' is inactive (held_off): it is inside the organ, and exerts no force until it"
-                " has been outside")
+            own.warnings.append(
+                f"tool '{self.name}' is inactive (held_off): it is inside the organ, and exerts no force until it"
+                " has been outside"
+            )
         if line := self._too_slow():
             own.warnings.append(line)
         own.values |= {

@@ -10,8 +10,7 @@ except ImportError:  # rclpy before 7.1.4, an apt installation that was not upgr
     EventsExecutor = None  # type: ignore[assignment]
 
 OLD_RCLPY = (
-    "rclpy is older than 7.1.4 and has no EventsExecutor, so answering a pose takes longer; upgrade"
-    " ros-jazzy-rclpy"
+    "rclpy is older than 7.1.4 and has no EventsExecutor, so answering a pose takes longer; upgrade ros-jazzy-rclpy"
 )
 
 

@@ -72,8 +72,7 @@ NODE_SPECS = (
     Spec(
         "realtime_priority",
         0,
-        "SCHED_FIFO priority of the loop's thread, and one less for the threads that receive and answer poses; 0:"
-        " none",
+        "SCHED_FIFO priority of the loop's thread, and one less for the threads that receive and answer poses; 0: none",
         0,
         HIGHEST,
     ),
@@ -84,7 +83,7 @@ NODE_SPECS = (
     Spec("integrator", "symplectic", "time integration of the nodes", choices=INTEGRATORS),
     Spec("return_target", "rest", "target of the return springs", choices=RETURN_TARGETS),
     Spec("local_region", "off", "part of the organ that moves under a small load", choices=LOCAL_REGIONS),
-    Spec("region_force", 0.3, "N, load above which the whole organ moves instead of a local region", 0.0, 100.0, True, setting="region_force"),
+    Spec("region_force", 0.3, "N, load above which the whole organ moves", 0.0, 100.0, True, setting="region_force"),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting="friction"),
     Spec("force_clamp", 10.0, "N, largest published force", 0.0, 100.0, True, setting="force_clamp"),
     Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting="force_slew"),
@@ -98,7 +97,7 @@ NODE_SPECS = (
         setting="coupling_stiffness",
     ),
     Spec("coupling_damping", 1.0, "N s/m, damping of a coupled tool", 0.1, 100.0, True, setting="coupling_damping"),
-    Spec("stale_time", 0.05, "s without input after which a pose or force is stale", 0.005, 5.0, True, setting="stale_time"),
+    Spec("stale_time", 0.05, "s after which a pose or force is stale", 0.005, 5.0, True, setting="stale_time"),
     Spec("ramp_time", 0.02, "s in which a stale force decreases to zero", 0.001, 1.0, True, setting="ramp_time"),
     Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting="stiffness_scale"),
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
@@ -109,9 +108,14 @@ NODE_SPECS = (
     Spec("record_folder", "recordings", "folder for bags; while the node runs, only a folder below it", live=True),
     Spec("record_markers", False, "record the markers, too (9 to 14 MB per second)", live=True),
     Spec(
-        "record_split_size", 0.0, "MB after which a bag continues in another file, from the next bag on; 0: never", 0.0, 1e6, live=True
+        "record_split_size",
+        0.0,
+        "MB after which the next bag continues in another file; 0: never",
+        0.0,
+        1e6,
+        live=True,
     ),
-    Spec("record_split_duration", 0.0, "s after which a bag continues in another file, from the next bag on; 0: never", 0.0, 86400.0, live=True),
+    Spec("record_split_duration", 0.0, "s after which the next bag does; 0: never", 0.0, 86400.0, live=True),
 )
 
 TOOL_SPECS = (
@@ -120,20 +124,11 @@ TOOL_SPECS = (
     Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
     Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
     Spec("smoothing", 1.0, "fraction of the time between two poses in which the tool moves to the newer one", 0.0, 1.0),
-    Spec("device_damping", 0.0, "N s/m, damping of the haptic device, which limits the coupling; 0: unknown", 0.0, 100.0, True),
-    Spec(
-        "passivity_damping",
-        0.0,
-        "N s/m, largest damping that a passivity observer adds; 0: none",
-        0.0,
-        100.0,
-        True,
-    ),
+    Spec("device_damping", 0.0, "N s/m of the device, which limits the coupling; 0: unknown", 0.0, 100.0, True),
+    Spec("passivity_damping", 0.0, "N s/m, most that a passivity observer adds; 0: none", 0.0, 100.0, True),
     Spec("frame_id", "", "frame of its poses; empty for the organ's frame"),
     Spec("allow_empty_frame", False, "accept messages without a frame_id, as expressed in frame_id"),
-    Spec(
-        "allow_zero_stamp", False, "accept messages with a stamp of 0, which marks invalid data, as of their arrival"
-    ),
+    Spec("allow_zero_stamp", False, "accept messages with a stamp of 0, which marks invalid data, as of their arrival"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
     Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty for none"),
@@ -142,9 +137,9 @@ TOOL_SPECS = (
     Spec("force_type", "WrenchStamped", "message type of external_cf", choices=tuple(FORCE_TYPES)),
     Spec("wrench_type", "WrenchStamped", "message type of servo_cf", choices=tuple(WRENCH_TYPES)),
     Spec("array_length", 3, "numbers in a Float64MultiArray: 3 forces, then up to 3 torques, then a zero", 3, 7),
-    Spec("base_pose", list(IDENTITY), "pose of its frame_id in base_frame: x, y, z (m), quaternion x, y, z, w", check=_check_pose),
+    Spec("base_pose", list(IDENTITY), "pose of its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
     Spec("motion_scale", 1.0, "displacement of the tool over that of the device; forces are not scaled", 0.01, 1.0),
-    Spec("wrench_frame", "base", "axes of servo_cf: those of the poses' frame, or the tool's own", choices=WRENCH_FRAMES),
+    Spec("wrench_frame", "base", "axes of servo_cf: the poses' frame or the tool's own", choices=WRENCH_FRAMES),
     Spec(
         "wrench_rotation",
         [0.0, 0.0, 0.0, 1.0],
