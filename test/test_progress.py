@@ -145,7 +145,7 @@ def test_a_setting_that_is_none_is_refused(given, monkeypatch, capsys):
     monkeypatch.setenv(progress.SETTING, given)
     assert main(["info", "k.npz"]) == 2
     assert capsys.readouterr().err == (
-        f"tissue_sim: error: {progress.SETTING}={given}: use seconds between two lines of progress, such as 60,"
+        f"tissue_sim: error: {progress.SETTING}={given}: use the seconds between two lines of progress, such as 60,"
         " or 0 for none\n"
     )
     with pytest.raises(UserError, match="seconds between two lines"), progress.task("any"):

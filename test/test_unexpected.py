@@ -38,9 +38,7 @@ sys.modules["printing"] = types.SimpleNamespace(add_arguments=lambda _: None, ru
 cli.COMMANDS["info"] = ("printing", "print a line")
 sys.exit(cli.main())
 """
-ONE_LINE = (
-    r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\); TISSUE_SIM_TRACEBACK=1 shows all of it\n"
-)
+ONE_LINE = r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\); TISSUE_SIM_TRACEBACK=1 shows the traceback\n"
 
 
 def run(code, *words, **environment):

@@ -30,4 +30,4 @@ def test_an_organ_is_too_coarse_for_what_is_below_half_its_edge():
     )
     finest = too_coarse(organ, 0.01 * half)
     assert finest is not None
-    assert f"for which --points {MOST_POINTS} would do" in finest
+    assert f"for which --points {MOST_POINTS} is sufficient" in finest

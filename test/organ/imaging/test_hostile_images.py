@@ -89,7 +89,7 @@ def test_voxels_in_a_folder_below_are_read(tmp_path, name, field):
 def test_a_folder_in_place_of_voxels_is_refused(tmp_path):
     path = written(tmp_path / "ct", "ct.nhdr")
     (tmp_path / "ct" / "raw").mkdir()
-    with pytest.raises(UserError, match="which is no file"):
+    with pytest.raises(UserError, match="which is not a file"):
         read_image(altered(path, "data file", "data file: raw"))
 
 
@@ -214,7 +214,7 @@ def test_a_transform_that_is_not_finite_is_refused(tmp_path, name, at, form):
     data[280:284] = bytes(4)
     data[at : at + 4] = np.float32(np.inf).tobytes()
     head.write_bytes(gzip.compress(data) if name.endswith(".gz") else data)
-    with pytest.raises(UserError, match=f"its {form} holds numbers that are not finite"):
+    with pytest.raises(UserError, match=f"its {form} contains numbers that are not finite"):
         read_image(path)
 
 

@@ -99,7 +99,7 @@ def test_frames_are_ordered_by_their_positions(tmp_path):
 )
 def test_frames_that_are_no_regular_stack_are_refused(tmp_path, positions):
     path = enhanced_ct(tmp_path / "ct.dcm", np.zeros((4, 6, 7)), positions)
-    with pytest.raises(UserError, match=r"ct\.dcm has frames that are no regular stack"):
+    with pytest.raises(UserError, match=r"ct\.dcm has frames that don't form a regular stack"):
         read_image(path)
 
 

@@ -51,7 +51,7 @@ def test_a_thin_handle_is_cut():
 
 def test_a_ring_is_refused():
     z, y, x = grid()
-    with pytest.raises(UserError, match="ring has a hole through it"):
+    with pytest.raises(UserError, match="ring has a through hole"):
         as_ball(np.hypot(np.hypot(x, y) - 13, z) < 4, "ring")
 
 

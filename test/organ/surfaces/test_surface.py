@@ -136,7 +136,7 @@ def test_a_ring_is_refused():
     def torus(x, y, z):
         return np.hypot(np.hypot(x, y) - 18.0, z) - 4.0
 
-    with pytest.raises(UserError, match="hole through it"):
+    with pytest.raises(UserError, match="through hole"):
         make_wall(solid(torus))
 
 

@@ -322,7 +322,7 @@ REFUSED_STARTS = {
     "tools:=[a, a]": "not a valid or unique name",
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",
-    "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a quaternion of zero",
+    "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a zero quaternion",
     "organ_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'organ_pose' is the pose of 'organ' in base_frame, which is",
     f"{ARM}": "'left.base_pose' and 'right.base_pose' give the frame 'arm' different poses",
     "left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'left.base_pose' would move 'organ', whose pose is",

@@ -47,8 +47,8 @@ def as_ball(solid: Mask, name: str) -> Mask:
     if euler_number(ball, connectivity=1) == 1:
         return ball
     raise UserError(
-        f"{name or 'the mask'} has a hole through it (like a ring) that is too wide to fill and whose rim is too thick"
-        " to cut; the balloon needs a solid without one, so edit the mask"
+        f"{name or 'the mask'} has a through hole (like a ring) that is too wide to fill and whose rim is too thick"
+        " to cut; the balloon surface needs a solid without one, so edit the mask"
     )
 
 
