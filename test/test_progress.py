@@ -264,7 +264,7 @@ def test_ctrl_c_in_a_benchmark_prints_the_rows_that_there_are():
     assert all(re.fullmatch(r"0\.2 E, \w+: off [\d.]+ %\n", row) for row in rows)
     assert (process.returncode, "Traceback" in err) == (130, False)
     first, *table = out.splitlines()
-    assert first == "stopped by Ctrl-C: this is what was measured so far"
+    assert first == "stopped by Ctrl-C: these are the measurements so far"
     counts = next(line.split() for line in table if line.startswith("0.2"))
     assert 2 <= int(counts[1]) < 30
-    assert any(line.endswith("held so far") for line in table)
+    assert any(line.endswith("met so far") for line in table)

@@ -38,7 +38,10 @@ sys.modules["printing"] = types.SimpleNamespace(add_arguments=lambda _: None, ru
 cli.COMMANDS["info"] = ("printing", "print a line")
 sys.exit(cli.main())
 """
-ONE_LINE = r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\); TISSUE_SIM_TRACEBACK=1 shows the traceback\n"
+ONE_LINE = (
+    r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\);"
+    r" TISSUE_SIM_TRACEBACK=1 shows the traceback\n"
+)
 
 
 def run(code, *words, **environment):

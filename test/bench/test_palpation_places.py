@@ -147,8 +147,8 @@ def test_bounds_take_the_worst_of_their_radii_and_leave_out_what_did_not_settle(
 @pytest.mark.parametrize(
     ("given", "what"),
     [
-        (["--radii", "1"], "belong to --places"),
-        (["--slab"], "belong to --places"),
+        (["--radii", "1"], "need --places"),
+        (["--slab"], "need --places"),
         (["--places", "0"], "outside 1..100"),
         (["--places", "1", "--radii", "one"], "are no numbers"),
         (["--places", "1", "--radii", "0.01"], "outside 0.2..5"),

@@ -286,7 +286,7 @@ def test_open_surface_is_refused():
 
 
 def test_inverted_surface_is_refused():
-    with pytest.raises(UserError, match="inside out"):
+    with pytest.raises(UserError, match="inverted"):
         replace(ball(), surface_triangles=ball().surface_triangles[:, ::-1])
 
 

@@ -84,24 +84,27 @@ class Map(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(
-        parser, organ="the kidney with a tumour that ships", out="folder for a plot of curves and map", check=True
+        parser, organ="the kidney with a tumour of this package", out="folder for a plot of curves and map", check=True
     )
     places = parser.add_argument_group(
-        "balls at nodes, on edges and inside triangles, and sliding, in place of a finger"
+        "spheres at nodes, on edges and inside triangles, and sliding, instead of a finger"
     )
     places.add_argument(
         "--places",
         type=int,
         metavar="N",
-        help="press balls at so many flat places of ORGAN, which needs no inclusion (default: the kidney that ships)",
+        help="press spheres at this number of flat points of ORGAN, which needs no inclusion (default: the kidney"
+        " of this package)",
     )
     places.add_argument(
-        "--radii", metavar="R,...", help="of the balls, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)"
+        "--radii",
+        metavar="R,...",
+        help="radii of the spheres, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)",
     )
     places.add_argument(
         "--slab",
         action="store_true",
-        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated, once, in four minutes",
+        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated once, in four minutes",
     )
 
 
@@ -113,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
         return palpation_places.run(args)
     if args.radii is not None or args.slab:
-        raise UserError("--radii and --slab belong to --places N")
+        raise UserError("--radii and --slab need --places N")
     organ = Organ.load(args.organ or shipped_organ(DEFAULT))
     felt = measure(organ)
     maps = measure_maps(organ, felt)
@@ -141,7 +144,7 @@ def measure(organ: Organ) -> list[Felt]:
             scene = finger(organ)
             reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
             found.append(Felt(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
-            rows.tell(f"node {press.node}", f"off {found[-1].off.max():.2f} % at worst")
+            rows.tell(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
     return found
 
 
@@ -151,7 +154,7 @@ def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
     with rows.until_stopped():
         for one in rows.each(felt, "maps"):
             found.append(mapped(organ, one.press))
-            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} places")
+            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
     return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(felt) - len(found))
 
 
@@ -245,7 +248,9 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
         name = f"inclusion {number}: " if len(felt) > 1 else ""
         bounds += [
             Bound(f"{name}force against finite elements, worst depth", off, MOST_OFF, "%"),
-            Bound(f"{name}stiffer for its inclusion, over that error", apart and off and apart / off, 1.0, "", True),
+            Bound(
+                f"{name}effect of the inclusion, relative to that error", apart and off and apart / off, 1.0, "", True
+            ),
         ]
         table.append(
             {
@@ -268,9 +273,9 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
     """The figures as tables."""
-    lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, that doesn't slip"]
+    lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, without slip"]
     for row in found["inclusions"]:
-        table = [["deep mm", "force N", "finite elements N", "off %", "without the inclusion N", "it tells by %"]]
+        table = [["deep mm", "force N", "finite elements N", "error %", "without the inclusion N", "effect %"]]
         keys = ("depth_m", "force_n", "reference_n", "off_percent", "plain_reference_n", "told_apart_percent")
         for depth, force, reference, off, plain, apart in zip(*(row[key] for key in keys), strict=True):
             numbers = [f"{force:.3f}", f"{reference:.3f}", f"{off:.2f}", f"{plain:.3f}", f"{apart:.1f}"]
@@ -279,12 +284,12 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
         here = stiffness[row["map"]["nodes"].index(row["node"])] if row["node"] in row["map"]["nodes"] else np.nan
         lines += [
             "",
-            f"over the inclusion that is {row['times_as_stiff']:g} times as stiff, node {row['node']}:",
+            f"above the inclusion with {row['times_as_stiff']:g} times the stiffness, node {row['node']}:",
             *aligned(table),
         ]
         if len(stiffness):
             lines.append(
-                f"map of {len(stiffness)} places around, {1e3 * MAP_DEPTH:g} mm deep: {stiffness.min():.0f} to"
-                f" {stiffness.max():.0f} N/m, median {np.median(stiffness):.0f}, over the inclusion {here:.0f}"
+                f"map of {len(stiffness)} points around it, {1e3 * MAP_DEPTH:g} mm deep: {stiffness.min():.0f} to"
+                f" {stiffness.max():.0f} N/m, median {np.median(stiffness):.0f}, above the inclusion {here:.0f}"
             )
     return "\n".join([*lines, "", *bound_lines(found["bounds"])])
