@@ -63,7 +63,7 @@ def check_shared(args: argparse.Namespace) -> None:
     --seconds or --realtime-priority is out of range, ModuleNotFoundError when there is to be drawn without matplotlib.
     """
     if args.json and args.json.endswith(".npz"):
-        raise UserError(f"--json {args.json} would write over an organ; put ORGAN before --json, or - after it")
+        raise UserError(f"--json {args.json} would overwrite an organ; put ORGAN before --json, or - after it")
     if not 1.0 <= getattr(args, "seconds", 1.0) <= 3600.0:
         raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")
     if not 0 <= getattr(args, "realtime_priority", 0) <= HIGHEST:

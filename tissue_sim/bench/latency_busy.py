@@ -185,7 +185,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
 
 def text(found: dict[str, Any]) -> str:
     """The figures as tables."""
-    rows = [["node", "ticks/s", "late", "bare loop", "given up", "simulated", "highest force", "worst", "longest gap"]]
+    rows = [["node", "ticks/s", "late", "bare loop", "dropped", "simulated", "peak force", "worst", "longest gap"]]
     remarks = []
     for node in found["nodes"]:
         for name, phase in node["phases"].items():
@@ -206,9 +206,9 @@ def text(found: dict[str, Any]) -> str:
         if given_up:
             back = node["seconds_until_back"]
             after = "" if back is None else f"; no longer degraded {back:.0f} s after the load"
-            remarks.append(f"{_whose(node)}: gave up {', '.join(given_up)}{after}")
+            remarks.append(f"{_whose(node)}: degraded: {', '.join(given_up)}{after}")
     if not any(node["realtime_priority"] for node in found["nodes"]):
-        remarks.append(f"priority {found['realtime_priority']} was not measured: this user is not allowed to use it, see"
+        remarks.append(f"priority {found['realtime_priority']} was not measured: this user is not allowed it, see"
             " 'ulimit -r'")  # fmt: skip
     lines = [
         f"{found['seconds']:g} s each; a poke a second, poses at {found['rate_hz']:g} Hz, one subscriber of markers"

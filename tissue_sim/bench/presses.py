@@ -271,7 +271,7 @@ def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
 
 def text(found: dict[str, Any]) -> str:
     """Return the figures as tables."""
-    table = [["", "presses", "lost", f"within {MOST_OFF:g} %", "median difference", "p95", "worst"]]
+    table = [["", "presses", "failed", f"within {MOST_OFF:g} %", "median difference", "p95", "worst"]]
     for name, one in (("all", found["all"]), *found["organs"].items(), *found["tools"].items()):
         table.append(_row(name, one))
     table += [_row(name, one) for name, one in found["motions"].items()]

@@ -237,7 +237,7 @@ def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]
 
 def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found: dict[str, Any]) -> str:
     """The tables and the bounds as text."""
-    rows = [["place", "N", "dent mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
+    rows = [["point", "N", "indentation mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
     for case in cases:
         frozen = "-" if case.frozen is None else f"{case.frozen:.1f}"
         errors = [f"{case.modal_linear:.1f}", f"{case.modal:.1f}", f"{case.auto:.1f}"]

@@ -118,7 +118,7 @@ def violations(records: Sequence[Record]) -> list[Record]:
 def summary(records: Sequence[Record], seconds: float) -> str:
     """What the terminal shows: counts by axis, then every cell that breaks the requirement."""
     lines = [
-        f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'led back':>9} {'violations':>11}"
+        f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'recovered':>9} {'violations':>11}"
     ]
     for axis in dict.fromkeys(record.axis for record in records):
         some = [record for record in records if record.axis == axis]

@@ -232,7 +232,7 @@ def text(found: Mapping[str, Any]) -> str:
         slowest, everything = sorted(compiled, key=compiled.__getitem__, reverse=True), sum(compiled.values())
         shown = [(name, compiled[name]) for name in slowest[:SHOWN]]
         shown.append(("all others", everything - sum(seconds for _, seconds in shown)))
-        rows = [["compiling by module, without what is called", "s", "%"]]
+        rows = [["compiling by module, without called functions", "s", "%"]]
         rows += [[name, f"{seconds:.2f}", f"{100.0 * seconds / everything:.0f}"] for name, seconds in shown]
         lines += ["", *aligned(rows)]
     lines.append("")

@@ -24,10 +24,10 @@ USUAL = 200
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "--files", type=int, metavar="N", help=f"files of each kind (default: {USUAL}, where no --scenes is given)"
+        "--files", type=int, metavar="N", help=f"files of each kind (default: {USUAL}, if no --scenes is given)"
     )
     parser.add_argument(
-        "--scenes", type=int, metavar="N", help=f"scenes of each kind (default: {USUAL}, where no --files is given)"
+        "--scenes", type=int, metavar="N", help=f"scenes of each kind (default: {USUAL}, if no --files is given)"
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the cases; the same seed gives the same cases")
     parser.add_argument(
