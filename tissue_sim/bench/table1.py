@@ -71,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, organ=AS_BUILT_ORGAN, out="write Figure 6 there, as PNG")
     parser.add_argument("--unit", type=float, default=2.0, help="mN that represent one unit of the paper's forces")
-    parser.add_argument("--quick", action="store_true", help="shorter measurements, and 2 s instead of 5 s to reach equilibrium")
+    parser.add_argument(
+        "--quick", action="store_true", help="shorter measurements, and 2 s instead of 5 s to reach equilibrium"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

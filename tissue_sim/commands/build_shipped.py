@@ -1,4 +1,4 @@
-"""Makes the kidney that ships, as built, or that with a tumour in it.
+"""Build the kidney of this package before calibration, or the one with a tumour.
 
 `python -m tissue_sim.commands.build_shipped`; `make organ` then calibrates them.
 """

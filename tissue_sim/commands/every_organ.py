@@ -1,7 +1,7 @@
-"""Every organ of a folder of organ data, built and calibrated with defaults.
+"""Build and calibrate every organ of a folder of organ data, with defaults.
 
 `python -m tissue_sim.commands.every_organ --data DATA --out FOLDER`.
-The data is no part of the project: a CT's masks, organs of the Human Reference Atlas, SOFA's meshes, a colon.
+The data is not part of the project: masks of a CT, organs of the Human Reference Atlas, SOFA's meshes, a colon.
 """
 
 from __future__ import annotations

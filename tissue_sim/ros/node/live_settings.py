@@ -110,7 +110,7 @@ class LiveSettings:
             words.append("a modal region under any load")
         if degrade.halvings(self.level):
             words.append(f"{1.0 / float(self._first.settings.tick_time):g} Hz")
-        return ", ".join(words) or "not degraded"
+        return ", ".join(words) or "nothing is reduced"
 
     def report(self, report: Report) -> None:
         """Add what is given up, and a coupling that is softer than asked for."""

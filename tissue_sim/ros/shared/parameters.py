@@ -115,7 +115,14 @@ NODE_SPECS = (
         1e6,
         live=True,
     ),
-    Spec("record_split_duration", 0.0, "s after which the next bag does; 0: never", 0.0, 86400.0, live=True),
+    Spec(
+        "record_split_duration",
+        0.0,
+        "s after which the next bag continues in another file; 0: never",
+        0.0,
+        86400.0,
+        live=True,
+    ),
 )
 
 TOOL_SPECS = (

@@ -1,4 +1,4 @@
-"""Makes the bags of the suite anew, all or those that are named, and sums them up; `make bags` runs it."""
+"""Record the bags of the suite again, all or the named ones, and summarise them; `make bags` runs it."""
 
 from __future__ import annotations
 
