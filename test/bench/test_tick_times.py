@@ -60,8 +60,8 @@ def test_every_bound_is_met_by_good_figures():
     [
         (rows.WHOLE, 301.0, "whole hybrid tick"),
         (rows.CELLS, 101.0, "whole tick of cells"),
-        (rows.GUARD, 4.1, "guard, share"),
-        (rows.SUBSTEP, 72.0, "substep beside"),
+        (rows.GUARD, 4.1, "guard, fraction"),
+        (rows.SUBSTEP, 72.0, "substep relative to"),
         (rows.CELL_SUBSTEP, 45.0, "substep of cells"),
         (rows.MODAL, 25.1, "modal tick, 19-node"),
         (rows.MODAL_CELLS, 20.1, "modal tick of cells"),

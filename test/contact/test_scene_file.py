@@ -66,7 +66,7 @@ def test_a_scene_is_what_its_file_says(scene):
         ("between: [left, right]", "between: left", "expected: a list"),
         ("within: 0.01, ", "", "either 'within'"),
         ("of: right, point", "of: right, pint", "did you mean 'point'"),
-        ("of: right, point: [0.062, 0.0, 0.05], ", "of: right, ", "wants a 'point'"),
+        ("of: right, point: [0.062, 0.0, 0.05], ", "of: right, ", "needs a 'point'"),
         ("nodes: [0, 3]", "nodes: [0, -3]", "a list of nodes"),
         ("rate: 15", "rate: 0", "breathing.rate is 0"),
         ("breathing:", "- breathing:", "is no YAML"),

@@ -24,7 +24,7 @@ def test_an_organ_is_too_coarse_for_what_is_below_half_its_edge():
     assert why is not None
     assert f"{0.5e3 * half:.3g} mm" in why
     assert f"{2e3 * half:.3g} mm" in why
-    assert re.search(r"--points (\d+) \((\d+) for 8 %\)", why).groups() == (
+    assert re.search(r"--points (\d+) \((\d+) for an error of 8 %\)", why).groups() == (
         str(points_for(organ, 0.5 * half)),
         str(points_for(organ, 0.5 * half, FINE)),
     )

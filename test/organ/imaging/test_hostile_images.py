@@ -97,9 +97,9 @@ def test_a_folder_in_place_of_voxels_is_refused(tmp_path):
     ("name", "pattern", "line", "reason"),
     [
         ("ct.nrrd", "sizes", "sizes: 2147483647 2 2", "million; crop it"),
-        ("ct.nrrd", "sizes", "sizes: 800 800 800", "can't hold"),
+        ("ct.nrrd", "sizes", "sizes: 800 800 800", "can't contain"),
         ("ct.nhdr", "sizes", "sizes: 4294967295 5 6", "million; crop it"),
-        ("ct.mha", "DimSize", "DimSize = 800 800 800", "can't hold"),
+        ("ct.mha", "DimSize", "DimSize = 800 800 800", "can't contain"),
         ("ct.mhd", "DimSize", "DimSize = 100000 100000 100000", "DimSize"),
         ("ct.mha", "DimSize", "DimSize =", "DimSize"),
     ],
@@ -126,7 +126,7 @@ def test_nifti_of_more_voxels_than_it_holds_is_refused(tmp_path):
         data = bytearray(head.read_bytes())
         data[40:48] = np.array([3, 800, 800, 800], dtype="<i2").tobytes()
         head.write_bytes(data)
-        with pytest.raises(UserError, match="can't hold"):
+        with pytest.raises(UserError, match="can't contain"):
             read_image(path)
 
 
@@ -135,7 +135,7 @@ def test_a_mask_that_packs_well_has_room(tmp_path):
     path = tmp_path / "mask.nii.gz"
     path.write_bytes(bytes(3000))
     check_room(path, (), (150, 150, 130), 1)
-    with pytest.raises(UserError, match="can't hold"):
+    with pytest.raises(UserError, match="can't contain"):
         check_room(path, (), (150, 150, 150), 1)
     with pytest.raises(UserError, match="million"):
         check_room(path, (), (MOST_VOXELS, 2), 1)

@@ -72,7 +72,7 @@ def test_refusals_name_the_file(tmp_path):
         text: "can't be read as an image",
         four: r"4-D \(4 x 4 x 4 x 3\)",
         flat: "single slice",
-        colour: "3 values a voxel",
+        colour: "3 values per voxel",
         cut: "damaged or truncated",
         tmp_path / "empty": "no DICOM series",
     }.items():
@@ -159,7 +159,7 @@ def test_dicom_folders_that_are_not_one_whole_upright_volume(tmp_path):
         "four": "is 4-D, 2 slices at each position",
         "mixed": r"different geometry \(5 slices of 7 x 6, 5 slices of 5 x 5\)",
         "tilted": r"shift sideways by 2\.4 mm .*tilted gantry",
-        "nowhere": "lack their position",
+        "nowhere": "have no position",
         "unscaled": "have no position, orientation or pixel spacing",
         "one": "single slice",
         "above": r"no DICOM series; .*it has the folders series",

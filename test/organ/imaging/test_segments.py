@@ -54,7 +54,7 @@ def test_the_only_segmentation_of_a_folder_is_read(tmp_path):
     segmentation(tmp_path / "seg.dcm", boxes())
     np.testing.assert_array_equal(read_mask(tmp_path, "liver").array, boxes()["liver"])
     segmentation(tmp_path / "second.dcm", boxes())
-    with pytest.raises(UserError, match=r"holds 2 segmentations \(second.dcm, seg.dcm\); name the file of one"):
+    with pytest.raises(UserError, match=r"contains 2 segmentations \(second.dcm, seg.dcm\); name the file of one"):
         read_mask(tmp_path, "liver")
 
 

@@ -234,5 +234,5 @@ def test_lost_settings_are_named(recording):
 
 def test_surfaces_of_another_organ_are_told(recording):
     more = [np.concatenate([surface, surface]) for surface in recording.organs[0].surfaces]
-    with pytest.raises(UserError, match=r"surfaces have .* points, the organ has .*: it is another organ"):
+    with pytest.raises(UserError, match=r"surfaces have .* points, but the organ has .*: it is another organ"):
         replay(with_organ(recording, surfaces=more))

@@ -41,9 +41,9 @@ def test_rows_that_are_missing_or_of_another_kind_are_named(recording, kind):
     strange = [(np.zeros(rows.shape), "have no field"), (fewer, f"have no field '{last}'")]
     texts = np.zeros(rows.shape, dtype=[(name, "U3") for name in rows.dtype.names])
     wide = np.zeros(rows.shape, dtype=[(name, "i8", (2,)) for name in rows.dtype.names])
-    strange += [(texts, "of another type"), (wide, "of another type"), (rows.reshape(-1)[0], "of shape")]
+    strange += [(texts, "of another type"), (wide, "of another type"), (rows.reshape(-1)[0], "have shape")]
     for found, reason in strange:
-        with pytest.raises(ValueError, match=rf"its journal's ({kind}|body_{kind}) .*({reason}|of shape)"):
+        with pytest.raises(ValueError, match=rf"its journal's ({kind}|body_{kind}) .*({reason}|have shape)"):
             check(recording, **{kind: found})
 
 

@@ -327,7 +327,7 @@ REFUSED_STARTS = {
     f"{ARM}": "'left.base_pose' and 'right.base_pose' give the frame 'arm' different poses",
     "left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'left.base_pose' would move 'organ', whose pose is",
     "scene_file:=none.yaml": "none.yaml can't be read",
-    "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both given",
+    "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both set",
 }
 
 

@@ -113,7 +113,7 @@ def _scale(source: Path, unit: str | None, longest: float | None) -> float | Non
     if suffix not in FORMATS:
         raise UserError(f"surface {source} has no known mesh format; use one of {', '.join(FORMATS)}")
     if unit is not None and unit not in UNITS:
-        raise UserError(f"unit {unit} is not known; use one of {', '.join(UNITS)}")
+        raise UserError(f"unit {unit} is unknown; use one of {', '.join(UNITS)}")
     if longest is not None:
         if unit is not None:
             raise UserError("--unit and --length were given; choose one")
