@@ -439,7 +439,7 @@ def test_labels_of_a_mask_become_inclusions(labels, tmp_path, capsys):
         (["--inclusion", "1:5"], "label 1 is given twice"),
         (["--inclusion", "2:nan"], "outside 0.001..1000"),
         (["--inclusion", "9:5"], "has no label 9"),
-        (["--inclusion", "4:5"], "needs 50 voxels"),
+        (["--inclusion", "4:5"], "needs at least 50 connected voxels"),
         (["--inclusion", "5:5"], "is outside the organ"),
     ],
 )

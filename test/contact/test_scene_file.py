@@ -69,7 +69,7 @@ def test_a_scene_is_what_its_file_says(scene):
         ("of: right, point: [0.062, 0.0, 0.05], ", "of: right, ", "needs a 'point'"),
         ("nodes: [0, 3]", "nodes: [0, -3]", "a list of nodes"),
         ("rate: 15", "rate: 0", "breathing.rate is 0"),
-        ("breathing:", "- breathing:", "is no YAML"),
+        ("breathing:", "- breathing:", "is not valid YAML"),
         ("breathing:", "breathes:", "did you mean 'breathing'"),
     ],
 )

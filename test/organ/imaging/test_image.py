@@ -245,7 +245,7 @@ def test_masks_choose_a_label(tmp_path):
 def test_an_image_is_no_mask(tmp_path):
     path = tmp_path / "ct.nrrd"
     sitk.WriteImage(small_volume().to_sitk(), str(path))
-    with pytest.raises(UserError, match="over 200 different values"):
+    with pytest.raises(UserError, match="more than 200 different values"):
         read_mask(path)
 
 

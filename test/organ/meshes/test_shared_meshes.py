@@ -55,7 +55,7 @@ ACCEPTED = [
     (
         "sofa_meshes/liver.obj",
         LONG,
-        Outcome(139, 274, 232.0, ("dropped 42 points that no triangle uses",), (SCALED,)),
+        Outcome(139, 274, 232.0, ("removed 42 points that no triangle uses",), (SCALED,)),
     ),
     (
         "sofa_meshes/liver.msh",

@@ -72,7 +72,7 @@ def kill_and_replay(folder: Path, start, capsys, moment: float, phase: float) ->
     with Reader(bag) as reader:
         assert reader.end_time > queued
     assert main(["replay", str(bag), *EXACT]) == 0
-    assert "broken off" not in capsys.readouterr().out
+    assert "interrupted" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
