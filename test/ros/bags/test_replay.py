@@ -88,7 +88,7 @@ def test_a_setting_that_one_of_both_lacks_is_named(recording):
 
 def test_a_state_that_lacks_a_field_is_named(recording):
     state = {name: array for name, array in recording.organs[0].state.items() if name != "velocity"}
-    with pytest.raises(UserError, match="another 'velocity'"):
+    with pytest.raises(UserError, match="a different 'velocity'"):
         replay(with_organ(recording, state=state))
 
 

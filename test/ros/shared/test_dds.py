@@ -34,7 +34,7 @@ def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, pro
     dds.prepare(environment)
     chosen = {REACH: "LOCALHOST"} if not any(set_by_user.values()) else set_by_user
     assert environment == chosen | dict.fromkeys(PROFILE_VARIABLES, str(ROOT / profile))
-    assert f"heard {told}" in dds.told_reach(environment)
+    assert f"discoverable {told}" in dds.told_reach(environment)
 
 
 def test_a_profile_or_transports_of_the_users_are_kept():
@@ -82,7 +82,7 @@ def test_a_node_is_heard_on_its_machine_alone_until_the_switch_is_set(tmp_path, 
             "discoverable on this machine only; ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET extends that to the subnet"
             in node.text()
         )
-        assert "heard in the whole subnet" in wide.text()
+        assert "discoverable in the whole subnet" in wide.text()
 
         # ROS's own defaults on the same machine, which are those of rviz2 and ros2; the other machine; and the other
         # machine that names this one.
