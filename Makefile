@@ -33,7 +33,7 @@ PYTEST_ON = OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 3 --dist
 
 # mypy goes on beside the tests, which wait much; what it says comes last. Kernels are compiled before several processes
 # would all do it.
-test: style ## checks and tests in five minutes; PYTEST="-k node" for some of them
+test: style ## checks and tests in five minutes; PYTEST="-k node" selects some of them
 	@$(PY) -m mypy > .mypy.log & mypy=$$!; $(PY) .ci/compile; \
 	$(PYTEST_ON) $(PYTEST); tests=$$?; .ci/alive mypy tail --pid=$$mypy -f /dev/null; \
 	wait $$mypy; types=$$?; cat .mypy.log; rm -f .mypy.log; \
@@ -43,20 +43,20 @@ test-all: lint ## the same and the extended tests: hostile input, clusters, othe
 	@$(PY) .ci/compile
 	@$(PYTEST_ON) -m "not slow" $(PYTEST) || [ $$? = 5 ]
 
-test-touched: .venv/.installed ## the extended tests that the change since BASE touches, and why
+test-touched: .venv/.installed ## the extended tests that the change since BASE affects, and why
 	@files=$$($(PY) .ci/touched $(BASE)) || exit; [ -z "$$files" ] || $(PYTEST_ON) -m extended $$files || [ $$? = 5 ]
 
-test-slow: .venv/.installed ## the tests that take longer
+test-slow: .venv/.installed ## the tests that take minutes each
 	@$(PY) -m pytest -m slow $(PYTEST)
 
-test-least: ## model, contacts and node over the least versions of numpy, scipy and numba; NUMBA=0.60.0 for another
+test-least: ## model, contact and node with the oldest supported numpy, scipy and numba; NUMBA=0.60.0 for another
 	@.ci/least $(NUMBA)
 
 regress: .venv/.installed-demo ## replays the scenes in bags/ and compares
 	@.venv/bin/tissue_sim replay bags/*/
 
 # Only after a change that is meant to change what they show: a diff of bags/summary.txt tells what that is.
-bags: .venv/.installed ## records the scenes in bags/ anew; SCENES="poke nip" for some of them
+bags: .venv/.installed ## records the scenes in bags/ again; SCENES="poke nip" selects some of them
 	@$(PY) -m tissue_sim.ros.bags.suite $(SCENES)
 
 lint: style ## ruff and mypy
@@ -70,25 +70,25 @@ format: .venv/.installed ## ruff's formatting and safe fixes
 	@$(PY) -m ruff check --fix --output-format concise
 	@$(PY) -m ruff format
 
-organ: .venv/.installed ## rebuilds the kidneys that ship from the phantom and calibrates them
+organ: .venv/.installed ## rebuilds the package's kidneys from the phantom and calibrates them
 	@$(PY) -m tissue_sim.commands.build_shipped
 	.venv/bin/tissue_sim calibrate config/organs/kidney_as_built.npz --out config/organs/kidney.npz
 	@$(PY) -m tissue_sim.commands.build_shipped --tumour-in config/organs/kidney_as_built.npz --out config/organs/kidney_tumour.npz
 	.venv/bin/tissue_sim calibrate config/organs/kidney_tumour.npz --out config/organs/kidney_tumour.npz
 
-colcon: .venv/.installed-colcon ## colcon build and colcon test over the wheels, in .colcon
+colcon: .venv/.installed-colcon ## colcon build and colcon test with the PyPI wheels, in .colcon
 	@$(COLCON) build --build-base .colcon/build --install-base .colcon/install
 	@$(COLCON) test --build-base .colcon/build --install-base .colcon/install \
 		--return-code-on-test-failure --event-handlers console_direct+
 	@$(COLCON) test-result --test-result-base .colcon/build
 
 # Neither brings .venv up to date: pins that no longer fit setup.py would stand in the way of those that do.
-pins: $(AUDITED) ## the newest versions that setup.py allows into constraints.txt, then make audit
+pins: $(AUDITED) ## writes the newest versions that setup.py allows to constraints.txt, then runs make audit
 	@.ci/alive 'resolving the pins' $(PY) .ci/pins
-	@.ci/alive 'asking about the pins' $(PY) .ci/audit $(SERVICE)
+	@.ci/alive 'querying the vulnerabilities' $(PY) .ci/audit $(SERVICE)
 
-audit: $(AUDITED) ## known holes of the versions in constraints.txt, as OSV knows them; SERVICE=pypi for PyPI
-	@.ci/alive 'asking about the pins' $(PY) .ci/audit $(SERVICE)
+audit: $(AUDITED) ## known vulnerabilities of the versions in constraints.txt, from OSV; SERVICE=pypi for PyPI
+	@.ci/alive 'querying the vulnerabilities' $(PY) .ci/audit $(SERVICE)
 
 clean: ## removes .venv, caches and builds
 	@rm -rf .venv .venv-least .colcon .mypy_cache .pytest_cache .ruff_cache build install log dist *.egg-info

@@ -29,8 +29,8 @@ def share_files(*folders: str) -> list[tuple[str, list[str]]]:
 setup(
     name=NAME,
     version=version(),
-    description="A real-time deformable organ served over ROS 2: contact, forces, markers and bags",
-    long_description="A ROS 2 node that serves a deformable organ, made from a CT, to haptic bridges at a fixed rate.",
+    description="A real-time deformable organ for haptics, served over ROS 2",
+    long_description="A ROS 2 node that simulates a deformable organ, made from a CT, for haptic devices.",
     long_description_content_type="text/plain",
     maintainer="tissue_sim maintainers",
     maintainer_email="tissue_sim@users.noreply.github.com",

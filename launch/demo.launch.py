@@ -26,18 +26,18 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "profile",
                 default_value="",
-                description="Haptic bridge whose topics and types the tools take, as in tissue_node.launch.py; the"
-                " scripted bridge speaks as it does.",
+                description="Haptic bridge whose topics and types the tools use, as in tissue_node.launch.py; the"
+                " scripted bridge uses the same.",
             ),
             DeclareLaunchArgument(
                 "organ_file",
                 default_value="",
-                description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
+                description="Organ made by `tissue_sim build`; empty for that of params_file or the default one.",
             ),
             DeclareLaunchArgument(
                 "scene_file",
                 default_value="",
-                description="Scene of several organs, instead of organ_file; the bridge plays with the first one.",
+                description="Scene of several organs, instead of organ_file; the scripted bridge uses the first one.",
             ),
             DeclareLaunchArgument(
                 "namespace",
@@ -48,7 +48,7 @@ def generate_launch_description() -> LaunchDescription:
                 "use_sim_time",
                 default_value="false",
                 choices=["true", "false", "True", "False"],
-                description="Whether ticks follow /clock instead of the wall; goes with bridge:=false.",
+                description="Whether ticks follow /clock instead of wall time; needs bridge:=false.",
             ),
             DeclareLaunchArgument(
                 "bridge",

@@ -52,13 +52,13 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "profile",
                 default_value="",
-                description="Haptic bridge whose topics and types the tools take: a file in config/bridges, without"
+                description="Haptic bridge whose topics and types the tools use: a file in config/bridges, without"
                 " .yaml; empty for those of params_file.",
             ),
             DeclareLaunchArgument(
                 "organ_file",
                 default_value="",
-                description="Organ made by `tissue_sim build`; empty for that of params_file or the kidney that ships.",
+                description="Organ made by `tissue_sim build`; empty for that of params_file or the default one.",
             ),
             DeclareLaunchArgument(
                 "scene_file",
@@ -74,7 +74,7 @@ def generate_launch_description() -> LaunchDescription:
                 "use_sim_time",
                 default_value="false",
                 choices=["true", "false", "True", "False"],
-                description="Whether ticks follow /clock instead of the wall.",
+                description="Whether ticks follow /clock instead of wall time.",
             ),
             DeclareLaunchArgument(
                 "log_level",

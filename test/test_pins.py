@@ -114,7 +114,7 @@ def test_pins_stay_where_none_fit(checkout):
     assert done.returncode == 1
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("pins: pip found no versions that fit, constraints.txt stays: ")
+    assert done.stderr.startswith("pins: pip found no compatible versions, constraints.txt is unchanged: ")
     assert "organ>=7" in done.stderr
     assert (checkout / "constraints.txt").read_text() == "organ==1.0\n"
 
@@ -192,7 +192,7 @@ def test_a_known_hole_takes_one_line(service, audit):
 def test_pins_without_a_known_hole_pass(service, audit):
     done = audit("numpy==2.5.5\npillow==10.3.0\n", f"{service}/v1/query")
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"no known hole in 2 pins, says {service}/v1/query\n"
+    assert done.stdout == f"no known vulnerability in 2 pins, according to {service}/v1/query\n"
 
 
 @pytest.mark.parametrize(("path", "why"), [("/busy", "503"), ("/page", "Expecting value")])

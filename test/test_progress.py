@@ -145,7 +145,7 @@ def test_a_setting_that_is_none_is_refused(given, monkeypatch, capsys):
     monkeypatch.setenv(progress.SETTING, given)
     assert main(["info", "k.npz"]) == 2
     assert capsys.readouterr().err == (
-        f"tissue_sim: error: {progress.SETTING}={given}: use seconds between two lines of progress, such as 60,"
+        f"tissue_sim: error: {progress.SETTING}={given}: use the seconds between two lines of progress, such as 60,"
         " or 0 for none\n"
     )
     with pytest.raises(UserError, match="seconds between two lines"), progress.task("any"):
@@ -264,7 +264,7 @@ def test_ctrl_c_in_a_benchmark_prints_the_rows_that_there_are():
     assert all(re.fullmatch(r"0\.2 E, \w+: off [\d.]+ %\n", row) for row in rows)
     assert (process.returncode, "Traceback" in err) == (130, False)
     first, *table = out.splitlines()
-    assert first == "stopped by Ctrl-C: this is what was measured so far"
+    assert first == "stopped by Ctrl-C: these are the measurements so far"
     counts = next(line.split() for line in table if line.startswith("0.2"))
     assert 2 <= int(counts[1]) < 30
-    assert any(line.endswith("held so far") for line in table)
+    assert any(line.endswith("met so far") for line in table)

@@ -64,4 +64,4 @@ def test_every_rule_names_tests_that_are_there(touched, monkeypatch):
 def test_a_base_that_is_none_is_named():
     done = subprocess.run([sys.executable, SCRIPT, "no-such-commit"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "touched: error: 'no-such-commit' is no commit of this checkout\n"
+    assert done.stderr == "touched: error: 'no-such-commit' is not a commit of this checkout\n"

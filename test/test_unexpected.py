@@ -39,7 +39,8 @@ cli.COMMANDS["info"] = ("printing", "print a line")
 sys.exit(cli.main())
 """
 ONE_LINE = (
-    r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\); TISSUE_SIM_TRACEBACK=1 shows all of it\n"
+    r"tissue_sim: error: internal: TypeError: .*\(tissue_sim/\S+\.py:\d+\);"
+    r" TISSUE_SIM_TRACEBACK=1 shows the traceback\n"
 )
 
 

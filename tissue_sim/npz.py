@@ -38,21 +38,21 @@ def read_npz(source: str | os.PathLike[str] | IO[bytes]) -> dict[str, NDArray]:
             _check(members)
             return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
     except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, OverflowError) as error:
-        raise ValueError(f"no whole npz: {error}") from None
+        raise ValueError(f"not a complete npz file: {error}") from None
     except (NotImplementedError, RuntimeError) as error:  # encrypted, or packed in another way
-        raise ValueError(f"an npz that numpy doesn't write: {error}") from None
+        raise ValueError(f"an npz file that numpy doesn't write: {error}") from None
 
 
 def _check(members: list[zipfile.ZipInfo]) -> None:
     """Names, and sizes before anything is unpacked."""
     names = [member.filename for member in members]
     if len(set(names)) < len(names):
-        raise ValueError("an array is there twice")
+        raise ValueError("an array is contained twice")
     for member in members:
         if not _NAME.fullmatch(member.filename) or member.compress_type not in _DEFLATED:
-            raise ValueError(f"'{shown(member.filename, _SHOWN)}' is no array")
+            raise ValueError(f"'{shown(member.filename, _SHOWN)}' is not an array")
         if member.file_size > max(_SMALL, MOST_TIMES * member.compress_size):
-            raise ValueError(f"'{shown(member.filename, _SHOWN)}' unpacks to over {MOST_TIMES} times its size")
+            raise ValueError(f"'{shown(member.filename, _SHOWN)}' unpacks to more than {MOST_TIMES} times its size")
     unpacked = sum(member.file_size for member in members)
     if unpacked > MOST_BYTES:
         raise ValueError(f"its arrays take {unpacked / 2**30:.3g} GB, more than {MOST_BYTES / 2**30:g}")
@@ -62,10 +62,10 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
     with archive.open(member) as stream:
         data = stream.read(member.file_size + 1)
     if len(data) != member.file_size:
-        raise ValueError(f"'{shown(member.filename, _SHOWN)}' is cut short")
+        raise ValueError(f"'{shown(member.filename, _SHOWN)}' is truncated")
     dtype, fortran, shape, start = _header(data, member.filename)
     if math.prod(shape) * dtype.itemsize != len(data) - start:
-        raise ValueError(f"'{shown(member.filename, _SHOWN)}' holds other bytes than its header says")
+        raise ValueError(f"'{shown(member.filename, _SHOWN)}' contains other bytes than its header says")
     flat = np.frombuffer(data, dtype=dtype, offset=start).copy()  # may be written to
     return flat.reshape(shape[::-1]).transpose() if fortran else flat.reshape(shape)
 
@@ -73,7 +73,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray:
 def _header(data: bytes, name: str) -> tuple[np.dtype, bool, tuple[int, ...], int]:
     """Type, order and shape, and where the numbers begin."""
     if data[:6] != npy.MAGIC_PREFIX or data[6:7] not in (b"\1", b"\2", b"\3"):
-        raise ValueError(f"'{shown(name, _SHOWN)}' is no array, or pickled")
+        raise ValueError(f"'{shown(name, _SHOWN)}' is not an array, or is pickled")
     wide = data[6] > 1
     start = 12 if wide else 10
     end = start + struct.unpack_from("<I" if wide else "<H", data, 8)[0]
@@ -87,7 +87,7 @@ def _header(data: bytes, name: str) -> tuple[np.dtype, bool, tuple[int, ...], in
     except (ValueError, SyntaxError, TypeError, KeyError, AttributeError, IndexError, RecursionError, MemoryError):
         raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header") from None
     if dtype.hasobject:
-        raise ValueError(f"'{shown(name, _SHOWN)}' is pickled, which is not read: it could run anything")
+        raise ValueError(f"'{shown(name, _SHOWN)}' is pickled, and not read, since it could run any code")
     if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape) or not dtype.itemsize:
         raise ValueError(f"'{shown(name, _SHOWN)}' has a damaged header")
     return dtype, fortran, shape, end

@@ -342,7 +342,7 @@ def _interval() -> float:
     except ValueError:
         seconds = math.nan
     if not 0.0 <= seconds < math.inf:
-        raise UserError(f"{SETTING}={text}: use seconds between two lines of progress, such as 60, or 0 for none")
+        raise UserError(f"{SETTING}={text}: use the seconds between two lines of progress, such as 60, or 0 for none")
     return seconds
 
 

@@ -47,7 +47,7 @@ def tell(error: BaseException, program: str) -> None:
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         write_error(f"{program}: error: {error.strerror}{f': {names}' if names else ''} ({place_of(error)})\n")
     else:
-        write_error(f"{program}: error: internal: {told(error)}; {TRACEBACK}=1 shows all of it\n")
+        write_error(f"{program}: error: internal: {told(error)}; {TRACEBACK}=1 shows the traceback\n")
 
 
 def catch_all(program: str) -> None:

@@ -29,7 +29,7 @@ def test_bare_loop_sleeps_to_its_deadlines_and_is_busy_in_between():
 
 def test_a_bare_loop_with_a_priority_leaves_its_caller_as_it_was():
     if not is_allowed(20):
-        pytest.skip("this user may not ask for a real-time priority")
+        pytest.skip("this user is not allowed to use a real-time priority")
     before = os.sched_getscheduler(0)
     bare(0.01, 0.0, 20)
     assert os.sched_getscheduler(0) == before
@@ -167,10 +167,10 @@ def test_bounds_beside_busy_programs():
     assert all(busy_bounds(20).values())
     assert busy_bounds(20, peaks=(0.2, 0.225))["worst poke, busy"] is False
     assert busy_bounds(0, peaks=(0.175, 0.2))["worst poke, busy"] is False
-    assert busy_bounds(20, rate=980.0)["ticks lacking, busy"] is False
+    assert busy_bounds(20, rate=980.0)["missing ticks, busy"] is False
     assert busy_bounds(20, late=100.0)["late ticks, busy"] is False
-    assert busy_bounds(20, back=91.0)["until nothing is given up"] is False
-    assert busy_bounds(0, rate=500.0, late=900.0)["ticks lacking, busy"] is None  # that of the priority: not measured
+    assert busy_bounds(20, back=91.0)["until no longer degraded"] is False
+    assert busy_bounds(0, rate=500.0, late=900.0)["missing ticks, busy"] is None  # that of the priority: not measured
 
 
 @pytest.mark.extended

@@ -40,9 +40,9 @@ def test_bounds_take_the_worst_and_the_text_names_every_pinch(gentle):
     hard = bad._replace(share=0.6, held_turned=9)
     found = pinch.as_json([gentle, bad, hard], np.full(10, 5e-5))
     value = {bound["name"]: (bound["value"], bound["met"]) for bound in found["bounds"]}
-    assert value["cells inside out, held at 20 and 40 %"] == (3, False)
-    assert value["cells inside out long after"] == (0, True)
-    assert value["what stays of the shape"] == (2.0, False)
+    assert value["inverted cells, held at 20 and 40 %"] == (3, False)
+    assert value["inverted cells long after"] == (0, True)
+    assert value["remaining deformation"] == (2.0, False)
     assert value["tick, p99 of the worst"][0] >= 1e3
     assert json.loads(json.dumps(found)) == found
     text = pinch.text(found)
@@ -104,7 +104,7 @@ def test_a_table_of_another_organ_or_of_other_pinches_is_refused(tmp_path):
     with pytest.raises(UserError, match="other pinches"):
         pinch_reference.read(path, organ)
     path.write_text("[]")
-    with pytest.raises(UserError, match="is no table"):
+    with pytest.raises(UserError, match="is not a table"):
         pinch_reference.read(path, organ)
     with pytest.raises(UserError, match="cannot read"):
         pinch_reference.read(tmp_path / "none.json", organ)

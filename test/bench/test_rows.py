@@ -77,7 +77,7 @@ def test_a_bound_that_holds_so_far_is_not_held_and_one_that_is_missed_stays_miss
     rows.stop()
     assert [one.met for one in bounds] == [None, False, None]
     lines = bound_lines([one.as_json() for one in bounds])
-    assert [line.split("  ")[-1] for line in lines[2:]] == ["held so far", "missed", "not measured"]
+    assert [line.split("  ")[-1] for line in lines[2:]] == ["met so far", "missed", "not measured"]
 
 
 # what is measured in turns ---------------------------------------------------------------------------
@@ -102,7 +102,7 @@ def test_turns_that_are_interrupted_leave_all_that_was_sampled(capsys):
     assert found["one"].median == pytest.approx(0.01)
     assert 0 < found["one"].samples < 100
     assert set(found) == {"one", "other"}
-    assert capsys.readouterr().err.splitlines() == ["one: at first 1e+04 us", "other: at first 2e+04 us"]
+    assert capsys.readouterr().err.splitlines() == ["one: first pass 1e+04 us", "other: first pass 2e+04 us"]
 
 
 def test_turns_that_have_just_begun_leave_the_first_look():
@@ -163,4 +163,4 @@ def test_a_node_whose_quiet_phase_alone_was_measured():
     node = {"realtime_priority": 0, "seconds_until_back": None, "phases": {latency_busy.QUIET: phase}}
     found = latency_busy.as_json(10.0, 20, [node])
     assert {bound["value"] for bound in found["bounds"]} == {None}
-    assert "gave up markers" in latency_busy.text(found)
+    assert "degraded: markers" in latency_busy.text(found)

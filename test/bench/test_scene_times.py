@@ -76,7 +76,7 @@ def test_a_scene_that_a_core_cannot_keep_up_with_is_told(monkeypatch, capsys):
     assert main(["bench", "scene"]) == 0
     assert main(["bench", "scene", "--check"]) == 1
     lines = {line.split("  ")[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert "more than a core keeps up with" in lines[bench.AWAKE]
+    assert "more than one core can compute" in lines[bench.AWAKE]
     assert "10 % of a core" in lines[bench.ALONE]
     assert lines["an organ that sleeps"].endswith("missed")
 

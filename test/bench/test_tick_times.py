@@ -60,12 +60,12 @@ def test_every_bound_is_met_by_good_figures():
     [
         (rows.WHOLE, 301.0, "whole hybrid tick"),
         (rows.CELLS, 101.0, "whole tick of cells"),
-        (rows.GUARD, 4.1, "guard, share"),
-        (rows.SUBSTEP, 72.0, "substep beside"),
+        (rows.GUARD, 4.1, "guard, fraction"),
+        (rows.SUBSTEP, 72.0, "substep relative to"),
         (rows.CELL_SUBSTEP, 45.0, "substep of cells"),
         (rows.MODAL, 25.1, "modal tick, 19-node"),
         (rows.MODAL_CELLS, 20.1, "modal tick of cells"),
-        (rows.MODAL, 30.1, "modal tick beside"),
+        (rows.MODAL, 30.1, "modal tick relative to"),
         (rows.ASLEEP, 3.1, "asleep"),
         (rows.FLEX, 11_999.0, "MuJoCo"),
     ],
@@ -77,8 +77,8 @@ def test_each_bound_is_missed_by_a_bad_figure(name, us, bound):
 
 def test_bounds_without_their_figure_are_not_judged():
     found = verdicts(measured(**{rows.FLEX: None, rows.C_PLAIN: None}))
-    assert found["MuJoCo flex beside the whole tick of cells"] is None
-    assert found["substep beside the same in C, -O3"] is None
+    assert found["MuJoCo flex relative to the whole tick of cells"] is None
+    assert found["substep relative to the same in C, -O3"] is None
 
 
 # rows ------------------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def test_text_shows_rows_bounds_and_verdicts():
     lines = {line.split("  ")[0]: line for line in shown.splitlines()}
     assert lines["whole hybrid tick"].endswith("missed")
     assert lines["asleep tick"].endswith("held")
-    assert lines["MuJoCo flex beside the whole tick of cells"].endswith("not measured")
+    assert lines["MuJoCo flex relative to the whole tick of cells"].endswith("not measured")
     assert "450" in lines[rows.WHOLE]
     assert "compile time" in shown
 

@@ -112,7 +112,7 @@ def test_figures_are_means_over_the_loads():
 
 def test_table_tells_the_references_own_error_and_what_was_skipped():
     shown = text(as_json(kidney(), found(), 12.0))
-    assert "it is itself off: linear 0.52 % mean" in shown
+    assert "its own error: linear 0.52 % mean" in shown
     assert "absent: skipped: gone is not installed" in shown
     assert "fast *" in shown
     assert "worse *" not in shown
@@ -141,7 +141,7 @@ def test_growth_is_that_of_the_calibrated_organ():
     assert growth["error_falls"]
     worse = sizes(2.1, 5.0, 2.0)
     assert not worse["growth"]["error_falls"]
-    assert "250 to 4000 points: time grows as n^1.25, the error does not fall" in text(worse)
+    assert "250 to 4000 points: time grows as n^1.25, the error does not decrease" in text(worse)
     assert as_json(kidney(), found(), 12.0)["growth"] is None
 
 

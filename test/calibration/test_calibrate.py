@@ -27,5 +27,5 @@ def test_loads_near_buckling_are_named_with_how_far_they_go():
     force, node = _poke(cases, wanted, kept, POKE)  # the bump, though the sharp one were as near
     assert node == 1
     np.testing.assert_allclose(force, cases.force[0] * POKE / 0.008)
-    with pytest.raises(UserError, match="settle under none"):
+    with pytest.raises(UserError, match="converge under none"):
         _poke(cases, wanted, kept[:0], POKE)

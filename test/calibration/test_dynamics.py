@@ -159,7 +159,7 @@ def test_frequencies_go_with_the_root_of_the_stiffness():
     )
     assert np.all(np.diff(found) >= 0.0)
     np.testing.assert_allclose(stiff, 2.0 * found, rtol=1e-6)
-    with pytest.raises(UserError, match="frequencies were asked for"):
+    with pytest.raises(UserError, match="frequencies were requested"):
         lowest_frequencies(body, 0)
 
 

@@ -29,8 +29,8 @@ def test_what_is_left_is_a_share_of_the_difference_to_a_finer_mesh():
 def test_line_names_the_meshes_and_says_when_the_bound_is_missed():
     good = Refined(100, 400, np.array([0.6, 1.2]))
     assert str(good) == (
-        "reference of 100 nodes, made good by one of 400 that differs by 0.90 % in the mean and 1.20 % at worst:"
-        " 0.40 % left at worst"
+        "reference of 100 nodes, corrected by one of 400 that differs by 0.90 % on average and 1.20 % at worst:"
+        " the remaining error is at most 0.40 %"
     )
     assert "above 1 %" in str(good._replace(difference=np.array([3.3])))
 

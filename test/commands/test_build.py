@@ -143,7 +143,7 @@ def test_a_surface_keeps_its_points(tmp_path, capsys):
     np.testing.assert_array_equal(kept.surface_triangles, mesh.faces)
     assert kept.n_atoms == 12
     assert "642 points" in text
-    assert f"fine enough for balls from {1e3 * mean_edge(kept):.2g} mm radius" in text
+    assert f"resolves spheres with a radius of at least {1e3 * mean_edge(kept):.2g} mm" in text
 
 
 def test_a_report_lies_where_it_is_wanted(tmp_path):
@@ -165,7 +165,7 @@ def test_a_mesh_has_a_report_too_beside_the_organ(tmp_path, capsys):
     assert "<h1>egg</h1>" in text
     parsed = Page(text)
     assert "surface as given" in parsed.text
-    assert "repaired: turned inward triangles outward" in parsed.text
+    assert "repaired: flipped inward triangles" in parsed.text
     assert "scaled: the longest side is 8 cm" in parsed.text
     assert "HU" not in parsed.text
     assert "interior points 9" in parsed.text
@@ -176,7 +176,7 @@ def test_a_surface_gets_new_points_interior_atoms_and_provenance_and_repairs_are
     path, mesh = egg(tmp_path, inward=True)
     options = ["--interior", "20", "--name", "my egg", "--length", "0.08"]
     organ, text = build(capsys, "--surface", path, *options, out=tmp_path / "n.npz")
-    assert "repaired: turned inward triangles outward" in text
+    assert "repaired: flipped inward triangles" in text
     assert (organ.n_surface, len(organ.surface_triangles)) == (200, 396)
     assert np.ptp(organ.surface_positions, axis=0).max() == pytest.approx(0.08, rel=0.02)
     scale = 0.08 / np.ptp(mesh.vertices, axis=0).max()
@@ -205,15 +205,15 @@ def test_wrong_arguments_take_one_line_each(ct, tmp_path, capsys):
         (["--mask", image, *here], "--seed belongs to IMAGE"),
         (["--surface", "egg.stl"], "egg.stl does not exist"),
         ([str(tmp_path / "none.nii"), *here], "does not exist"),
-        ([image, "--seed", "900,0,0"], "lies outside"),
+        ([image, "--seed", "900,0,0"], "is outside"),
         ([image, *here, "--window", "-1"], "--window -1 must lie within"),
         (["--mask", image, "--window", "2"], "--window belongs to IMAGE, not to --mask"),
         (["--mask", image, "--length", "0.2"], "--length belongs to --surface"),
         ([image, *here, "--part", "2"], "--part belongs to --mask and --surface"),
         ([image, *here, "--merge-parts"], "--merge-parts belongs to --mask and --surface"),
-        (["--mask", image, "--part", "left"], "--part left is no number"),
+        (["--mask", image, "--part", "left"], "--part left is not a number"),
         (["--mask", image, "--part", "2", "--merge-parts"], "--part and --merge-parts were given; choose one"),
-        ([image, *here, "--organ", "spline"], "--organ spline is not known; choose one of kidney"),
+        ([image, *here, "--organ", "spline"], "--organ spline is unknown; choose one of kidney"),
         ([image, *here, "--interior", "-1"], "--interior -1 is negative"),
         ([image, *here, "--fixed", str(tmp_path / "none.npy")], "none.npy does not exist"),
         (["--report", image, *here], "nothing to build from"),
@@ -292,7 +292,7 @@ def test_what_cannot_be_the_organ_passes_only_with_accept(ct, tmp_path, capsys):
     here = [write(volume, tmp_path / "ct.nrrd"), "--seed", seed_text(seed), "--organ", "liver", *ONE_WINDOW]
     assert re.search(r"is no liver: it has a volume of \d+ mL \(at least 550\)", refused(capsys, *here))
     organ, text = build(capsys, *here, "--accept", out=tmp_path / "o.npz")
-    assert "warning: what is found" in text
+    assert "warning: the region found" in text
     assert organ.provenance["segmentation_parameters"]["organ"] == "liver"
     assert any("is no liver" in line for line in organ.provenance["segmentation"]["warnings"])
 
@@ -359,9 +359,9 @@ def test_parts_of_a_mask_are_refused_or_taken(tmp_path, capsys):
     both = solid(lambda x, y, z: np.minimum(round_at(-24, 18)(x, y, z), round_at(24, 14)(x, y, z)), size=(100, 44, 44))
     path = write(both, tmp_path / "kidneys.nrrd")
     told = refused(capsys, "--mask", path)
-    assert "kidneys.nrrd has 2 separate parts: 1 24.5 mL, 2 11.5 mL; take one with --part N" in told
+    assert "kidneys.nrrd has 2 separate parts: 1 24.5 mL, 2 11.5 mL; select one with --part N" in told
     organ, text = build(capsys, "--mask", path, "--part", "2", out=tmp_path / "o.npz")
-    assert "left out 1 separate part of 24.5 mL beside 11.5 mL" in text
+    assert "omitted 1 separate part of 24.5 mL next to 11.5 mL" in text
     assert "11.5 mL read, " in text
     assert organ.volume == pytest.approx(4 / 3 * np.pi * 14.0**3 * 1e-9, rel=0.03)
     assert organ.surface_positions[:, 0].min() > 0.0
@@ -414,7 +414,7 @@ def labels(tmp_path_factory):
 def test_labels_of_a_mask_become_inclusions(labels, tmp_path, capsys):
     arguments = ["--mask", labels, "--label", "1", "--inclusion", "2:5", "--inclusion", "3:0.5"]
     organ, text = build(capsys, *arguments, out=tmp_path / "organ.npz")
-    assert "left out 1 specks of label 3" in text
+    assert "omitted 1 specks of label 3" in text
     assert "5 times as stiff" in text
     found = inclusions_of(organ)
     assert [one.stiffness for one in found] == [5.0, 0.5, 0.5]
@@ -434,13 +434,13 @@ def test_labels_of_a_mask_become_inclusions(labels, tmp_path, capsys):
     [
         (["--inclusion", "2"], "write it as 2:5"),
         (["--inclusion", ":5"], "write it as 2:5"),
-        (["--inclusion", "tumour:5"], "has no label tumour; it holds 1, 2, 3, 4, 5"),
+        (["--inclusion", "tumour:5"], "has no label tumour; it has 1, 2, 3, 4, 5"),
         (["--inclusion", "2:5", "--inclusion", "2:3"], "label 2 is given twice"),
         (["--inclusion", "1:5"], "label 1 is given twice"),
         (["--inclusion", "2:nan"], "outside 0.001..1000"),
         (["--inclusion", "9:5"], "has no label 9"),
-        (["--inclusion", "4:5"], "needs 50 voxels"),
-        (["--inclusion", "5:5"], "lies outside the organ"),
+        (["--inclusion", "4:5"], "needs at least 50 connected voxels"),
+        (["--inclusion", "5:5"], "is outside the organ"),
     ],
 )
 def test_what_is_no_inclusion_is_refused(labels, arguments, said, tmp_path, capsys):

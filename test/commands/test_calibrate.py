@@ -70,9 +70,9 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(calibrated, folder, mon
             patch.setattr(pipeline, stage, interrupted)
             assert main(command) == 130
         assert not out.exists()
-        assert "goes on from" in capsys.readouterr().err
+        assert "continues from" in capsys.readouterr().err
     assert main(command) == 0
-    assert "going on from" in capsys.readouterr().out
+    assert "continuing from" in capsys.readouterr().out
     assert Organ.load(out).digest() == Organ.load(calibrated).digest()
     assert Organ.load(out).provenance == Organ.load(calibrated).provenance
 

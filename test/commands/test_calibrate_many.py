@@ -84,7 +84,7 @@ def test_a_cohort_is_the_same_bits_here_and_on_a_cluster_that_loses_a_worker(org
     shown = capsys.readouterr().out
     assert "2 organs calibrated, 2 not" in shown
     assert "no triangle has all its nodes fixed" in shown
-    assert "broken.npz is damaged or no organ file" in shown
+    assert "broken.npz is damaged or not an organ file" in shown
     figures = json.loads(table.read_text())
     assert [isinstance(figures[name], str) for name in ("broken", "free", "one", "two")] == [True, True, False, False]
 
@@ -113,8 +113,8 @@ def test_a_cohort_is_the_same_bits_here_and_on_a_cluster_that_loses_a_worker(org
     ("words", "told"),
     [
         (("--jobs", "0"), "--jobs 0 is less than 1"),
-        (("--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "--jobs is of this machine"),
-        (("--jobs", "2", "--report", "folder"), "--report is of one organ"),
+        (("--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"), "--jobs is for this machine"),
+        (("--jobs", "2", "--report", "folder"), "--report is for a single organ"),
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
     ],
 )
@@ -133,7 +133,7 @@ def test_no_organ_is_written_over(organs, tmp_path, capsys):
     again.write_bytes((organs / "one.npz").read_bytes())
     one, two = str(organs / "one.npz"), str(organs / "two.npz")
     assert main(["calibrate", one, two, "--out", str(organs)]) == 2
-    assert "is where" in capsys.readouterr().err
+    assert "contains" in capsys.readouterr().err
     assert main(["calibrate", one, str(again), "--out", str(tmp_path / "out")]) == 2
     assert "have the same name" in capsys.readouterr().err
     assert main(["calibrate", one, two, "--out", str(tmp_path / "out.npz")]) == 2

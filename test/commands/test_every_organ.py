@@ -27,7 +27,7 @@ def test_what_is_there_is_built_and_what_cannot_be_is_named(tmp_path, capsys):
 
 
 def test_a_folder_without_any_is_one_line(tmp_path, monkeypatch, capsys):
-    with pytest.raises(UserError, match=r"no organ of .* can be built"):
+    with pytest.raises(UserError, match=r"no organ in .* can be built"):
         built(list(SOURCES), tmp_path, tmp_path / "out")
     monkeypatch.setattr("sys.argv", ["every_organ", "--data", str(tmp_path), "--out", str(tmp_path / "out")])
     assert main() == 2

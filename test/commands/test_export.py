@@ -147,12 +147,12 @@ def test_a_strange_name_stays_in_its_comment(kidney, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ([KIDNEY, "kidney.xyz"], "kidney.xyz: no format for the surface; let its name end in .ply, .obj, .stl, .vtp"),
-        ([KIDNEY, "kidney"], "no format for the surface"),
-        ([KIDNEY, "kidney.ply", "--skeleton", "s.stl"], "no format for the skeleton"),
+        ([KIDNEY, "kidney.xyz"], "kidney.xyz: unknown format of the surface; use the extension .ply, .obj, .stl, .vtp"),
+        ([KIDNEY, "kidney"], "unknown format of the surface"),
+        ([KIDNEY, "kidney.ply", "--skeleton", "s.stl"], "unknown format of the skeleton"),
         ([KIDNEY, "kidney.ply", "--skeleton", "./kidney.ply"], "name two files"),
         ([KIDNEY, "nowhere/kidney.ply"], "folder nowhere"),
-        ([KIDNEY, "kidney.ply", "--cells", "cells.vtp"], "no format for the cells; let its name end in .vtu"),
+        ([KIDNEY, "kidney.ply", "--cells", "cells.vtp"], "unknown format of the cells; use the extension .vtu"),
         ([AS_BUILT, "kidney.ply", "--cells", "cells.vtu"], "has no cells for cells.vtu; tissue_sim calibrate"),
         (["none.npz", "kidney.ply"], "none.npz does not exist"),
     ],

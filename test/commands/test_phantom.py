@@ -28,7 +28,7 @@ def test_a_phantom_and_its_kidney_are_written(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["ct.png"], "ct.png: no format for an image; let its name end in .nii.gz"),
+        (["ct.png"], "ct.png: unknown image format; use the extension .nii.gz"),
         (["nowhere/ct.nii"], "folder nowhere for nowhere/ct.nii does not exist"),
         (["ct.nii", "--mask", "ct.nii"], "--mask and the CT are both ct.nii"),
         (["ct.nii", "--noise", "-1"], "--noise -1 must lie within 0..200"),

@@ -113,7 +113,7 @@ def test_what_a_hand_feels_of_several_organs_is_clamped_as_one():
         (Attachment((0, 1), 10.0, within=1e-4), "joins nothing"),
         (Attachment((0, 1), -1.0, within=0.1), "out of range"),
         (Attachment((0, None), 1.0, within=0.1), "or a point"),
-        (Attachment((0, 1), 1.0, nodes=[[0, 99_999]]), "aren't there"),
+        (Attachment((0, 1), 1.0, nodes=[[0, 99_999]]), "don't exist"),
     ],
 )
 def test_an_attachment_that_can_not_be_is_named(attachment, told):

@@ -54,22 +54,22 @@ def test_a_scene_is_what_its_file_says(scene):
     ("old", "new", "told"),
     [
         ("format: 1", "format: 2", "format is 2"),
-        ("name: right", "name: left", "two organs are called 'left'"),
+        ("name: right", "name: left", "two organs have the name 'left'"),
         ("name: right", "name: 7right", r"organs\[1\].name"),
         ("file: ball.npz, position", "file: none.npz, position", "does not exist"),
         ("position: [0.062, 0.0, 0.0]", "position: [0.062, 0.0]", r"organs\[1\].position .* 3 numbers"),
         ("position: [0.062, 0.0, 0.0]", "position: [.nan, 0.0, 0.0]", r"organs\[1\].position\[0\]"),
-        ("[0.0, 0.0, 1.0, 0.0]", "[0.0, 0.0, 0.5, 0.0]", "not of length 1"),
+        ("[0.0, 0.0, 1.0, 0.0]", "[0.0, 0.0, 0.5, 0.0]", "not have length 1"),
         ("stiffness: 2.0", "stifness: 2.0", "did you mean 'stiffness'"),
         ("stiffness: 2.0", "stiffness: soft", r"organs\[1\].stiffness is 'soft'"),
-        ("between: [left, right]", "between: [left, liver]", "organ 'liver', which isn't there"),
-        ("between: [left, right]", "between: left", "wanted: a list"),
+        ("between: [left, right]", "between: [left, liver]", "organ 'liver', which doesn't exist"),
+        ("between: [left, right]", "between: left", "expected: a list"),
         ("within: 0.01, ", "", "either 'within'"),
         ("of: right, point", "of: right, pint", "did you mean 'point'"),
-        ("of: right, point: [0.062, 0.0, 0.05], ", "of: right, ", "wants a 'point'"),
+        ("of: right, point: [0.062, 0.0, 0.05], ", "of: right, ", "needs a 'point'"),
         ("nodes: [0, 3]", "nodes: [0, -3]", "a list of nodes"),
         ("rate: 15", "rate: 0", "breathing.rate is 0"),
-        ("breathing:", "- breathing:", "is no YAML"),
+        ("breathing:", "- breathing:", "is not valid YAML"),
         ("breathing:", "breathes:", "did you mean 'breathing'"),
     ],
 )
@@ -91,6 +91,6 @@ def test_info_tells_a_scene(scene, capsys):
     assert main(["info", str(scene())]) == 0
     told = capsys.readouterr().out
     assert "scene scene.yaml: 2 organs" in told
-    assert re.search(r"left to right: \d+ links, 50 N/m in all, slack \d+\.\d to \d+\.\d mm", told)
-    assert "right to a point: 2 links, 5 N/m in all, slack 100.0 mm" in told
+    assert re.search(r"left to right: \d+ links, 50 N/m in total, slack \d+\.\d to \d+\.\d mm", told)
+    assert "right to a point: 2 links, 5 N/m in total, slack 100.0 mm" in told
     assert "breathing: 15 a minute, 0, 0, 12 mm" in told

@@ -167,7 +167,7 @@ def test_file_of_another_format_is_not_even_opened(tmp_path, monkeypatch, name):
     """A bag may name any."""
     (tmp_path / name).write_text("secret")
     monkeypatch.setattr("trimesh.load_mesh", None)
-    with pytest.raises(UserError, match="is no mesh file"):
+    with pytest.raises(UserError, match="is not a mesh file"):
         ToolSet([Tool("left", "mesh", mesh=str(tmp_path / name))])
 
 

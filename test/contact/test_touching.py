@@ -117,7 +117,7 @@ def test_organs_that_were_driven_through_each_other_are_let_go_until_they_are_ou
 
 
 def test_more_organs_than_a_scene_may_have_are_refused():
-    with pytest.raises(UserError, match="17 organs are joined; wanted: 16 at the most"):
+    with pytest.raises(UserError, match="17 organs are joined; expected: at most 16"):
         Scene([placed(ball(), [0.2 * place, 0.0, 0.0]) for place in range(17)], TOOL)
 
 

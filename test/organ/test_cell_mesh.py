@@ -83,7 +83,7 @@ def test_a_file_keeps_cells_and_one_without_is_what_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"cell_nodes": lambda cells: cells[:, [1, 0, 2, 3]]}, "without volume or inside out"),
+        ({"cell_nodes": lambda cells: cells[:, [1, 0, 2, 3]]}, "without volume or inverted"),
         ({"cell_nodes": lambda cells: cells + 10_000}, "cell_nodes names a node outside"),
         ({"cell_mu": lambda mu: 0.0 * mu}, "cell_mu must be greater than 0"),
         ({"cell_lambda": lambda lam: -lam}, "cell_lambda must not be negative"),

@@ -24,10 +24,10 @@ def test_an_organ_is_too_coarse_for_what_is_below_half_its_edge():
     assert why is not None
     assert f"{0.5e3 * half:.3g} mm" in why
     assert f"{2e3 * half:.3g} mm" in why
-    assert re.search(r"--points (\d+) \((\d+) for 8 %\)", why).groups() == (
+    assert re.search(r"--points (\d+) \((\d+) for an error of 8 %\)", why).groups() == (
         str(points_for(organ, 0.5 * half)),
         str(points_for(organ, 0.5 * half, FINE)),
     )
     finest = too_coarse(organ, 0.01 * half)
     assert finest is not None
-    assert f"for which --points {MOST_POINTS} would do" in finest
+    assert f"for which --points {MOST_POINTS} is sufficient" in finest

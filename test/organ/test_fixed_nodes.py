@@ -24,7 +24,7 @@ def test_fixed_choices(tmp_path):
         "z=0.1": "is not understood",
         str(tmp_path / "far.npy"): r"outside 0\.\.299",
         str(tmp_path / "float.npy"): "1-D array of integers",
-        str(tmp_path / "text.npy"): "no .npy file",
+        str(tmp_path / "text.npy"): "not a .npy file",
         str(tmp_path / "none.npy"): "does not exist",
     }.items():
         with pytest.raises(UserError, match=reason):

@@ -61,9 +61,9 @@ def test_a_mask_that_is_no_organ_in_size_is_refused(spacing, size):
     with pytest.raises(UserError) as caught:
         organ_from_mask(ball(spacing), Request(name="ball", points=200))
     voxels = f"{spacing:g} x {spacing:g} x {spacing:g} mm"
-    assert f"mask ball.mha is {size} long, an organ is 5 mm to 1 m; its voxels are {voxels}" in str(caught.value)
+    assert f"mask ball.mha is {size} long, but an organ is 5 mm to 1 m; its voxels are {voxels}" in str(caught.value)
     image = ball(spacing)
-    with pytest.raises(UserError, match=r"image ball\.mha is .* m long, a CT is 5 mm to 3 m; its voxels are"):
+    with pytest.raises(UserError, match=r"image ball\.mha is .* m long, but a CT is 5 mm to 3 m; its voxels are"):
         organ_from_image(image.with_array(image.array.astype(np.float32)), np.zeros(3), Request(name="ball"))
 
 
@@ -82,9 +82,7 @@ def test_an_organ_of_another_volume_is_refused_or_accepted():
     """The mask is a shell, whose cavity is filled: a third of the ball."""
     shell = ball(2.0)
     shell = shell.with_array(shell.array & ~ball(2.0, radius=7.6).array)
-    with pytest.raises(
-        UserError, match=r"ball differs from what it is made from: 30\.1 mL read, 43\.\d mL built \(\+4\d\."
-    ):
+    with pytest.raises(UserError, match=r"ball differs from its input: 30\.1 mL read, 43\.\d mL built \(\+4\d\."):
         organ_from_mask(shell, Request(name="ball", points=200))
     lines = []
     organ_from_mask(shell, Request(name="ball", points=200, atoms=4, accept=True), Progress(lines.append))

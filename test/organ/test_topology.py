@@ -194,7 +194,7 @@ SPHERE = trimesh.creation.icosphere(1, RADIUS)
         ({"atom_positions": [[0.0, 0.0, 0.01], [0.0, 0.0, 0.01]]}, "atoms coincide"),
         ({"atom_positions": [[0.0, 0.0, 0.01], SPHERE.vertices[3]]}, "atom lies on the surface"),
         ({"surface_triangles": SPHERE.faces[1:]}, "open"),
-        ({"surface_triangles": SPHERE.faces[:, ::-1]}, "inside out"),
+        ({"surface_triangles": SPHERE.faces[:, ::-1]}, "inverted"),
         ({"fixed": [42]}, "fixed names a node"),
         ({"fixed": [-1]}, "fixed names a node"),
     ],

@@ -110,7 +110,7 @@ def test_a_bridge_feels_the_kidney(served, tmp_path):
         script = Process(words, tmp_path / "bridge.log")
         pressed = stand_in.spin_until(lambda: np.linalg.norm(stand_in.forces[-1]) > 0.15)
         assert pressed, "the scripted bridge plays this one"
-        script.wait_for(f"{BRIDGES[name].pose_topic} has another publisher: {tool} jumps between both")
+        script.wait_for(f"{BRIDGES[name].pose_topic} has another publisher: {tool} jumps between the two")
         assert script.stop() == 0, script.text()
         felt = re.findall(rf"{tool} ([\d.]+) N", script.text())
         assert 0.1 < float(felt[0]) < 2.0, script.text()

@@ -8,8 +8,8 @@ from pathlib import Path
 from tissue_sim.errors import UserError
 from tissue_sim.ros.shared.priority import HIGHEST, is_allowed
 
-DEFAULT_ORGAN = "the kidney that ships"
-AS_BUILT_ORGAN = "the kidney that ships, as built, with the paper's 48 atoms"
+DEFAULT_ORGAN = "the calibrated kidney of this package"
+AS_BUILT_ORGAN = "the kidney of this package before calibration, with the paper's 48 atoms"
 
 
 def add_shared(
@@ -35,7 +35,7 @@ def add_shared(
     if seconds:
         parser.add_argument("--seconds", type=float, default=seconds, help="to measure each for")
     if check:
-        parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+        parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is not met")
 
 
 def add_priority(parser: argparse.ArgumentParser) -> None:
@@ -45,14 +45,15 @@ def add_priority(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="P",
-        help=f"of the node and of what it is held against, 1 to {HIGHEST}, where the system allows it (default: none)",
+        help=f"real-time priority of the node and of the processes it is compared with, 1 to {HIGHEST}, if the"
+        " system allows it (default: none)",
     )
 
 
 def check_priority(priority: int) -> None:
     """Raises UserError when the system allows no such priority."""
     if not is_allowed(priority):
-        raise UserError(f"this user may not ask for real-time priority {priority}: see 'ulimit -r'")
+        raise UserError(f"this user is not allowed to use real-time priority {priority}: see 'ulimit -r'")
 
 
 def check_shared(args: argparse.Namespace) -> None:
@@ -62,7 +63,7 @@ def check_shared(args: argparse.Namespace) -> None:
     --seconds or --realtime-priority is out of range, ModuleNotFoundError when there is to be drawn without matplotlib.
     """
     if args.json and args.json.endswith(".npz"):
-        raise UserError(f"--json {args.json} would write over an organ; put ORGAN before --json, or - after it")
+        raise UserError(f"--json {args.json} would overwrite an organ; put ORGAN before --json, or - after it")
     if not 1.0 <= getattr(args, "seconds", 1.0) <= 3600.0:
         raise UserError(f"--seconds {args.seconds:g} is outside 1..3600")
     if not 0 <= getattr(args, "realtime_priority", 0) <= HIGHEST:

@@ -43,7 +43,8 @@ def behind_link(organ_file: str, loss: float, seconds: float) -> dict[str, Any]:
         topics = f"/{NODE}/surface", f"/{SENDER}/surface"
         rates = json.loads(told(graph.start("probes.viewer", str(seconds), *topics, within=there)))
     about = (
-        f"a link that loses {100.0 * loss:g} % of the packets and takes {1e3 * DELAY:g} ms; {LINK_RATE:g} Hz are sent"
+        f"a link that loses {100.0 * loss:g} % of the packets and delays by {1e3 * DELAY:g} ms; {LINK_RATE:g} Hz"
+        " are sent"
     )
     return as_json(about, rates, LINK_LEAST)
 
@@ -85,7 +86,7 @@ def as_json(about: str, rates: Mapping[str, float], least: float) -> dict[str, A
 
 def text(found: Mapping[str, Any]) -> str:
     """The figures as tables."""
-    rows = [["Hz that arrive", "node", "a node that only sends", "ratio"]]
+    rows = [["Hz that arrive", "node", "a node that only publishes", "ratio"]]
     for kind, one in found["arriving"].items():
         ratio = f"{figure(one['node_hz'] / one['sender_hz'])} x" if one["sender_hz"] else "-"
         rows.append([kind, f"{one['node_hz']:.1f}", f"{one['sender_hz']:.1f}", ratio])

@@ -67,7 +67,7 @@ def measure(
     with rows.until_stopped():
         for rate, name in rows.each([(rate, name) for rate in rates for name in ways], "breaths"):
             found.append(_breathed(organ, body, rate, name, np.array(ways[name])))
-            rows.tell(f"{rate:g} a minute, {name}", f"off {1e3 * found[-1].most_off:.3f} mm at worst")
+            rows.tell(f"{rate:g} a minute, {name}", f"error at most {1e3 * found[-1].most_off:.3f} mm")
     return found
 
 
@@ -112,16 +112,23 @@ def as_json(found: Sequence[Breathed]) -> dict[str, Any]:
     """All figures, and the bound on the slowest breath."""
     slow = [one for one in found if one.rate == min(row.rate for row in found)]
     worst = 100.0 * max(one.most_off for one in slow) / WAY
-    bounds = [Bound(f"farthest node off, at {slow[0].rate:g} a minute, of the way", worst, MOST_OFF, "%")]
+    bounds = [
+        Bound(f"largest node error at {slow[0].rate:g} a minute, relative to the displacement", worst, MOST_OFF, "%")
+    ]
     return {"way_m": WAY, "breaths": [one._asdict() for one in found], "bounds": [one.as_json() for one in bounds]}
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
     """The figures as a table, a row for each breath."""
-    table = [["breaths a minute", "way", "bends mm", "off mm rms", "off mm worst", "of the way %", "asleep %"]]
+    table = [
+        ["breaths a minute", "way", "bends mm", "error mm rms", "error mm worst", "of the displacement %", "asleep %"]
+    ]
     for one in found["breaths"]:
         lengths = [f"{1e3 * one[key]:.3f}" for key in ("bent", "off", "most_off")]
         share = 100.0 * one["most_off"] / found["way_m"]
         table.append([f"{one['rate']:g}", one["way"], *lengths, f"{share:.2f}", f"{100.0 * one['asleep']:.0f}"])
-    line = f"organ '{organ.name}': its clamp breathes by {1e3 * found['way_m']:g} mm, against implicit finite elements"
+    line = (
+        f"organ '{organ.name}': its clamp breathes by {1e3 * found['way_m']:g} mm, compared with implicit finite"
+        " elements"
+    )
     return "\n".join([line, *aligned(table), "", *bound_lines(found["bounds"])])

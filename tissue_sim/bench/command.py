@@ -15,48 +15,54 @@ from tissue_sim.errors import UserError
 from tissue_sim.unexpected import INTERRUPTED
 
 BENCHMARKS = {
-    "tick": ("tissue_sim.bench.tick_times", "time of a tick beside a C loop, MuJoCo flex and a precomputed compliance"),
+    "tick": (
+        "tissue_sim.bench.tick_times",
+        "time of a tick compared with a C loop, MuJoCo flex and a precomputed compliance",
+    ),
     "table1": ("tissue_sim.bench.table1", "the paper's Table 1 and Figure 6"),
-    "region": ("tissue_sim.bench.region", "how far the local regions are off the whole model"),
+    "region": ("tissue_sim.bench.region", "error of the local regions against the whole model"),
     "tradeoff": (
         "tissue_sim.bench.tradeoff",
-        "run time against error, beside finite elements, MuJoCo, XPBD, ChainMail",
+        "run time against error, compared with finite elements, MuJoCo, XPBD, ChainMail",
     ),
-    "start": ("tissue_sim.bench.start", "from nothing to the first tick and the node's first answer, in parts"),
-    "idle": ("tissue_sim.bench.idle", "what an idle node with a viewer costs, beside a node that only sends"),
+    "start": ("tissue_sim.bench.start", "stages of a start up to the first tick and the node's first answer"),
+    "idle": (
+        "tissue_sim.bench.idle",
+        "processor load of an idle node with a viewer, compared with a node that only publishes",
+    ),
     "markers": (
         "tissue_sim.bench.markers",
-        "what markers cost, plain and coloured, beside a node that only sends them",
+        "processor load of markers, plain and coloured, compared with a node that only publishes them",
     ),
-    "page": ("tissue_sim.bench.page", "pictures a second that the page sends of a scene whose organs all move"),
+    "page": ("tissue_sim.bench.page", "pictures per second that the page sends of a scene whose organs all move"),
     "latency": (
         "tissue_sim.bench.latency",
-        "from a pose to the first wrench computed with it, beside an echo; late ticks",
+        "latency from a pose to the first wrench computed with it, compared with an echo; late ticks",
     ),
     "soak": (
         "tissue_sim.bench.soak",
-        "half an hour of use: drift of the shape at rest, memory, lateness, an intact bag",
+        "half an hour of use: drift of the rest shape, memory, late ticks, a complete bag",
     ),
     "contact": ("tissue_sim.bench.contact", "time of a contact set with two tools in touch"),
-    "pinch": ("tissue_sim.bench.pinch", "two tools squeeze the organ: time of a tick, cells inside out, force"),
-    "presses": ("tissue_sim.bench.presses", "tools enter fast, late or in jumps: is any lost, what does the hand feel"),
+    "pinch": ("tissue_sim.bench.pinch", "two tools compress the organ: time of a tick, inverted cells, force"),
+    "presses": ("tissue_sim.bench.presses", "tools enter fast, late or in jumps: failed presses, error of the force"),
     "haptics": (
         "tissue_sim.bench.haptics",
-        "a device in the loop: how stiff a coupling it bears, by pose rate and delay",
+        "a haptic device in the loop: largest stable coupling stiffness, by pose rate and delay",
     ),
     "palpation": (
         "tissue_sim.bench.palpation.command",
-        "a finger feels for a tumour, against nonlinear finite elements",
+        "palpation of a tumour, against nonlinear finite elements",
     ),
     "breathing": ("tissue_sim.bench.breathing", "an organ whose clamp breathes, against implicit finite elements"),
-    "fall": ("tissue_sim.bench.fall", "loads let fall at once, against the same ones raised: what stays of the swing"),
+    "fall": ("tissue_sim.bench.fall", "suddenly applied loads against slowly raised ones: remaining deformation"),
     "scene": (
         "tissue_sim.bench.scene_times",
-        "organs beside each other: asleep, poked, and what that adds to a tick",
+        "several organs: asleep, poked, and their effect on the time of a tick",
     ),
     "measured": (
         "tissue_sim.bench.measured.command",
-        "bodies that others have measured: what was measured, finite elements, the real-time model",
+        "silicone bodies that others have measured, against finite elements and the real-time model",
     ),
     "stability": ("tissue_sim.bench.stability", "where each integrator and local region is stable"),
     "fuzz": (

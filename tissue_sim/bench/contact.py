@@ -135,13 +135,13 @@ def pressed(organ: Organ, name: str, tools: list[Tool]) -> Pressed:
 
 def text(found: dict[str, Any]) -> str:
     """The figures as a table."""
-    table = [["", "p50 us", "p99 us", "p50 to loop", "points", "sets", "FCL asked", "force N"]]
+    table = [["", "p50 us", "p99 us", "p50 relative to loop", "points", "sets", "FCL queries", "force N"]]
     for row in found["rows"]:
         cells = [figure(row[key]) for key in ("p50_us", "p99_us", "of_fixed_loop", "points", "sets", "fcl_asked")]
         table.append([row["tools"], *cells, f"{row['largest_force_n']:.2f}"])
     lines = [
-        "a contact set for every fourth tick of 1 ms; processor time of one thread;"
-        f" a fixed loop beside it takes {figure(found['fixed_loop_us'])} us",
+        "a contact set for every fourth tick of 1 ms; processor time of one thread; a fixed loop takes"
+        f" {figure(found['fixed_loop_us'])} us",
         "",
         *aligned(table),
         "",

@@ -129,7 +129,7 @@ def hard_ball() -> Tissue:
     surface, atoms = np.asarray(mesh.vertices), np.zeros((5, 3))
     atoms[:, 2] = np.linspace(-0.4, 0.4, 5) * radius
     organ = assemble_organ(
-        name="hard ball",
+        name="hard sphere",
         surface_positions=surface,
         surface_triangles=mesh.faces,
         atom_positions=atoms,

@@ -71,7 +71,7 @@ DEVICES = (
         friction=0.0,
         quantum=0.0,
         most_force=10.0,
-        source="no real device: mass and damping alone, which is all that theory knows",
+        source="not a real device: mass and damping only, the quantities that the theory considers",
     ),
 )
 NO_HAND, GRIP = Hand(0.0, 0.0, 0.0), Hand(0.05, 2.0, 100.0)  # the latter assumed: a light grip of two fingers

@@ -48,7 +48,9 @@ class Fallen(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, check=True)
-    parser.add_argument("--loads", type=int, default=30, help="how many for each traction, spread over the surface")
+    parser.add_argument(
+        "--loads", type=int, default=30, help="number of loads for each traction, distributed over the surface"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,7 +75,7 @@ def measure(organ: Organ, count: int, shares: Sequence[float] = TRACTIONS) -> li
     with rows.until_stopped():
         for share, case in rows.each(todo, "loads"):
             found.append(fallen(simulation, share, cases.kind[case], share * cases.force[case]))
-            rows.tell(f"{share:g} E, {cases.kind[case]}", f"off {100.0 * found[-1].off:.2f} %")
+            rows.tell(f"{share:g} E, {cases.kind[case]}", f"difference {100.0 * found[-1].off:.2f} %")
     return found
 
 
@@ -102,16 +104,20 @@ def as_json(found: Sequence[Fallen]) -> dict[str, Any]:
     judged = [one for one in found if one.traction <= JUDGED]
     up_to = f"up to {JUDGED:g} E"
     bounds = [
-        Bound(f"off what the raised load leaves, {up_to}", 100.0 * max(one.off for one in judged), MOST_OFF, "%"),
-        Bound(f"cells inside out, {up_to}", max(one.turned for one in judged), 0.0, "cells"),
-        Bound(f"loads that settle, {up_to}", 100.0 * float(np.mean([one.settled for one in judged])), 100.0, "%", True),
+        Bound(f"difference from the raised load, {up_to}", 100.0 * max(one.off for one in judged), MOST_OFF, "%"),
+        Bound(f"inverted cells, {up_to}", max(one.turned for one in judged), 0.0, "cells"),
+        Bound(
+            f"loads that converge, {up_to}", 100.0 * float(np.mean([one.settled for one in judged])), 100.0, "%", True
+        ),
     ]
     return {"loads": [one._asdict() for one in found], "bounds": [bound.as_json() for bound in bounds]}
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
     """The figures as a table, a row for each traction."""
-    table = [["traction / E", "loads", "settled", "deepest mm", "off % worst", "inside out", "least volume", "faults"]]
+    table = [
+        ["traction / E", "loads", "settled", "deepest mm", "difference % worst", "inverted", "least volume", "faults"]
+    ]
     for share in dict.fromkeys(one["traction"] for one in found["loads"]):
         some = [one for one in found["loads"] if one["traction"] == share]
         deep, off = 1e3 * max(one["deepest"] for one in some), 100.0 * max(one["off"] for one in some)
@@ -119,5 +125,5 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
         turned, faults = max(one["turned"] for one in some), sum(one["faults"] for one in some)
         least = f"{min(one['least'] for one in some):.2f}"
         table.append([f"{share:g}", *counts, f"{deep:.1f}", f"{off:.2f}", str(turned), least, str(faults)])
-    lines = [f"organ '{organ.name}': loads let fall at once, against the same ones raised within {RAMP:g} s"]
+    lines = [f"organ '{organ.name}': suddenly applied loads, against the same ones raised within {RAMP:g} s"]
     return "\n".join([*lines, *aligned(table), "", *bound_lines(found["bounds"])])

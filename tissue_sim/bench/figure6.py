@@ -90,8 +90,8 @@ def nip_and_release(organ: Organ) -> tuple[Panel, Panel]:
             break
     released = scene.simulation.positions[: organ.n_surface].copy()
     state = "at rest again" if scene.simulation.asleep else "still moving"
-    nip = Panel("nip", f"A  Nip: two jaws press with {force:.2f} N, pull", held, at, *NO_ARROWS)
-    return nip, Panel("release", f"B  Release of the nip: {state}", released, NO_JAWS, *NO_ARROWS)
+    nip = Panel("nip", f"A  Pinch: two jaws press with {force:.2f} N, pull", held, at, *NO_ARROWS)
+    return nip, Panel("release", f"B  Release of the pinch: {state}", released, NO_JAWS, *NO_ARROWS)
 
 
 def _way_out(organ: Organ, start: Floats, direction: Floats) -> float:

@@ -98,7 +98,7 @@ class Cell(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, out="draw the stable stiffness over the delay into FOLDER", check=True)
-    parser.add_argument("--observer", action="store_true", help="with a passivity observer, too, at fewer delays")
+    parser.add_argument("--observer", action="store_true", help="also test the passivity observer, at fewer delays")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -196,16 +196,20 @@ def as_json(rows: Sequence[Row], bare: Sequence[Bare]) -> dict[str, Any]:
     textbook = [row.ratio for row in rows if row.device == DEVICES[-1].name]
     bounds = [
         Bound(
-            "found, of what theory allows, least",
+            "ratio to the theoretical bound, smallest",
             min((row.ratio for row in rows), default=None),
             LEAST_RATIO,
             "",
             least=True,
         ),
-        Bound("the textbook device, found, of theory, most", max(textbook, default=None), MOST_RATIO, ""),
+        Bound(
+            "the textbook device, ratio to the theoretical bound, largest", max(textbook, default=None), MOST_RATIO, ""
+        ),
     ]
     if gains := [row.observed / row.found for row in rows if row.observed is not None and row.found > 0.0]:
-        bounds.append(Bound("with an observer, of without, median", float(np.median(gains)), WORTH, "", least=True))
+        bounds.append(
+            Bound("with an observer, ratio to without, median", float(np.median(gains)), WORTH, "", least=True)
+        )
     return {
         "grip": GRIP._asdict(),
         "devices": [one._asdict() | {"dry_limit": dry_limit(one)} for one in DEVICES],
@@ -225,7 +229,7 @@ def text(found: dict[str, Any]) -> str:
     grip = f"held: by {1e3 * GRIP.mass:g} g, {GRIP.damping:g} N s/m, {GRIP.stiffness:g} N/m (assumed: a light grip)"
     observed = any(row["observed"] is not None for row in found["rows"])
     head = ["device", "poses, Hz", "delay ms", "found N/m", "2 b / T", "b / (T/2 + t)", "found / that"]
-    rows = [[*head, "observer", "of without"] if observed else head]
+    rows = [[*head, "observer", "ratio to without"] if observed else head]
     for row in found["rows"]:
         line = [row["device"], f"{row['rate']:g}", f"{1e3 * row['delay']:g}", _found(row["found"])]
         line += [f"{row['without_delay']:.0f}", f"{row['with_delay']:.0f}", f"{row['ratio']:.2f}"]
@@ -233,12 +237,13 @@ def text(found: dict[str, Any]) -> str:
             gain = "-" if row["observed"] is None else f"{row['observed'] / row['found']:.2f}"
             line += [_found(row["observed"]), gain]
         rows.append(line)
-    bare = [["without a coupling, on the organ", "poses, Hz", "bears a delay of"]]
+    bare = [["without a coupling, on the organ", "poses, Hz", "comes to rest with a delay of"]]
     for one in found["uncoupled"]:
         most = "none" if one["delay"] is None else f"{1e3 * one['delay']:g} ms"
         bare.append([one["device"], f"{one['rate']:g}", most])
     lines = [
-        "largest coupling_stiffness with which a device comes to rest on a hard ball; t: from a pose to its force",
+        "largest coupling_stiffness with which a device comes to rest on a hard sphere; t: time from a pose to its"
+        " force",
         *(f"{one['name']}: {_data(one)}" for one in found["devices"]),
         grip,
         "",

@@ -26,7 +26,7 @@ from tissue_sim.ros.probes.graph import NODE, Graph, ticks
 TURN = 2.0  # s that is measured at once
 RATE = 20.0  # Hz, at which an idle node looks whether anything moved
 MOST, MOST_TO_SEE = 3.0, 4.0  # % of a core; s until a viewer that comes late has the organ
-SERVED, SENDING, BARE = "node with a viewer", "a node that only sends", "a bare loop"
+SERVED, SENDING, BARE = "node with a viewer", "a node that only publishes", "a bare loop"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,8 +81,8 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str
     """
     shares = {name: [turn[name] for turn in turns] for name in turns[0]}
     bounds = [
-        Bound("idle node with a viewer, least of the turns", min(shares[SERVED]), MOST, "% of a core"),
-        Bound("organ seen by a viewer that comes late", seen_after, MOST_TO_SEE, "s"),
+        Bound("idle node with a viewer, smallest of the turns", min(shares[SERVED]), MOST, "% of a core"),
+        Bound("time until a late viewer has the organ", seen_after, MOST_TO_SEE, "s"),
     ]
     return {
         "shares_percent": {
@@ -96,7 +96,7 @@ def as_json(turns: Sequence[Mapping[str, float]], seen_after: float) -> dict[str
 def text(found: Mapping[str, Any]) -> str:
     """The figures as tables."""
     shares = found["shares_percent"]
-    table = [["% of a core", "least", "median", "most", "node's median to this"]]
+    table = [["% of a core", "least", "median", "most", "node's median relative to this"]]
     for name, of in shares.items():
         ratio = figure(shares[SERVED]["median"] / of["median"]) if of["median"] else "-"
         table.append([name, *(f"{of[key]:.2f}" for key in ("least", "median", "most")), f"{ratio} x"])

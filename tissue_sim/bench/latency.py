@@ -33,7 +33,7 @@ TURN = 5.0  # s that each of them is measured for before the next one's turn
 # Of poses, Hz: limits of p50 and p99, us.
 MOST = {1000.0: (450.0, 1000.0), 500.0: (450.0, 1000.0), 100.0: (600.0, None), 30.0: (600.0, None)}
 RATES = tuple(MOST)
-WOKEN = "any wrench, node napping", "echo after as long a pause"
+WOKEN = "any wrench, node napping", "echo after an equally long pause"
 MOST_OF_ECHO, TICKS_BEYOND = 1.5, 1.0  # bound of the answer that ends a nap: so many times the echo's, and ticks
 
 
@@ -44,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--busy",
         action="store_true",
-        help="beside a program on each core that never rests: what a hand feels and what the node gives up, without a"
-        f" real-time priority and with one ({latency_busy.PRIORITY} unless another is given)",
+        help="with a busy program on each core: haptic output and degradation of the node, without a real-time"
+        f" priority and with one (default: {latency_busy.PRIORITY})",
     )
 
 
@@ -119,7 +119,7 @@ def measure(organ_file: str | None, seconds: float, priority: int = 0) -> dict[s
 
 def felt_at(rate: float) -> str:
     """Return the name of trips to the node at a pose rate, Hz."""
-    return f"felt, poses at {rate:g} Hz"
+    return f"wrench, poses at {rate:g} Hz"
 
 
 def echo_at(rate: float) -> str:
@@ -175,11 +175,11 @@ def text(found: dict[str, Any]) -> str:
     late, priority = found["late"], found["realtime_priority"]
     urgent = f"; with real-time priority {priority} and {below(priority)}" if priority else ""
     lines = [
-        f"{found['seconds']:g} s each in turns; a tool in contact, ticks at {found['rate_hz']:g} Hz, one subscriber of"
-        f" markers at 60 Hz{urgent}; felt: the first wrench that was computed with the pose",
+        f"{found['seconds']:g} s each in turn; a tool in contact, ticks at {found['rate_hz']:g} Hz, one subscriber"
+        f" of markers at 60 Hz{urgent}; wrench: the first one that was computed with the pose",
         *aligned(table),
         "",
-        "by ticks, smoothing between poses:",
+        "in ticks, smoothing between poses:",
         *aligned(smoothing.table(found["smoothing"])),
         "",
         f"ticks late by more than a period: node {late['node_percent']:.2f} %, a bare loop as busy"

@@ -92,7 +92,7 @@ def _measure_node(path: str, seconds: float, node: dict[str, Any]) -> None:
             with spinning():
                 phase(BUSY)
             under_way.advance()
-            with progress.task("until nothing is given up") as poking:
+            with progress.task("until no longer degraded") as poking:
                 node["seconds_until_back"] = hand.poke_until_whole(LONGEST_BACK, poking.advance)
             phase(AFTER)
 
@@ -149,7 +149,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
     for node in nodes:
         phases, whose = node["phases"], _whose(node)
         if not (undisturbed := float(np.median(phases[QUIET]["peaks_n"]))) > 0.0:
-            raise UserError("no poke was felt on the quiet machine; an organ wider than 12 mm along x is wanted")
+            raise UserError("no poke had a force on the quiet machine; use an organ wider than 12 mm along x")
         for phase in phases.values():
             off = np.abs(np.array(phase["peaks_n"]) - undisturbed) / undisturbed
             phase["felt_off_percent"] = 100.0 * float(off.max())
@@ -158,12 +158,12 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
             bounds.append(Bound(f"{whose}: worst poke, busy", busy["felt_off_percent"], MOST_FELT, "%"))
         bounds += [
             Bound(
-                f"{whose}: ticks lacking, {name}", 100.0 * (1.0 - phase["ticks_per_second"] / RATE), MOST_LACKING, "%"
+                f"{whose}: missing ticks, {name}", 100.0 * (1.0 - phase["ticks_per_second"] / RATE), MOST_LACKING, "%"
             )
             for name, phase in ((BUSY, busy), (AFTER, after))
             if phase and (name == AFTER or node["realtime_priority"])
         ]
-        bounds.append(Bound(f"{whose}: until nothing is given up", node["seconds_until_back"], LONGEST_BACK, "s"))
+        bounds.append(Bound(f"{whose}: until no longer degraded", node["seconds_until_back"], LONGEST_BACK, "s"))
         if after:
             usual = phases[QUIET]["late_percent"]
             bounds.append(late_bound(f"{whose}: late ticks, {AFTER}", after["late_percent"], usual))
@@ -171,7 +171,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
             bounds.append(late_bound(f"{whose}: late ticks, {BUSY}", busy["late_percent"], busy["bare_late_percent"]))
     if not any(node["realtime_priority"] for node in nodes):
         bounds.append(
-            Bound(f"{_whose({'realtime_priority': priority})}: ticks lacking, {BUSY}", None, MOST_LACKING, "%")
+            Bound(f"{_whose({'realtime_priority': priority})}: missing ticks, {BUSY}", None, MOST_LACKING, "%")
         )
     return {
         "seconds": seconds,
@@ -185,7 +185,7 @@ def as_json(seconds: float, priority: int, nodes: list[dict[str, Any]]) -> dict[
 
 def text(found: dict[str, Any]) -> str:
     """The figures as tables."""
-    rows = [["node", "ticks/s", "late", "bare loop", "given up", "simulated", "highest force", "worst", "longest gap"]]
+    rows = [["node", "ticks/s", "late", "bare loop", "dropped", "simulated", "peak force", "worst", "longest gap"]]
     remarks = []
     for node in found["nodes"]:
         for name, phase in node["phases"].items():
@@ -205,17 +205,18 @@ def text(found: dict[str, Any]) -> str:
         given_up = sorted({what for phase in node["phases"].values() for what in phase["degraded"]})
         if given_up:
             back = node["seconds_until_back"]
-            after = "" if back is None else f"; all back {back:.0f} s after the load"
-            remarks.append(f"{_whose(node)}: gave up {', '.join(given_up)}{after}")
+            after = "" if back is None else f"; no longer degraded {back:.0f} s after the load"
+            remarks.append(f"{_whose(node)}: degraded: {', '.join(given_up)}{after}")
     if not any(node["realtime_priority"] for node in found["nodes"]):
-        remarks.append(f"priority {found['realtime_priority']} was not measured: this user may not ask for it, see"
-                       " 'ulimit -r'")  # fmt: skip
+        remarks.append(f"priority {found['realtime_priority']} was not measured: this user is not allowed it, see"
+            " 'ulimit -r'")  # fmt: skip
     lines = [
-        f"{found['seconds']:g} s each; a poke a second, poses at {found['rate_hz']:g} Hz, one subscriber of markers at"
-        f" 60 Hz; busy: {found['programs']} programs that never rest",
+        f"{found['seconds']:g} s each; a poke a second, poses at {found['rate_hz']:g} Hz, one subscriber of markers"
+        f" at 60 Hz; busy: {found['programs']} programs that never sleep",
         *aligned(rows),
         *remarks,
-        "late: by more than a period; worst: of the pokes, how far from the quiet ones; longest gap: between poses",
+        "late: by more than a period; worst: largest difference of a poke from the quiet ones; longest gap:"
+        " between poses",
         "",
         *bound_lines(found["bounds"]),
     ]

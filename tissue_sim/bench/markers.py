@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 RATE = 60.0  # Hz, of the markers
 TURN = 4.0  # s that is measured at once, with a subscriber or without
 COLOURS = {"plain": "none", "coloured": "displacement"}
-SERVED, SENDING = "node", "a node that only sends"
+SERVED, SENDING = "node", "a node that only publishes"
 SETTLING = 1.0  # s for a subscriber to be there
 MARKERS = {SERVED: f"/{NODE}/markers", SENDING: "/sender/markers"}
 MOST, LEAST_RATE = 3.0, 50.0  # % of a core, Hz
@@ -46,9 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--loss",
         type=float,
-        help="count surfaces behind a link that loses this share of the packets instead (Linux, root)",
+        help="instead, count surfaces that pass a link that loses this fraction of the packets (Linux, root)",
     )
-    instead.add_argument("--points", type=int, help="count markers and surfaces of an organ of so many points instead")
+    instead.add_argument(
+        "--points", type=int, help="instead, count markers and surfaces of an organ with this number of points"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -159,14 +161,14 @@ def as_json(turns: Mapping[str, Sequence[Mapping[str, Mapping[str, float]]]]) ->
         table.append(row)
         bounds += [
             Bound(f"{colouring} markers at {RATE:g} Hz", row[SERVED]["percent_at_rate"], MOST, "% of a core"),
-            Bound(f"{colouring} markers that come", row[SERVED]["hz"], LEAST_RATE, "Hz", least=True),
+            Bound(f"{colouring} markers that arrive", row[SERVED]["hz"], LEAST_RATE, "Hz", least=True),
         ]
     return {"rows": table, "bounds": [bound.as_json() for bound in bounds]}
 
 
 def text(found: Mapping[str, Any]) -> str:
     """The figures as tables."""
-    table = [["what one subscriber adds", "", "% of a core", "Hz", "us each", "node's to this"]]
+    table = [["for each further subscriber", "", "% of a core", "Hz", "us each", "node's relative to this"]]
     for row in found["rows"]:
         for name in MARKERS:
             one = row[name]

@@ -44,9 +44,9 @@ PAGE, SERVED, BARE = "the page", "the node", "a bare loop"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, seconds=20.0, check=True, organ=None)
-    parser.add_argument("--scene", metavar="FILE", help="show the organs of this scene (.yaml); default: the abdomen")
+    parser.add_argument("--scene", metavar="FILE", help="scene (.yaml) whose organs are shown; default: the abdomen")
     parser.add_argument(
-        "--delay", type=float, metavar="S", help="watch from behind a link that takes so long each way (Linux, root)"
+        "--delay", type=float, metavar="S", help="view across a link with this delay in each direction, s (Linux, root)"
     )
 
 
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--delay {args.delay:g} is outside 0..1")
     path = Path(args.scene) if args.scene else shipped_file(SCENE)
     if path is None:
-        raise UserError("no scene comes with this installation; name one with --scene")
+        raise UserError("no scene is part of this installation; name one with --scene")
     with nullcontext(HERE) if args.delay is None else far(args.delay) as (host, within):
         found = measure(SceneFile.read(path), args.seconds, host, within)
     emit(found, text(found), args.json)
@@ -89,7 +89,7 @@ def measure(scene: SceneFile, seconds: float, host: str, within: Sequence[str]) 
         page = graph.start_command("view", "--host", host, "--port", str(free_port()), "--node", NODE)
         children = {PAGE: page, SERVED: node, BARE: graph.start("probes.sleeper", str(LEAST))}
         watcher = graph.start("probes.page_watcher", served_at(page), str(seconds), within=within)
-        first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture came")
+        first_within(lambda: watcher.output or watcher.exit_code is not None, START_TIME, "no picture arrived")
         own = graph.enter_context(client_node("bench", NODE))
         topic = f"/{NODE}/{scene.names[0]}/surface"
         viewer = graph.enter_context(Viewer(own, topic))
@@ -162,7 +162,7 @@ def as_json(
             }
         )
     least = min(row["pictures_hz"] for row in rows)
-    bounds = [Bound("pictures of each organ, least", least, LEAST, "a second", least=True)]
+    bounds = [Bound("pictures of each organ, fewest", least, LEAST, "a second", least=True)]
     return {
         "organs": rows,
         "seconds": int(moving.sum()),
@@ -174,9 +174,12 @@ def as_json(
 
 def text(found: Mapping[str, Any]) -> str:
     """The figures as tables."""
-    rows = [["organ", "points", "pictures a second", "in the worst"]]
+    rows = [["organ", "points", "pictures a second", "in the worst second"]]
     for row in found["organs"]:
         rows.append([row["organ"], str(row["points"]), f"{row['pictures_hz']:.1f}", str(row["worst_second"])])
     shares = [["% of a core", ""], *([name, f"{share:.1f}"] for name, share in found["shares_percent"].items())]
-    about = f"{found['seconds']} s in which all moves; {found['megabytes_a_second']:.1f} MB a second over the websocket"
+    about = (
+        f"{found['seconds']} s in which all organs move; {found['megabytes_a_second']:.1f} MB a second over the"
+        " websocket"
+    )
     return "\n".join([about, "", *aligned(rows), "", *aligned(shares), "", *bound_lines(found["bounds"])])

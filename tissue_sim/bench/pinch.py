@@ -33,10 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference",
         metavar="FILE",
-        help="forces of finite elements to compare with; default: those of the kidney that ships, which come with it",
+        help="file of finite-element forces to compare with; default: those of the kidney of this package",
     )
     parser.add_argument(
-        "--remake", action="store_true", help="squeeze finite elements first, and write their forces there: 20 minutes"
+        "--remake",
+        action="store_true",
+        help="first compute the forces of the finite elements and write them there: 20 minutes",
     )
 
 
@@ -104,13 +106,13 @@ def as_json(pinches: Sequence[Pinch], bursts: Floats, reference: dict[str, Any] 
     gentle = [row for row in table if row["share_percent"] < 50.0]
     bounds = [
         Bound(
-            "cells inside out, held at 20 and 40 %",
+            "inverted cells, held at 20 and 40 %",
             max((row["held_turned"] for row in gentle), default=None),
             0.0,
             "cells",
         ),
-        Bound("cells inside out long after", max((row["left_turned"] for row in table), default=None), 0.0, "cells"),
-        Bound("what stays of the shape", max((row["left_mm"] for row in table), default=None), MOST_LEFT, "mm"),
+        Bound("inverted cells long after", max((row["left_turned"] for row in table), default=None), 0.0, "cells"),
+        Bound("remaining deformation", max((row["left_mm"] for row in table), default=None), MOST_LEFT, "mm"),
         Bound("tick, p99 of the worst", max((row["p99_us"] for row in table), default=None), MOST_TICK, "us"),
     ]
     stated = [bound.as_json() for bound in bounds]
@@ -133,8 +135,9 @@ def text(found: dict[str, Any]) -> str:
         ends = [f"{row['least_volume']:.2f}", str(row["left_turned"]), str(row["faults"]), f"{row['force_n']:.2f}"]
         table.append([row["tools"], row["axis"], *numbers, *counts, *ends])
     lines = [
-        "squeezed by a share of the width in 0.8 s, held for 0.4 s, let go in 0.3 s; processor time of one thread",
-        f"a fixed loop beside it takes {figure(found['fixed_loop_us'])} us",
+        "compressed by a fraction of the width in 0.8 s, held for 0.4 s, released in 0.3 s; processor time of one"
+        " thread",
+        f"a fixed loop takes {figure(found['fixed_loop_us'])} us",
         "",
         *aligned(table, 2),
         "",

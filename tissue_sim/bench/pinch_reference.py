@@ -138,14 +138,14 @@ def read(path: Path, organ: Organ) -> dict[str, Any]:
     except OSError as error:
         raise UserError(f"cannot read reference {path}: {error.strerror}; make it with --remake") from None
     except (ValueError, KeyError, TypeError):
-        raise UserError(f"{path} is no table of 'tissue_sim bench pinch'; make one with --remake") from None
+        raise UserError(f"{path} is not a table of 'tissue_sim bench pinch'; make one with --remake") from None
     if made_for != fits(organ):
         raise UserError(
             f"reference {path} was made for organ '{name}' of another surface, clamp or material than '{organ.name}';"
             " make one with --remake"
         )
     if [row[:2] for row in pinches] != [(axis, 100.0 * share) for axis in "xyz" for share in SHARES]:
-        raise UserError(f"reference {path} has other pinches than these; make it anew with --remake")
+        raise UserError(f"reference {path} has other pinches than these; make it again with --remake")
     return dict(table)
 
 
@@ -165,7 +165,7 @@ def measure(organ: Organ, table: dict[str, Any]) -> list[Compared]:
                     row["axis"], row["share_percent"], forces[free], reference, least, row.get("least_volume")
                 )
                 found.append(one)
-                off = "not settled" if one.off is None else f"off {one.off:.1f} %"
+                off = "not converged" if one.off is None else f"error {one.off:.1f} %"
                 rows.tell(f"{one.axis}, {one.share:g} %", off)
     return found
 
@@ -234,4 +234,7 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
         least = ["-" if row[key] is None else f"{row[key]:.2f}" for key in ("least_volume", "reference_least")]
         off = "-" if row["off_percent"] is None else f"{row['off_percent']:.1f}"
         table.append([row["axis"], f"{row['share_percent']:.0f}", *sizes, off, *least])
-    return ["spheres that don't slip, held, beside quasi-static finite elements between the same:", *aligned(table)]
+    return [
+        "spheres without slip, held, compared with quasi-static finite elements between the same spheres:",
+        *aligned(table),
+    ]

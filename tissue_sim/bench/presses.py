@@ -164,9 +164,11 @@ class Pressed(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    add_shared(parser, organ="three organs that ship", check=True)
-    parser.add_argument("--places", type=int, default=3, help="on each organ, for each tool (default: 3)")
-    parser.add_argument("--friction", type=float, metavar="MU", help="of the tools (default: the node's)")
+    add_shared(parser, organ="three organs of this package", check=True)
+    parser.add_argument(
+        "--places", type=int, default=3, help="number of points on each organ, for each tool (default: 3)"
+    )
+    parser.add_argument("--friction", type=float, metavar="MU", help="friction of the tools (default: the node's)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -202,7 +204,7 @@ def measure(files: Sequence[str], n_places: int, friction: float | None = None) 
                     if pressed:
                         lost = sum(one.is_lost for one in pressed)
                         name = f"{organ.name}, {form.name}, place {number + 1}"
-                        rows.tell(name, f"{len(pressed)} presses", f"{lost} lost")
+                        rows.tell(name, f"{len(pressed)} presses", f"{lost} failed")
     return found
 
 
@@ -241,11 +243,11 @@ def at_place(
 def as_json(pressed: Sequence[Pressed]) -> dict[str, Any]:
     """Return the figures of all presses, and by organ, tool and motion. Raises UserError when there are none."""
     if not pressed:
-        raise UserError(f"no place of the organs resists a slow press with {LEAST_FORCE:g} N; try other ORGANs")
+        raise UserError(f"no point of the organs resists a slow press with {LEAST_FORCE:g} N; try other ORGANs")
     total = figures(pressed)
     bounds = [
-        Bound("presses that are lost", float(total["lost"]), 0.0, ""),
-        Bound("force 0.3 s later, off the slow press's by, median", total["median_off_percent"], MOST_OFF, "%"),
+        Bound("failed presses", float(total["lost"]), 0.0, ""),
+        Bound("force 0.3 s later, difference from the slow press, median", total["median_off_percent"], MOST_OFF, "%"),
     ]
     return {
         "all": total,
@@ -280,18 +282,18 @@ def figures(pressed: Sequence[Pressed]) -> dict[str, float]:
 
 def text(found: dict[str, Any]) -> str:
     """Return the figures as tables."""
-    table = [["", "presses", "lost", f"within {MOST_OFF:g} %", "median off", "p95", "worst"]]
+    table = [["", "presses", "failed", f"within {MOST_OFF:g} %", "median difference", "p95", "worst"]]
     for name, one in (("all", found["all"]), *found["organs"].items(), *found["tools"].items()):
         table.append(_row(name, one))
     table += [_row(name, one) for name, one in found["motions"].items()]
     lines = [
-        f"force {HELD:g} s after a press, beside a press at {SLOW:g} m/s to the same place",
+        f"force {HELD:g} s after a press, compared with a press at {SLOW:g} m/s to the same position",
         "",
         *aligned(table),
         "",
         *(
-            f"lost: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['felt']):.3f} N instead of"
-            f" {np.linalg.norm(one['slow']):.3f} N; longest between two poses {1e3 * one['gap']:.0f} ms"
+            f"failed: {one['organ']}, {one['form']}, {one['motion']}: {np.linalg.norm(one['felt']):.3f} N instead"
+            f" of {np.linalg.norm(one['slow']):.3f} N; longest between two poses {1e3 * one['gap']:.0f} ms"
             for one in found["lost"]
         ),
         *bound_lines(found["bounds"]),

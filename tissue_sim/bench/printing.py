@@ -32,7 +32,7 @@ def with_remarks(table: Sequence[Sequence[str]]) -> list[str]:
 
 
 NOISY = 1.5  # p99 over median of a fixed loop, from which times are to be read as ratios only
-STOPPED = "stopped by Ctrl-C: this is what was measured so far"
+STOPPED = "stopped by Ctrl-C: these are the measurements so far"
 
 
 class Bound(NamedTuple):
@@ -63,7 +63,7 @@ def bound_lines(bounds: Iterable[Mapping[str, Any]]) -> list[str]:
     for bound in bounds:
         sign = ">=" if bound["least"] else "<="
         value = "-" if bound["value"] is None else f"{bound['value']:.4g} {bound['unit']}"
-        unknown = "not measured" if bound["value"] is None else "held so far"
+        unknown = "not measured" if bound["value"] is None else "met so far"
         verdict = {True: "held", False: "missed", None: unknown}[bound["met"]]
         table.append([bound["name"], value, f"{sign} {bound['limit']:g} {bound['unit']}", verdict])
     return with_remarks(table)
@@ -99,7 +99,9 @@ def noise_lines(noise: float | None) -> list[str]:
     """A remark on noise, the p99 of a fixed loop over its median, where it is high; nothing where it is not known."""
     if noise is None or noise < NOISY:
         return []
-    return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
+    return [
+        f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; rely on medians and ratios"
+    ]
 
 
 def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:

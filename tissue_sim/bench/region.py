@@ -69,8 +69,12 @@ class SizeErrors(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, seconds=1.0, check=True)
-    parser.add_argument("--places", type=int, default=6, help="how many places, drawn at random, beside the outermost")
-    parser.add_argument("--points", type=int, nargs="+", default=[], help="sizes of a bean to be timed, too")
+    parser.add_argument(
+        "--places", type=int, default=6, help="number of points drawn at random, in addition to the outermost"
+    )
+    parser.add_argument(
+        "--points", type=int, nargs="+", default=[], help="also time bean-shaped bodies with these numbers of points"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -123,8 +127,8 @@ def measure(organ: Organ, count: int) -> list[PlaceErrors]:
                     )
                 )
                 rows.tell(
-                    f"place {place}, {force:.2f} N",
-                    f"modal off {cases[-1].modal:.1f} %",
+                    f"point {place}, {force:.2f} N",
+                    f"error modal {cases[-1].modal:.1f} %",
                     f"auto {cases[-1].auto:.1f} %",
                 )
     return cases
@@ -223,7 +227,7 @@ def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]
             "%",
         ),
         Bound("auto against the whole model, all forces", max(case.auto for case in cases), WHOLE_NONLINEAR, "%"),
-        Bound("cases that settle", 100.0 * float(np.mean([case.settled for case in cases])), 100.0, "%", least=True),
+        Bound("cases that converge", 100.0 * float(np.mean([case.settled for case in cases])), 100.0, "%", least=True),
     ]
     return {
         "bounds": [bound.as_json() for bound in bounds],
@@ -234,20 +238,24 @@ def as_json(cases: list[PlaceErrors], sizes: list[SizeErrors]) -> dict[str, Any]
 
 def text(organ: Organ, cases: list[PlaceErrors], sizes: list[SizeErrors], found: dict[str, Any]) -> str:
     """The tables and the bounds as text."""
-    rows = [["place", "N", "dent mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
+    rows = [["point", "N", "indentation mm", "modal/linear %", "modal %", "auto %", "is", "frozen %", "linear %"]]
     for case in cases:
         frozen = "-" if case.frozen is None else f"{case.frozen:.1f}"
         errors = [f"{case.modal_linear:.1f}", f"{case.modal:.1f}", f"{case.auto:.1f}"]
-        taken = ("whole" if case.handed_over else "region") + ("" if case.settled else ", not settled")
+        taken = ("whole" if case.handed_over else "region") + ("" if case.settled else ", not converged")
         number = [str(case.place), f"{case.force:.2f}", f"{1e3 * case.dent:.2f}"]
         rows.append([*number, *errors, taken, frozen, f"{case.linear:.1f}"])
-    lines = [f"organ '{organ.name}': settled surface, {PATCH_NODES}-node patches, relative L2", *aligned(rows)]
+    lines = [f"organ '{organ.name}': equilibrium surface, {PATCH_NODES}-node patches, relative L2", *aligned(rows)]
     if sizes:
-        rows = [["points", "cells", "whole us", "modal us", "handing over %, small", "3 mm", "auto takes"]]
+        rows = [["points", "cells", "whole us", "modal us", "switching %, small", "3 mm", "auto uses"]]
         for size in sizes:
             times = [figure(1e6 * size.whole.median), figure(1e6 * size.modal.median)]
             errors = ["-" if error is None else f"{error:.1f}" for error in (size.small, size.dented)]
             errors += ["a region" if size.auto else "the whole"]
             rows.append([str(size.points), str(size.cells), *times, *errors])
-        lines += ["", "beans of cells, not calibrated; errors of the worst of the outermost places", *aligned(rows)]
+        lines += [
+            "",
+            "bean-shaped bodies of cells, not calibrated; largest error at the outermost points",
+            *aligned(rows),
+        ]
     return "\n".join([*lines, "", *bound_lines(found["bounds"])])

@@ -91,9 +91,7 @@ class Figures(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, check=True)
-    parser.add_argument(
-        "--scene", metavar="FILE", help="the scene (.yaml) that is timed; without it the abdomen that ships"
-    )
+    parser.add_argument("--scene", metavar="FILE", help="scene (.yaml) to time; default: the abdomen of this package")
     parser.add_argument("--quick", action="store_true", help="fewer samples")
 
 
@@ -112,7 +110,7 @@ def shipped_scene() -> Path:
     """Path of the abdomen that ships. Raises UserError when it isn't there."""
     found = shipped_file(SHIPPED)
     if found is None:
-        raise UserError(f"no {SHIPPED} comes with this installation; name a scene with --scene")
+        raise UserError(f"{SHIPPED} is not part of this installation; name a scene with --scene")
     return found
 
 
@@ -165,7 +163,7 @@ def lacking(scene: SceneFile) -> Lacking:
     seconds = max(LEAST_BREATH, float(some.joined.carried.breath.period))
     moved = felt = 0.0
     awake, ticks = np.zeros(2), round(seconds / TICK)
-    for tick in progress.steps(range(ticks), "what isn't felt"):
+    for tick in progress.steps(range(ticks), "loads below the wake threshold"):
         for number, (made, press) in enumerate(scenes):
             if tick % LOOK == 0:
                 press()
@@ -259,22 +257,27 @@ def bounds(measured: Figures) -> list[Bound]:
     """Every bound with its figure."""
     median = {row.name: row.timing.median for row in measured.rows}
     found = [
-        Bound("two organs of which one is poked, against that one alone", median[BESIDE] / median[ALONE], 1.05, "x"),
+        Bound(
+            "two organs of which one is poked, relative to that one alone", median[BESIDE] / median[ALONE], 1.05, "x"
+        ),
         Bound("an organ that sleeps", 1e6 * median[ASLEEP] / ORGANS, 1.0, "us"),
     ]
     if TOUCHED in median:
         others = {ALONE, BESIDE, ASLEEP, AWAKE, SCENE, TOUCHED}
         one = max(time for name, time in median.items() if name not in others)
         found += [
-            Bound("the scene, any one poked, against one organ alone", one / median[ALONE], MOST_ONE, "x"),
+            Bound("the scene, any one poked, relative to one organ alone", one / median[ALONE], MOST_ONE, "x"),
             Bound(
-                "the scene, a tool on each, against one organ alone", median[TOUCHED] / median[ALONE], MOST_TOUCHED, "x"
+                "the scene, a tool on each, relative to one organ alone",
+                median[TOUCHED] / median[ALONE],
+                MOST_TOUCHED,
+                "x",
             ),
         ]
     if measured.lacking is not None:
         found += [
-            Bound("what organs lack that don't feel everything", 1e3 * measured.lacking.moved, 1e3 * UNFELT, "mm"),
-            Bound("what a hand on one lacks", 1e3 * measured.lacking.felt, 1e3 * UNFELT_FORCE, "mN"),
+            Bound("error of organs with a wake threshold", 1e3 * measured.lacking.moved, 1e3 * UNFELT, "mm"),
+            Bound("error of the haptic output on one", 1e3 * measured.lacking.felt, 1e3 * UNFELT_FORCE, "mN"),
         ]
     return found
 
@@ -310,15 +313,15 @@ def text(found: dict[str, Any]) -> str:
     """The tables for people."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points, {1e3 * APART:g} mm from the next one;"
-        f" poked: {1e3 * found['force_n']:g} mN on a {PATCH_NODES}-node patch, swelling and ebbing 5 times a second",
-        "processor time of one thread for a tick of 1 ms; all rows measured in turns in one run",
+        f" poked: {1e3 * found['force_n']:g} mN on a {PATCH_NODES}-node patch, oscillating 5 times a second",
+        "processor time of one thread for a tick of 1 ms; all rows measured in turn in one run",
         "",
     ]
     lines += with_remarks(_table(found["rows"]))
     if found["organs_awake"] is not None:
         awake, of_all = found["organs_awake"], found["organs_awake_where_all_is_felt"]
         lines += ["", f"a breath of the scene with a tool on {found['scene'][0]}: {awake:.2f} organs awake on average,"]
-        lines[-1] += f" {of_all:.2f} where they feel all loads"
+        lines[-1] += f" {of_all:.2f} if they respond to all loads"
     return "\n".join([*lines, "", *bound_lines(found["bounds"]), *noise_lines(found["noise"])])
 
 
@@ -326,7 +329,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     table = [["", "organs", "median us", "p99 us", "samples", ""]]
     for row in rows:
         figures = [figure(row[key]) for key in ("median_us", "p99_us")]
-        late = "more than a core keeps up with at 1 kHz" if row["share_of_tick"] > 1.0 else ""
+        late = "more than one core can compute at 1 kHz" if row["share_of_tick"] > 1.0 else ""
         share = f"{100.0 * row['share_of_tick']:.0f} % of a core at 1 kHz"
         table.append([row["name"], str(row["organs"]), *figures, str(row["samples"]), late or share])
     return table

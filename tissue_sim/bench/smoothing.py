@@ -71,7 +71,7 @@ def as_json(found: list[Smoothed]) -> list[dict[str, Any]]:
 
 def table(found: list[dict[str, Any]]) -> list[list[str]]:
     """Return the figures as rows of words, the first of which heads them."""
-    rows = [["poses, Hz", "smoothing", "half of a step is felt after, ticks", "largest step of force, mN"]]
+    rows = [["poses, Hz", "smoothing", "half of a step takes effect after, ticks", "largest step of force, mN"]]
     for one in found:
         rows.append([f"{one['rate']:g}", f"{one['smoothing']:g}", f"{one['half']}", f"{1e3 * one['step']:.1f}"])
     return rows

@@ -59,11 +59,11 @@ class Soaked(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, out="folder for a plot of memory and lateness over time", check=True)
-    parser.add_argument("--minutes", type=float, default=30.0, help="how long the tools are played")
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration, minutes")
     add_priority(parser)
-    parser.add_argument("--bag-folder", metavar="DIR", help="keep the bag in this folder; else it is deleted")
+    parser.add_argument("--bag-folder", metavar="DIR", help="folder for the bag (default: it is deleted)")
     parser.add_argument(
-        "--replay", action="store_true", help="also replay the bag, tick by tick; needs memory for all of it"
+        "--replay", action="store_true", help="also replay the bag, tick by tick; needs memory for the whole bag"
     )
 
 
@@ -119,7 +119,7 @@ def measure(
         problems, failures = watch.problems(), watch.failures
         served.stop()
         if served.exit_code != 0:
-            raise UserError(f"the node did not end as it should: {served.last_words()}")
+            raise UserError(f"the node did not shut down properly: {served.last_words()}")
     return Soaked(
         organ=organ.name,
         minutes=round((samples[-1].seconds - samples[0].seconds) / 60.0, 2) if rows.stopped() else minutes,
@@ -169,7 +169,7 @@ def _soak(
 def _check_alive(*children: Child) -> None:
     for child in children:
         if child.exit_code is not None:
-            raise UserError(f"the {child.name} ended before its time: {child.last_words()}")
+            raise UserError(f"the {child.name} ended too early: {child.last_words()}")
 
 
 def _bridge() -> Child:
@@ -183,7 +183,7 @@ def _force_clamp(node: Any) -> float:
     from tissue_sim.ros.probes.graph import first_within
     from tissue_sim.ros.shared.node_parameters import NodeParameters
 
-    values = first_within(NodeParameters(node, NODE).poll, PATIENCE, "the node told no parameters")
+    values = first_within(NodeParameters(node, NODE).poll, PATIENCE, "the node sent no parameters")
     return float((values or {})["force_clamp"])
 
 
@@ -232,18 +232,18 @@ def as_json(soaked: Soaked) -> dict[str, Any]:
     memory = memory_of(seconds, [one.megabytes for one in samples])
     dropped = last.dropped - first.dropped
     bounds = [
-        Bound("drift of the shape at rest", soaked.drift, MOST_DRIFT, "m"),
+        Bound("drift of the rest shape", soaked.drift, MOST_DRIFT, "m"),
         Bound("growth of the node's own memory", memory["growth_mb"], MOST_GROWTH, "MB"),
         Bound("highest force", bag.highest_force, soaked.clamp, "N"),
         Bound("wrenches and surfaces that are not finite", bag.not_finite, 0.0, ""),
-        Bound("messages that the bag lacks", bag.missing, 0.0, ""),
+        Bound("messages missing from the bag", bag.missing, 0.0, ""),
         Bound("problems in the diagnostics", sum(problems.values()) + len(soaked.failures), 0.0, ""),
-        Bound("ticks given up", dropped, 0.0, ""),
+        Bound("dropped ticks", dropped, 0.0, ""),
     ]
     if bare_share is not None:
         bounds.append(late_bound("ticks late by more than a period", node_share, bare_share))
     if repeats is not None:
-        bounds.append(Bound("replay that does not repeat", float(not repeats), 0.0, ""))
+        bounds.append(Bound("deviation of the replay", float(not repeats), 0.0, ""))
     return {
         "organ": soaked.organ,
         "minutes": soaked.minutes,
@@ -284,11 +284,11 @@ def text(found: dict[str, Any]) -> str:
     for name, memory in (("the node's own", found["memory"]), ("shared with others", found["shared_memory"])):
         table.append([name, *(shown(memory[key], lambda value: f"{value:.2f}") for key in keys)])
     lines = [
-        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz{preferred}: two tools played, one subscriber of"
+        f"{found['minutes']:g} min at {found['rate_hz']:g} Hz{preferred}: two scripted tools, one subscriber of"
         " markers at 60 Hz, a bag",
         *aligned(table),
         "",
-        f"ticks late by more than a period: node {late['node_percent']:.2f} % of {late['ticks']}, a bare loop beside it"
+        f"ticks late by more than a period: node {late['node_percent']:.2f} % of {late['ticks']}, a bare loop"
         f" {shown(late['bare_percent'], lambda value: f'{value:.2f}')} %",
         f"bag: {1e-6 * bag['bytes']:.0f} MB, {bag['messages']} messages, {bag['wrenches']} wrenches up to"
         f" {bag['highest_force']:.2f} N, {bag['surfaces']} surfaces",

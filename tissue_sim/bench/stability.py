@@ -31,18 +31,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(
         parser,
-        organ="the kidney that ships, a small ellipsoid with --quick",
+        organ="the kidney of this package, a small ellipsoid with --quick",
         out="write stability.png and stability.json there",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer cells and shorter times, within a minute")
+    parser.add_argument("--quick", action="store_true", help="fewer runs and shorter times, within a minute")
     parser.add_argument(
         "--axes",
         metavar="A,B",
-        help=f"of {', '.join(AXES)}; force and depth mean each of theirs (default: all, some fewer with --quick)",
+        help=f"axes of {', '.join(AXES)}; force and depth select all of their axes (default: all, fewer with --quick)",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="let the workers of a Dask cluster do it instead")
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a cell with default settings diverged")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="use the workers of a Dask cluster")
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a run with default settings diverged")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         from tissue_sim.bench.sweeps.stability_map import draw_map
 
         picture = Path(args.out) / "stability.png"
-        draw_map(records, f"Stability of {report['organ']}: {len(records)} cells", picture)
+        draw_map(records, f"Stability of {report['organ']}: {len(records)} runs", picture)
         write_json(report, picture.with_suffix(".json"))
         told([picture])
     return int(bool(args.check and violations(records)))
@@ -118,7 +118,7 @@ def violations(records: Sequence[Record]) -> list[Record]:
 def summary(records: Sequence[Record], seconds: float) -> str:
     """What the terminal shows: counts by axis, then every cell that breaks the requirement."""
     lines = [
-        f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'led back':>9} {'violations':>11}"
+        f"{'axis':12} {'cells':>6} {'stable':>7} {'guarded':>8} {'diverged':>9} {'recovered':>9} {'violations':>11}"
     ]
     for axis in dict.fromkeys(record.axis for record in records):
         some = [record for record in records if record.axis == axis]
@@ -131,7 +131,7 @@ def summary(records: Sequence[Record], seconds: float) -> str:
     broken = violations(records)
     judged = sum(record.judged for record in records)
     lines.append(
-        f"{len(records)} cells in {seconds:.0f} s; with default settings {judged}, of which {len(broken)} failed"
+        f"{len(records)} runs in {seconds:.0f} s; with default settings {judged}, of which {len(broken)} failed"
     )
     for record in broken:
         lines.append(

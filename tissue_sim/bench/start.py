@@ -79,7 +79,7 @@ class Start(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, check=True)
-    parser.add_argument("--quick", action="store_true", help="kernels on disk alone")
+    parser.add_argument("--quick", action="store_true", help="kernels on disk only")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -217,8 +217,8 @@ def text(found: Mapping[str, Any]) -> str:
     parts = list(next(iter(starts.values()))["parts"])
     table = [["a new process up to its first tick, s", *starts]]
     table += [[part, *(f"{start['parts'][part]:.2f}" for start in starts.values())] for part in parts]
-    table.append(["all, by the clock on the wall", *(f"{start['wall']:.2f}" for start in starts.values())])
-    table.append(["all, of the processor", *(f"{start['processor']:.2f}" for start in starts.values())])
+    table.append(["total, wall time", *(f"{start['wall']:.2f}" for start in starts.values())])
+    table.append(["total, processor time", *(f"{start['processor']:.2f}" for start in starts.values())])
     for name, peer in peers.items():
         ratios = (figure(start["processor"] / peer["processor"]) for start in starts.values())
         table.append([f"times a process that {name}", *(f"{ratio} x" for ratio in ratios)])
@@ -232,7 +232,7 @@ def text(found: Mapping[str, Any]) -> str:
         slowest, everything = sorted(compiled, key=compiled.__getitem__, reverse=True), sum(compiled.values())
         shown = [(name, compiled[name]) for name in slowest[:SHOWN]]
         shown.append(("all others", everything - sum(seconds for _, seconds in shown)))
-        rows = [["compiling by module, without what is called", "s", "%"]]
+        rows = [["compiling by module, without called functions", "s", "%"]]
         rows += [[name, f"{seconds:.2f}", f"{100.0 * seconds / everything:.0f}"] for name, seconds in shown]
         lines += ["", *aligned(rows)]
     lines.append("")

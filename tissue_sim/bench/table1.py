@@ -71,8 +71,10 @@ class Entry(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(parser, organ=AS_BUILT_ORGAN, out="write Figure 6 there, as PNG")
-    parser.add_argument("--unit", type=float, default=2.0, help="mN that one unit of the paper's forces stands for")
-    parser.add_argument("--quick", action="store_true", help="shorter measurements, and 2 s instead of 5 to settle")
+    parser.add_argument("--unit", type=float, default=2.0, help="mN that represent one unit of the paper's forces")
+    parser.add_argument(
+        "--quick", action="store_true", help="shorter measurements, and 2 s instead of 5 s to reach equilibrium"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -177,13 +179,13 @@ def text(found: dict[str, Any]) -> str:
         f"Table 1 of the paper on '{found['organ']}': {found['surface_points']} surface points,"
         f" {found['medial_atoms']} medial atoms, {found['interior_atoms']} interior atoms",
         f"one unit of force is {1e3 * found['unit_n']:g} mN: LF(100) is {100 * found['unit_n']:g} N on one point,"
-        f" GF(500) {500 * found['unit_n']:g} N shared by {GLOBAL_POINTS} points",
-        "an update is one tick of 1 ms from inputs to positions, every substep, the guard and the wrenches counted,"
-        " drawing not; the paper's (2006, Pentium 4) grows with the force",
+        f" GF(500) {500 * found['unit_n']:g} N distributed over {GLOBAL_POINTS} points",
+        "an update is one tick of 1 ms from inputs to positions, including every substep, the guard and the"
+        " wrenches, but not drawing; the paper's (2006, Pentium 4) grows with the force",
         "",
     ]
     table = [["force", "model", "ms/update", "p99", "paper", "paper/ours"]]
-    table[0] += ["substeps", "nodes", "settled", "largest mm", "off whole model"]
+    table[0] += ["substeps", "nodes", "settled", "largest mm", "error"]
     for row in found["rows"]:
         paper = row["paper_ms"]
         table.append(
@@ -203,9 +205,7 @@ def text(found: dict[str, Any]) -> str:
         )
     lines += aligned(table, left=2)
     lines.append("")
-    lines.append(
-        "off whole model: relative L2 of the settled surface displacement against Hybrid MS under the same force"
-    )
+    lines.append("error: relative L2 of the equilibrium surface displacement against Hybrid MS under the same force")
     return "\n".join(lines + noise_lines(found["noise"]))
 
 
@@ -218,7 +218,7 @@ def panels(organ: Organ, unit: float, cells: dict[str, dict[str, Entry]], *, wit
     found = list(nip_and_release(organ)) if with_nip else []
     for letter, name, column in (("C", "global", WHOLE), ("D", "surface_global", "Surface MS")):
         cell = cells[force.name][column]
-        ending = "" if cell.settled else ", not settled"
+        ending = "" if cell.settled else ", not converged"
         title = f"{letter}  {column}: {unit * force.magnitude:g} N on {force.points} points{ending}"
         found.append(Panel(name, title, organ.surface_positions + cell.displacement, NO_JAWS, nodes, forces))
     return found

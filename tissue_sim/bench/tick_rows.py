@@ -30,7 +30,7 @@ TOOL_STEP = 1e-4  # m, by which it is pressed deeper every 4 ticks
 
 # Names of rows that bounds refer to.
 WHOLE = "hybrid, symplectic"
-CELLS = "cells of the kidney that ships"
+CELLS = "cells of the calibrated kidney"
 GUARD = "guard of the hybrid tick"
 SUBSTEP = "substep of the hybrid tick"
 C_PLAIN, C_NATIVE = "the same substep in C, -O3", "the same substep in C, for this processor"

@@ -129,16 +129,16 @@ def bounds(measured: Figures) -> list[Bound]:
     return [
         Bound("whole hybrid tick", us(WHOLE), 300.0, "us"),
         Bound("whole tick of cells", us(CELLS), 100.0, "us"),
-        Bound("guard, share of the whole hybrid tick", _percent(ratio(GUARD, WHOLE)), 2.0, "%"),
-        Bound("substep beside the same in C, -O3", ratio(SUBSTEP, C_PLAIN), 1.3, "x"),
-        Bound("substep of cells beside the same in C", ratio(CELL_SUBSTEP, CELL_C), 1.0, "x"),
+        Bound("guard, fraction of the whole hybrid tick", _percent(ratio(GUARD, WHOLE)), 2.0, "%"),
+        Bound("substep relative to the same in C, -O3", ratio(SUBSTEP, C_PLAIN), 1.3, "x"),
+        Bound("substep of cells relative to the same in C", ratio(CELL_SUBSTEP, CELL_C), 1.0, "x"),
         Bound("modal tick, 19-node contact", us(MODAL), 25.0, "us"),
         Bound("modal tick of cells, 19-node contact", us(MODAL_CELLS), 20.0, "us"),
-        Bound("modal tick beside the compliance of that patch", ratio(MODAL, PRODUCT), 1.0, "x"),
+        Bound("modal tick relative to the compliance of that patch", ratio(MODAL, PRODUCT), 1.0, "x"),
         Bound("asleep tick", us(ASLEEP), 3.0, "us"),
-        Bound("MuJoCo flex beside the whole tick of cells", ratio(FLEX, CELLS), 150.0, "x", least=True),
+        Bound("MuJoCo flex relative to the whole tick of cells", ratio(FLEX, CELLS), 150.0, "x", least=True),
         Bound(f"growth of a substep, {first} to {last} points", grown["substep_exponent"], 1.1, "power"),
-        Bound(f"modal tick at {last} beside {first} points", grown["modal_ratio"], 2.0, "x"),
+        Bound(f"modal tick at {last} relative to {first} points", grown["modal_ratio"], 2.0, "x"),
     ]
 
 
@@ -182,8 +182,8 @@ def text(found: dict[str, Any]) -> str:
     """The tables for people."""
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points; a tick is 1 ms of simulated time;"
-        f" {1e3 * found['force_n']:g} mN on a {found['patch_nodes']}-node patch, swelling and ebbing 5 times a second",
-        "processor time of one thread; all rows measured in turns in one run",
+        f" {1e3 * found['force_n']:g} mN on a {found['patch_nodes']}-node patch, oscillating 5 times a second",
+        "processor time of one thread; all rows measured in turn in one run",
         "",
     ]
     table = [["", "median us", "p99 us", "samples", "of whole tick", ""]]
@@ -198,8 +198,8 @@ def text(found: dict[str, Any]) -> str:
     compiled = found["compile"]
     kept = "read from disk" if compiled["kernels_found_on_disk"] else "compiled"
     lines.append(
-        f"compile time, in no figure above: kernels {kept} in {compiled['first_tick_s']:.1f} s,"
-        f" the benchmark's own loop compiled in {compiled['benchmark_loop_s']:.1f} s"
+        f"compile time, not included above: kernels {kept} in {compiled['first_tick_s']:.1f} s, the benchmark's own"
+        f" loop compiled in {compiled['benchmark_loop_s']:.1f} s"
     )
     lines.append("")
     lines += bound_lines(found["bounds"])
@@ -215,7 +215,8 @@ def _growth_lines(found: dict[str, Any]) -> list[str]:
     lines = aligned(table, left=0)
     if found["substep_exponent"] is not None:
         lines.append(
-            f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as n^{found['tick_exponent']:.2f}:"
-            " shorter edges ask for more substeps; the same pressure on 19 nodes at every size"
+            f"a substep grows as n^{found['substep_exponent']:.2f}, the whole tick as"
+            f" n^{found['tick_exponent']:.2f}: shorter edges require more substeps; the same pressure on 19 nodes at"
+            " every size"
         )
     return lines

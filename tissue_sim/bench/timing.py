@@ -78,9 +78,9 @@ def interleave(phase: Phase) -> dict[str, Timing]:
     samples: dict[str, list[Floats]] = {}
     with rows.until_stopped():
         first = {}
-        for name in rows.each(phase.bursts, f"{phase.label}, a first look"):
+        for name in rows.each(phase.bursts, f"{phase.label}, first pass"):
             first[name] = phase.bursts[name](2)
-            progress.say(f"{name}: at first {1e6 * first[name].min():.3g} us")
+            progress.say(f"{name}: first pass {1e6 * first[name].min():.3g} us")
         samples = {name: [] for name in first}
         rows.keep()
         quickest = {name: max(float(seconds.min()), 1e-9) for name, seconds in first.items()}
@@ -123,7 +123,7 @@ def in_one_thread[Result](function: Callable[..., Result], *arguments: Any) -> R
                     _signal_children(signal.SIGKILL)
                     raise
     except BrokenProcessPool:
-        raise UserError("the process that measures was ended from outside; was there enough memory?") from None
+        raise UserError("the measuring process was killed; there may not have been enough memory") from None
     if stopped:
         rows.stop()
     return found

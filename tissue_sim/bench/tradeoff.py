@@ -91,12 +91,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--points",
         metavar="N,N",
-        help=f"surface points to compare at, beside the organ's own (default: {','.join(map(str, POINTS))};"
+        help=f"surface points to compare, in addition to the organ's own (default: {','.join(map(str, POINTS))};"
         " none with --quick)",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer loads, the organ's own points alone, in 2 minutes")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="let the workers of a Dask cluster make the fits; ticks are timed here"
+        "--quick", action="store_true", help="fewer loads and only the organ's own points, in 2 minutes"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="use the workers of a Dask cluster for the fits; ticks are timed on this machine",
     )
 
 
@@ -123,7 +127,7 @@ def sizes_named(text: str) -> tuple[int, ...]:
     try:
         points = tuple(int(word) for word in text.split(","))
     except ValueError:
-        raise UserError(f"--points {text}: use numbers with commas between them, such as 250,500") from None
+        raise UserError(f"--points {text}: use numbers separated by commas, such as 250,500") from None
     for count in points:
         if not FEWEST <= count <= MOST:
             raise UserError(f"--points {count} is outside {FEWEST}..{MOST}")
@@ -166,7 +170,9 @@ def measure_rows(
             errors = [error_of(engine, case, size) for case in progress.steps(cases, asked.name)]
             measured.append(Judged(asked.name, asked.ours, asked.points, remark, errors, None, engine.update))
             bursts[str(number)] = engine.burst(load_of(cases[0], size))
-            tell(f"{asked.name}, {asked.points} points", f"off {_mean([100.0 * one.relative for one in errors]):.1f} %")
+            tell(
+                f"{asked.name}, {asked.points} points", f"error {_mean([100.0 * one.relative for one in errors]):.1f} %"
+            )
     timings = interleave(Phase(bursts, seconds, "updates"))
     return [one._replace(update=timings.get(str(number))) for number, one in enumerate(measured)], timings.get(NOISE)
 
@@ -197,7 +203,7 @@ def reference(organ: Organ, smooth: int, sharp: int) -> tuple[Body, list[Case], 
         strict=True,
     ):
         if not answer.converged:
-            raise UserError(f"organ '{organ.name}': the finite elements do not settle under a load ({kind})")
+            raise UserError(f"organ '{organ.name}': the finite elements do not converge under a load ({kind})")
         found.append(Case(kind, force, answer.displacement + lacking, answer.volume_change))
     return body, found[: smooth + sharp], found[smooth + sharp :], accuracy
 
@@ -321,13 +327,24 @@ def text(found: dict[str, Any]) -> str:
     lines = [
         f"organ '{found['organ']}', {found['surface_points']} surface points; {len(loads)} loads, {sharp} of them"
         f" sharp, {min(depths):.1f} to {max(depths):.1f} mm deep",
-        f"reference: {reference['name']}, {reference['nodes']} nodes;"
-        f" its volume changes by {reference['volume_change_percent']:.2f} % in the mean",
-        f"it is itself off: {reference['accuracy']}",
-        "processor time of one thread, updates measured in turns; what has no steps of its own is asked once a ms",
+        f"reference: {reference['name']}, {reference['nodes']} nodes; its volume changes by"
+        f" {reference['volume_change_percent']:.2f} % on average",
+        f"its own error: {reference['accuracy']}",
+        "processor time of one thread, updates measured in turn; engines without steps are solved once per ms",
         "",
     ]
-    head = ["", "points", "ms per ms", "ms to settle", "L2 %", "worst %", "sharp %", "RMS mm", "RMS/max %", "volume %"]
+    head = [
+        "",
+        "points",
+        "ms per ms",
+        "ms to converge",
+        "L2 %",
+        "worst %",
+        "sharp %",
+        "RMS mm",
+        "RMS/max %",
+        "volume %",
+    ]
     table = [[*head, "settled", ""]]
     for row in found["rows"]:
         if not row["errors"]:
@@ -339,11 +356,11 @@ def text(found: dict[str, Any]) -> str:
         figures += [f"{row['settled']}/{len(row['errors'])}"]
         table.append([row["name"] + (" *" if row["pareto"] else ""), *figures, row["remark"]])
     lines += with_remarks(table)
-    lines.append("* on the Pareto front of ms per ms and L2: nothing else is both faster and closer")
+    lines.append("* on the Pareto front of ms per ms and L2: nothing else is both faster and more accurate")
     growth = found["growth"]
     if growth:
         first, last = growth["points"]
-        errors = "falls from each to the next" if growth["error_falls"] else "does not fall from each to the next"
+        errors = "decreases with every size" if growth["error_falls"] else "does not decrease with every size"
         lines.append(
             f"{CALIBRATED}, {first} to {last} points: time grows as n^{growth['time_exponent']:.2f}, the error {errors}"
         )

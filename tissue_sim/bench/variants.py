@@ -97,15 +97,15 @@ def variants_of(body: Body, points: int, *, fits: bool, every_aim: bool = False)
     plain = at_size(organ, points)
     own = points == organ.n_surface
     if not fits:
-        missing = "the organ is not calibrated; make one that is with 'tissue_sim calibrate ORGAN --out ORGAN2'"
+        missing = "the organ is not calibrated; calibrate it with 'tissue_sim calibrate ORGAN --out ORGAN2'"
         return Variants(
-            plain, "takes minutes to fit, left out of --quick", {BALANCED: organ if _ready(organ, own) else missing}
+            plain, "takes minutes to fit, excluded by --quick", {BALANCED: organ if _ready(organ, own) else missing}
         )
     made = {
         fit.kind: _kept(fit, lambda fit: fitted(body, fit.organ, fit.kind, effort_at(points)))
         for fit in fits_of(organ, plain, every_aim)
     }
-    springs = made.pop(GROUPS, "fitted at the organ's own size alone")
+    springs = made.pop(GROUPS, "fitted at the organ's own size only")
     return Variants(plain, springs, {BALANCED: organ, **made} if _ready(organ, own) else made)
 
 
@@ -167,8 +167,8 @@ def _kept(fit: Fit, make: Callable[[Fit], dict[str, NDArray]]) -> Organ | str:
     except UserError as error:
         return str(error)
     lowest, next_ones = 100.0 * made["modes_off"]
-    told = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; its modes 1 to {MODES} are off by"
-    told += f" {lowest:.1f} % at most, {MODES + 1} to {MORE_MODES} by {next_ones:.1f} %"
+    told = f"{fit.kind}: {effort.cases} linear loads, {effort.steps} evaluations; the error of modes 1 to {MODES}"
+    told += f" is at most {lowest:.1f} %, of {MODES + 1} to {MORE_MODES} at most {next_ones:.1f} %"
     values = {name: value for name, value in made.items() if name != "modes_off"}
     return dataclasses.replace(fit.organ, provenance={**fit.organ.provenance, "fit": told}, **values)
 

@@ -121,7 +121,7 @@ def _calibrated(organ: Organ, settings: Settings, checkpoint: Checkpoint, progre
                 "finer-mesh", lambda: answers_made_good(body, judged.force, judged_linear, pushes[some])
             )
             accuracy = Refined(int(finer["nodes"]), int(finer["finer_nodes"]), finer["difference"])
-            done(f"{accuracy.finer_nodes} nodes, {accuracy.worst:.2f} % left at worst")
+            done(f"{accuracy.finer_nodes} nodes, remaining error at most {accuracy.worst:.2f} %")
         model = assemble(start)
         elastic = Elastic(model)
         answers = made_good(linear["fit"], linear["fit"][some], finer["samples"])
@@ -304,7 +304,7 @@ def _poke(cases: Cases, wanted: Answer, kept: Longs, deep: float) -> Poke:
     Raises UserError when no case is kept.
     """
     if not len(kept):
-        raise UserError("the finite elements settle under none of the held-out loads; look at the organ's clamp")
+        raise UserError("the finite elements converge under none of the held-out loads; check the organ's fixed nodes")
     centre = np.array([nodes[0] for nodes in cases.centre])
     depth = np.linalg.norm(wanted.displacement[np.arange(len(cases)), centre], axis=1)
     bump = np.array([kind == "bump" for kind in cases.kind], dtype=bool)

@@ -86,7 +86,7 @@ def on_cluster[Item](job: Callable[[Item], Any], items: Iterable[Item], schedule
             except UserError as error:
                 result = error
             except distributed.KilledWorker:
-                result = UserError("its workers were lost, one after the other; it may need more memory")
+                result = UserError("its workers were lost one after the other; it may need more memory")
             except Exception as error:  # of a worker that lacks a package, say: whatever it is, the others go on
                 result = UserError(f"{type(error).__name__} on the cluster: {error}")
             yield number.pop(future.key), result

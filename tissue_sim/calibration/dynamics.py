@@ -60,7 +60,7 @@ def release(
     else:
         rest = solid.settle(load)
         if not rest.converged:
-            raise UserError("the finite-element body does not settle under this load; make it smaller")
+            raise UserError("the finite-element body does not converge under this load; reduce it")
         start = rest.displacement
     chosen = np.arange(body.organ.n_surface) if nodes is None else np.asarray(nodes)
     return swing(solid, start, seconds, step, damping_rate, chosen, linear, SMOOTHED, watch)
@@ -94,7 +94,7 @@ def swing(
     Raises UserError for a step or duration that is none, or when a step doesn't converge.
     """
     if not (math.isfinite(step) and step > 0.0 and math.isfinite(seconds) and seconds >= step):
-        raise UserError(f"a motion of {seconds:g} s in steps of {step:g} s is none; give a step within the duration")
+        raise UserError(f"a motion of {seconds:g} s can't have steps of {step:g} s; give a shorter step")
     count = round(seconds / step)
     shift = 4.0 / step**2 + 2.0 * damping_rate / step
     factor = solid.factor(np.zeros_like(solid.nodes), shift)
@@ -201,7 +201,7 @@ def frequencies(solid: Solid, count: int) -> Floats:
     """The lowest frequencies (count,) Hz of a held solid about rest: K p = w^2 M p, by inverse iteration."""
     free = np.flatnonzero(~solid.held.ravel())
     if not 0 < count < len(free):
-        raise UserError(f"{count} frequencies were asked for; the body has 1..{len(free) - 1}")
+        raise UserError(f"{count} frequencies were requested; the body has 1..{len(free) - 1}")
     stiffness = solid.stiffness.tocsr()[free][:, free]
     mass = kron(solid.mass, np.eye(3), format="csr")[free][:, free]
     whole = np.zeros((solid.nodes.size, 1))

@@ -179,8 +179,8 @@ def clamped_triangles(organ: Organ) -> NDArray[np.bool_]:
     held: NDArray[np.bool_] = fixed[organ.surface_triangles].all(axis=1)
     if not held.any():
         raise UserError(
-            f"organ '{organ.name}': no triangle has all its nodes fixed, so a solid has nothing to be held by; "
-            "build it with --fixed, such as --fixed 'z<0.1'"
+            f"organ '{organ.name}': no triangle has all its nodes fixed, so nothing holds the solid; build it with"
+            " --fixed, such as --fixed 'z<0.1'"
         )
     return held
 

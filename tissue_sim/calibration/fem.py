@@ -101,9 +101,9 @@ def _check_material(organ: Organ) -> None:
     """Raise UserError unless the tissue is that of an elastic solid that can be compressed."""
     if not (0.0 < organ.youngs_modulus < np.inf and 0.0 < organ.density < np.inf and -1.0 < organ.poisson_ratio < 0.5):
         raise UserError(
-            f"organ '{organ.name}': a solid of Young's modulus {organ.youngs_modulus:g} Pa, Poisson's ratio "
-            f"{organ.poisson_ratio:g} and {organ.density:g} kg/m^3 is none; build it with other values, Poisson's "
-            "ratio below 0.5"
+            f"organ '{organ.name}': a solid of Young's modulus {organ.youngs_modulus:g} Pa, Poisson's ratio"
+            f" {organ.poisson_ratio:g} and {organ.density:g} kg/m^3 is not possible; build it with other values,"
+            " Poisson's ratio below 0.5"
         )
 
 

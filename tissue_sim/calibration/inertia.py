@@ -65,7 +65,10 @@ def fit_mass(organ: Organ, elastic: Elastic, stiffness: Floats, frequencies: Flo
     tangent = elastic.tangent(stiffness)
     factor = elastic.factor(tangent)
     if not factor.is_positive:
-        raise UserError(f"organ '{organ.name}' has parts that nothing holds; build it with more --atoms or --interior")
+        raise UserError(
+            f"organ '{organ.name}' has parts that are not connected to its clamp; build it with more --atoms or"
+            " --interior"
+        )
     around, moving = tissue_mass(organ), elastic.moving
     total = float(around[moving].sum())
     least = least_mass(elastic, tangent, total)[moving]

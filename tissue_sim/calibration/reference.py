@@ -44,9 +44,9 @@ class Refined(NamedTuple):
         """One line for reports."""
         verdict = "" if self.worst <= BOUND else f" (above {BOUND:g} %)"
         return (
-            f"reference of {self.nodes} nodes, made good by one of {self.finer_nodes} that differs by"
-            f" {self.difference.mean():.2f} % in the mean and {self.difference.max():.2f} % at worst:"
-            f" {self.worst:.2f} % left at worst{verdict}"
+            f"reference of {self.nodes} nodes, corrected by one of {self.finer_nodes} that differs by"
+            f" {self.difference.mean():.2f} % on average and {self.difference.max():.2f} % at worst: the remaining"
+            f" error is at most {self.worst:.2f} %{verdict}"
         )
 
 

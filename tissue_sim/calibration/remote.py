@@ -32,7 +32,7 @@ class Remote:
         try:
             return getattr(self._object, method)(*arguments)
         except (EOFError, ConnectionError, FileNotFoundError):  # the last: its socket
-            raise UserError("a process of the calibration has ended; run it again, it goes on from there") from None
+            raise UserError("a process of the calibration has ended; run it again to continue from there") from None
 
     def close(self) -> None:
         """End the process, whatever it is doing."""

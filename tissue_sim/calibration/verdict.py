@@ -32,23 +32,23 @@ def lines(figures: dict[str, Any]) -> Iterator[str]:
         volume, least = found["volume_change_percent"], found["least_volume"]
         yield (
             f"held out, {name}: {found['mean_percent']:.2f} % mean, {found['worst_percent']:.2f} % worst,"
-            f" {found['rms_mm']:.3f} mm RMS; {found['settled']} of {found['cases']} settled, up to"
+            f" {found['rms_mm']:.3f} mm RMS; {found['settled']} of {found['cases']} converged, up to"
             f" {found['deepest_mm']:.1f} mm; linear elasticity {found['linear_elasticity_mean_percent']:.2f} % mean;"
-            f" volume {volume['model'][1]:+.3f} % (reference {volume['reference'][1]:+.3f} %), where it is"
-            f" compressed most {least['model']:.2f} of itself (reference {least['reference']:.2f})"
+            f" volume {volume['model'][1]:+.3f} % (reference {volume['reference'][1]:+.3f} %), smallest local volume"
+            f" ratio {least['model']:.2f} (reference {least['reference']:.2f})"
         )
     if reference["unsettled"]:
-        yield f"left out: {reference['unsettled']} held-out loads under which the reference does not settle"
+        yield f"excluded: {reference['unsettled']} held-out loads under which the reference does not converge"
     for name in reference["near_buckling"]:
-        yield f"left out, near buckling: {name}"
+        yield f"excluded, near buckling: {name}"
     ours, theirs = motion["frequencies_hz"], motion["reference_hz"]
     yield (
         f"lowest modes {', '.join(f'{f:.2f}' for f in ours[:4])} Hz (reference"
-        f" {', '.join(f'{f:.2f}' for f in theirs[:4])} Hz), damping {motion['damping_rate_per_s']:.1f} 1/s,"
-        f" release {motion['release_percent']:.1f} % off over 1 s"
+        f" {', '.join(f'{f:.2f}' for f in theirs[:4])} Hz), damping {motion['damping_rate_per_s']:.1f} 1/s, error of"
+        f" the release {motion['release_percent']:.1f} % over 1 s"
     )
     step = figures["step"]
-    yield f"critical step {step['critical_us']:.0f} us, {step['substeps_a_ms']} substeps a millisecond"
+    yield f"critical step {step['critical_us']:.0f} us, {step['substeps_a_ms']} substeps per millisecond"
 
 
 def write_pictures(found: Calibrated, folder: Path) -> list[Path]:
@@ -90,7 +90,7 @@ def _errors(found: Calibrated) -> Any:
     axis.plot(place[sharp], error[order][sharp], "^", color=_REFERENCE, label="model, sharp loads")
     lost = found.found.converged[order] == 0.0
     if lost.any():
-        axis.plot(place[lost], error[order][lost], "kx", markersize=10, label="not settled")
+        axis.plot(place[lost], error[order][lost], "kx", markersize=10, label="not converged")
     axis.set_xlabel("held-out load, the best first")
     axis.set_ylabel("relative L2 error (%)")
     axis.set_ylim(bottom=0.0)
@@ -109,7 +109,7 @@ def _release(found: Calibrated) -> Any:
         axis.plot(motion.time, 1e3 * along, color=colour, label=label)
     axis.set_xlabel("time after the release (s)")
     axis.set_ylabel("displacement of the poked node (mm)")
-    axis.set_title(f"{100.0 * motion.error:.1f} % off (relative L2)", loc="left")
+    axis.set_title(f"error {100.0 * motion.error:.1f} % (relative L2)", loc="left")
     axis.legend(frameon=False)
     _bare(axis)
     return figure
@@ -134,14 +134,14 @@ def _worst(found: Calibrated) -> Any:
         row[1].imshow(_error_picture(found, view, rest + answer, off_mm, bands))
         for axis in row[:2]:
             axis.set_axis_off()
-        figure.colorbar(ScalarMappable(bands, _ERRORS), ax=row[1], shrink=0.8, label="off by (mm)", format="%.3g")
+        figure.colorbar(ScalarMappable(bands, _ERRORS), ax=row[1], shrink=0.8, label="error (mm)", format="%.3g")
         row[0].set_title(f"{found.cases.kind[case]}, finite elements", fontsize=10, loc="left")
-        settled = "" if found.found.converged[case] else ", not settled"
-        row[1].set_title(f"model, {100.0 * error[case]:.1f} % off{settled}", fontsize=10, loc="left")
+        settled = "" if found.found.converged[case] else ", not converged"
+        row[1].set_title(f"model, error {100.0 * error[case]:.1f} %{settled}", fontsize=10, loc="left")
         row[2].plot(moved_mm[~loaded], off_mm[~loaded], ".", color=_LINEAR, markersize=3)
         row[2].plot(moved_mm[loaded], off_mm[loaded], ".", color=_MODEL, label="loaded nodes")
         row[2].set_xlabel("displacement (mm)")
-        row[2].set_ylabel("off by (mm)")
+        row[2].set_ylabel("error (mm)")
         row[2].legend(frameon=False, fontsize=8)
         _bare(row[2])
     return figure

@@ -3,19 +3,19 @@
 # Module and summary of each. Those of the bench and of ROS stand with what they run.
 COMMANDS = {
     "demo": ("tissue_sim.ros.demo", "run the node, a scripted haptic bridge and the viewer"),
-    "phantom": ("tissue_sim.commands.phantom", "write a CT of no patient, to try `tissue_sim build` on"),
+    "phantom": ("tissue_sim.commands.phantom", "write a synthetic CT for trying `tissue_sim build`"),
     "build": ("tissue_sim.commands.build", "make an organ from a CT, a mask or a surface mesh"),
-    "abdomen": ("tissue_sim.commands.abdomen", "make a scene of liver, kidneys and spleen that breathe"),
-    "info": ("tissue_sim.commands.info", "print what an organ file holds"),
+    "abdomen": ("tissue_sim.commands.abdomen", "make a scene of a breathing liver, kidneys and spleen"),
+    "info": ("tissue_sim.commands.info", "print the contents of an organ file or a scene"),
     "export": (
         "tissue_sim.commands.export",
         "write an organ's surface, or frames of a bag, for other programs",
     ),
-    "solve": ("tissue_sim.commands.solve", "settled displacements under given loads"),
-    "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and judge it"),
+    "solve": ("tissue_sim.commands.solve", "compute the equilibrium displacements under given loads"),
+    "calibrate": ("tissue_sim.commands.calibrate", "fit an organ to finite elements of its shape, and evaluate it"),
     "bench": ("tissue_sim.bench.command", "measure speed, accuracy and stability"),
-    "replay": ("tissue_sim.ros.bags.replay", "run recorded bags again and compare"),
+    "replay": ("tissue_sim.ros.bags.replay", "compute recorded bags again and compare"),
     "view": ("tissue_sim.ros.viewer.view", "show a running node in the browser"),
-    "policy": ("tissue_sim.ros.policy", "print what DDS Security has to allow a running node and its clients"),
-    "bridge": ("tissue_sim.ros.bridge.play", "play a scripted haptic bridge to a running node"),
+    "policy": ("tissue_sim.ros.policy", "print the DDS Security policy of a running node and its clients"),
+    "bridge": ("tissue_sim.ros.bridge.play", "simulate a haptic bridge that follows a script"),
 }

@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help=f"masks of one CT, {', '.join(part.name for part in PARTS)} with {', '.join(ENDINGS)}; default: synthetic",
     )
-    parser.add_argument("--out", default=".", metavar="FOLDER", help=f"for {NAME}.yaml and its organs")
+    parser.add_argument("--out", default=".", metavar="FOLDER", help=f"folder for {NAME}.yaml and its organs")
     parser.add_argument("--points", type=int, default=994, help="points of each organ's surface")
-    parser.add_argument("--as-built", action="store_true", help="do not fit the organs to finite elements")
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="organs that are fitted at once")
+    parser.add_argument("--as-built", action="store_true", help="don't calibrate the organs against finite elements")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="number of organs calibrated at once")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -105,7 +105,7 @@ def _run(args: argparse.Namespace) -> int:
     path = Path(args.out) / f"{NAME}.yaml"
     write_scene({part.name: Organ.load(folder / f"{part.name}.npz") for part in PARTS}, path, source)
     SceneFile.read(path)  # what can't be read again is told at once
-    print(f"{path}: {len(PARTS)} organs; 'tissue_sim info {path}' tells it")
+    print(f"{path}: {len(PARTS)} organs; 'tissue_sim info {path}' describes it")
     return 0
 
 

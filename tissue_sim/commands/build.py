@@ -37,7 +37,7 @@ _UNITS = ("mm", "cm", "m", "um", "in")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of `tissue_sim build`."""
     parser.add_argument("image", nargs="?", metavar="IMAGE", help="CT: a NIfTI, NRRD or MHA file, or a DICOM folder")
-    source = parser.add_argument_group("what the organ is made from (IMAGE with a seed, or one of --mask, --surface)")
+    source = parser.add_argument_group("input (IMAGE with a seed, or one of --mask, --surface)")
     source.add_argument(
         "--seed",
         metavar="X,Y,Z",
@@ -52,30 +52,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--label",
         metavar="N|NAME",
-        help="value, segment number or name of the organ in --mask when it holds several; LAYER:N where a number comes"
-        " in several layers of a file",
+        help="value, segment number or name of the organ in a --mask with several; LAYER:N if a number occurs in"
+        " several layers of a file",
     )
     source.add_argument(
         "--inclusion",
         action="append",
         default=[],
         metavar="N:TIMES",
-        help="what label N of --mask covers belongs to the organ and is so many times as stiff, such as a tumour;"
-        " give it once for each label",
+        help="label N of --mask belongs to the organ and is TIMES times as stiff, such as a tumour; give it once"
+        " for each label",
     )
     source.add_argument(
         "--surface", metavar="FILE", help="start from a closed mesh (OBJ, STL, PLY, OFF, GLB, VTK, MSH, TRIAN)"
     )
     source.add_argument("--keep-points", action="store_true", help="keep the points of --surface and their order")
-    source.add_argument("--unit", choices=_UNITS, help="length unit of --surface where the format doesn't say")
+    source.add_argument("--unit", choices=_UNITS, help="length unit of --surface if the format doesn't state it")
     source.add_argument("--length", type=float, metavar="METRES", help="longest side of --surface, instead of a unit")
     source.add_argument(
-        "--part", metavar="N", help="part of --mask or --surface to take, 1 the largest, or its name in a --surface"
+        "--part", metavar="N", help="part of --mask or --surface to use, 1 is the largest, or its name in a --surface"
     )
     source.add_argument(
         "--merge-parts",
         action="store_true",
-        help="join all parts of --mask, or all that the parts of --surface enclose",
+        help="join all parts of --mask, or all solids that the parts of --surface enclose",
     )
     organ = parser.add_argument_group("the organ")
     organ.add_argument("--out", default="organ.npz", metavar="FILE", help="organ file to write (default: %(default)s)")
@@ -87,13 +87,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write a page with pictures and figures of every stage (default: the organ file's name with .html)",
     )
     organ.add_argument("--name", help="name of the organ (default: the input's file name)")
-    organ.add_argument("--points", type=int, default=994, help="points of the balloon (default: %(default)s)")
+    organ.add_argument("--points", type=int, default=994, help="points of the balloon surface (default: %(default)s)")
     organ.add_argument("--refine", action="append", default=[], metavar="WHERE", help=REFINE_HELP)
     organ.add_argument(
         "--atoms",
         type=int,
-        help=f"medial atoms of the skeleton (default: {MOST_ATOMS}, fewer where they would lie closer than"
-        f" {SPARSE:g} edges of the surface)",
+        help=f"medial atoms of the skeleton (default: {MOST_ATOMS}, fewer if they would be closer than {SPARSE:g}"
+        " edges of the surface)",
     )
     organ.add_argument(
         "--branches",
@@ -106,14 +106,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="further atoms spread through the organ, along the spokes (default: %(default)s)",
+        help="further atoms distributed through the organ, along the spokes (default: %(default)s)",
     )
     organ.add_argument(
         "--fixed",
         default="z<0.1",
         metavar="WHICH",
-        help="surface nodes that are held: 'z<0.1' for the lowest tenth along z (axes x, y, z; < or >),"
-        " a .npy file of indices, or none (default: %(default)s)",
+        help="surface nodes that are fixed: 'z<0.1' for the lowest tenth along z (axes x, y, z; < or >), a .npy"
+        " file of indices, or none (default: %(default)s)",
     )
     organ.add_argument("--youngs-modulus", type=float, default=10_000.0, metavar="PA", help="Pa (default: %(default)g)")
     organ.add_argument("--poisson-ratio", type=float, default=0.45, metavar="NU", help="default: %(default)g")
@@ -170,11 +170,11 @@ def _run(args: argparse.Namespace) -> int:
     n, edge = organ.n_surface, 1e3 * mean_edge(organ)
     print(
         f"{out}: {name}, {organ.volume * 1e6:.1f} mL, {n} points, {len(organ.surface_triangles)} triangles,"
-        f" {organ.n_atoms} atoms, {len(organ.fixed)} held, {time.perf_counter() - started:.1f} s"
+        f" {organ.n_atoms} atoms, {len(organ.fixed)} fixed, {time.perf_counter() - started:.1f} s"
     )
     print(
-        f"{out}: fine enough for balls from {FINE * edge:.2g} mm radius ({FINE_WITHIN:g} % off, once calibrated),"
-        f" {FAIR * edge:.2g} mm ({FAIR_WITHIN:g} %); more --points for smaller ones"
+        f"{out}: resolves spheres with a radius of at least {FINE * edge:.2g} mm (error {FINE_WITHIN:g} % after"
+        f" calibration) or {FAIR * edge:.2g} mm ({FAIR_WITHIN:g} %); use more --points for smaller ones"
     )
     if report:
         print(f"{report}: report")
@@ -191,13 +191,13 @@ def _add_stages(parser: argparse.ArgumentParser) -> None:
         "--organ",
         default="any",
         metavar="NAME",
-        help="what the organ is, so that even a small leak into a neighbour is noticed: kidney, liver, spleen, heart,"
+        help="kind of organ, so that even a small leak into a neighbour is detected: kidney, liver, spleen, heart,"
         " bladder, prostate, or any (default: %(default)s)",
     )
     group.add_argument(
         "--accept",
         action="store_true",
-        help="pass on with a warning what can't be that organ, or has another volume than it was made from",
+        help="accept, with a warning, an organ that fails these checks, or whose volume differs from that of its input",
     )
     for item in dataclasses.fields(SegmentationParameters):
         default = f" (default: {item.default:g})" if item.default is not None else ""
@@ -259,7 +259,7 @@ def _source(args: argparse.Namespace) -> str:
     if args.part and args.merge_parts:
         raise UserError("--part and --merge-parts were given; choose one")
     if what == "--mask" and args.part and not args.part.isdigit():
-        raise UserError(f"--part {args.part} is no number; parts of a mask have no names: 1 is the largest")
+        raise UserError(f"--part {args.part} is not a number; parts of a mask have no names: 1 is the largest")
     seeded = args.seed or args.seed_voxel
     if what == "IMAGE" and not seeded:
         raise UserError("an image needs a point inside the organ: --seed X,Y,Z or --seed-voxel I,J,K")

@@ -18,7 +18,7 @@ def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str
         except ValueError:
             stiffness, part = 0.0, ""
         if not part:
-            raise UserError(f"--inclusion {text} is no label and factor; write it as 2:5")
+            raise UserError(f"--inclusion {text} is not a label and a factor; write it as 2:5")
         if part in found or part == label:
             raise UserError(f"--inclusion {text}: label {part} is given twice")
         check_stiffness(stiffness)

@@ -1,4 +1,4 @@
-"""Makes the kidney that ships, as built, or that with a tumour in it.
+"""Build the kidney of this package before calibration, or the one with a tumour.
 
 `python -m tissue_sim.commands.build_shipped`; `make organ` then calibrates them.
 """
@@ -21,7 +21,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.commands.build_shipped", description=__doc__)
     parser.add_argument("--out", type=Path, default=KIDNEY, help="organ file to write (default: %(default)s)")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="also write a page on how it was built")
-    parser.add_argument("--tumour-in", type=Path, metavar="ORGAN", help="put a tumour into this kidney instead")
+    parser.add_argument("--tumour-in", type=Path, metavar="ORGAN", help="instead, add a tumour to this kidney")
     args = parser.parse_args(argv)
     out, progress = args.out, Progress(print)
     try:

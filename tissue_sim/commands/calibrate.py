@@ -31,9 +31,9 @@ from tissue_sim.version import __version__
 MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check on held-out loads: smooth, smooth, the sharp ones' mean
 RELEASE = 15.0  # %
 TIME = (
-    "A kidney of 994 points takes two minutes on two quiet cores, and half a minute more where kernels have to be"
-    " compiled. The time goes by the surface's points and by how thin the organ is, which both ask for more finite"
-    " elements, by --smooth, --sharp, --cases and --evaluations, and by whether a second core is free."
+    "A kidney of 994 points takes two minutes on two idle cores, and another half a minute if kernels have to be"
+    " compiled. The time grows with the surface's points and on thin organs, which both need more finite elements,"
+    " and with --smooth, --sharp, --cases and --evaluations; it is longer without a second core."
 )
 _DEFAULT = Settings()
 
@@ -41,31 +41,31 @@ _DEFAULT = Settings()
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.epilog = TIME
-    parser.add_argument("organ", nargs="+", metavar="ORGAN", help="organ file (.npz) with held nodes; or several")
+    parser.add_argument("organ", nargs="+", metavar="ORGAN", help="organ file (.npz) with fixed nodes; or several")
     parser.add_argument(
-        "--out", required=True, metavar="ORGAN2", help="organ file (.npz) to write; of several organs a folder"
+        "--out", required=True, metavar="ORGAN2", help="organ file (.npz) to write; a folder for several organs"
     )
     add_cluster(parser)
-    parser.add_argument("--json", metavar="FILE", help="of several organs, write all figures there")
+    parser.add_argument("--json", metavar="FILE", help="JSON file for all figures of several organs")
     parser.add_argument(
         "--method",
         choices=METHODS,
         default=_DEFAULT.method,
-        help="what is fitted: the moduli of every cell between the nodes (the default), or a factor for each group of"
-        " springs, as in the paper",
+        help="fit the moduli of every cell between the nodes (the default), or a factor for each group of springs,"
+        " as in the paper",
     )
     parser.add_argument(
         "--for",
         dest="aim",
         choices=tuple(INTERIOR_SHARE),
         default=_DEFAULT.aim,
-        help="what the cells are for: more interior atoms take more time in every tick, and are off by less"
-        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_SHARE.items())} for 100 surface points;"
-        f" default: {_DEFAULT.aim})",
+        help="purpose of the cells: more interior atoms take more time in every tick, and have a smaller error"
+        f" ({', '.join(f'{aim}: {100 * share:g}' for aim, share in INTERIOR_SHARE.items())} for 100 surface"
+        f" points; default: {_DEFAULT.aim})",
     )
-    parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="of the loads that are fitted")
+    parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="seed of the loads that are fitted")
     parser.add_argument(
-        "--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit, three at each place"
+        "--cases", type=int, default=_DEFAULT.cases, metavar="N", help="loads to fit, three at each point"
     )
     parser.add_argument(
         "--evaluations", type=int, default=_DEFAULT.evaluations, metavar="N", help="evaluations of the misfit"
@@ -74,18 +74,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--interior",
         type=int,
         metavar="N",
-        help="interior atoms of the result, which is then built anew (default: as many as --for asks for; those of the"
+        help="interior atoms of the result, which are distributed again (default: given by --for; those of the"
         " organ for groups)",
     )
-    parser.add_argument("--smooth", type=int, default=_DEFAULT.smooth, metavar="N", help="held-out smooth loads")
-    parser.add_argument("--sharp", type=int, default=_DEFAULT.sharp, metavar="N", help="held-out sharp loads")
-    parser.add_argument("--report", metavar="FOLDER", help="also write pictures of the errors and worst cases there")
+    parser.add_argument(
+        "--smooth", type=int, default=_DEFAULT.smooth, metavar="N", help="number of held-out smooth loads"
+    )
+    parser.add_argument("--sharp", type=int, default=_DEFAULT.sharp, metavar="N", help="number of held-out sharp loads")
+    parser.add_argument("--report", metavar="FOLDER", help="folder for pictures of the errors and worst cases")
     parser.add_argument(
         "--check",
         action="store_true",
-        help=f"exit with 1 unless the held-out loads settle, smooth ones"
-        f" within {MEAN:g} %% mean and {WORST:g} %% worst, sharp ones within {SHARP:g} %% mean, and the"
-        f" release within {RELEASE:g} %%",
+        help=f"exit with 1 unless the held-out loads converge, with errors of smooth loads within {MEAN:g} %% mean"
+        f" and {WORST:g} %% worst, of sharp loads within {SHARP:g} %% mean, and of the release within"
+        f" {RELEASE:g} %%",
     )
 
 
@@ -107,11 +109,11 @@ def run(args: argparse.Namespace) -> int:
     folder = out.with_name(f".{out.name}.calibration")
     checkpoint = Checkpoint(folder, {"organ": organ.digest(), "version": __version__, **asdict(settings)})
     if checkpoint.found:
-        print(f"going on from {folder}")
+        print(f"continuing from {folder}")
     try:
         found = calibrate(organ, settings, checkpoint, progress.Stages())
     except KeyboardInterrupt:
-        sys.stderr.write(f"stopped; the same command goes on from {folder}\n")
+        sys.stderr.write(f"stopped; the same command continues from {folder}\n")
         raise
     write_whole(found.organ, out)
     checkpoint.remove()
@@ -130,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     """Calibrate several organs into a folder."""
     if args.report:
-        raise UserError("--report is of one organ")
+        raise UserError("--report is for a single organ")
     check_cluster(args)
     folder = Path(args.out)
     if folder.suffix == ".npz":
@@ -144,7 +146,7 @@ def _run_many(args: argparse.Namespace, settings: Settings) -> int:
     try:
         found = calibrate_many(organs, outputs, settings, args.jobs or 1, args.scheduler)
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on from here\n")
+        sys.stderr.write("stopped; the same command continues from here\n")
         raise
     if args.json:
         write_figures(found, Path(args.json))
@@ -184,4 +186,4 @@ def _missed(figures: dict[str, Any]) -> Iterator[str]:
             yield f"{name} {value:.2f} %, bound {bound:g} %"
     for found in held_out.values():
         if found["settled"] < found["cases"]:
-            yield f"{found['cases'] - found['settled']} of {found['cases']} loads did not settle"
+            yield f"{found['cases'] - found['settled']} of {found['cases']} loads did not converge"

@@ -43,9 +43,9 @@ class Done(NamedTuple):
 
 def add_cluster(parser: argparse.ArgumentParser) -> None:
     """Arguments that say where organs are calibrated."""
-    parser.add_argument("--jobs", type=int, metavar="N", help="of several organs, how many at once (default: 1)")
+    parser.add_argument("--jobs", type=int, metavar="N", help="number of organs calibrated at once (default: 1)")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="let the workers of a Dask cluster do it, such as tcp://10.0.0.1:8786"
+        "--scheduler", metavar="ADDRESS", help="use the workers of a Dask cluster, such as tcp://10.0.0.1:8786"
     )
 
 
@@ -54,7 +54,7 @@ def check_cluster(args: argparse.Namespace) -> None:
     if args.jobs is not None and args.jobs < 1:
         raise UserError(f"--jobs {args.jobs} is less than 1")
     if args.jobs and args.scheduler:
-        raise UserError("--jobs is of this machine; with --scheduler the cluster's workers say how many")
+        raise UserError("--jobs is for this machine; with --scheduler the cluster's workers determine the number")
 
 
 def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
@@ -63,9 +63,9 @@ def outputs_of(organs: Sequence[Path], folder: Path) -> list[Path]:
     for organ in organs:
         out = folder / f"{organ.stem}.npz"
         if out.resolve() == organ.resolve():
-            raise UserError(f"--out {folder} is where {organ} lies; name another folder")
+            raise UserError(f"--out {folder} contains {organ}; name another folder")
         if out in found:
-            raise UserError(f"{found[out]} and {organ} have the same name, and would both be written to {out}")
+            raise UserError(f"{found[out]} and {organ} have the same name, so both would be written to {out}")
         found[out] = organ
     return list(found)
 

@@ -1,7 +1,7 @@
-"""Every organ of a folder of organ data, built and calibrated with defaults.
+"""Build and calibrate every organ of a folder of organ data, with defaults.
 
 `python -m tissue_sim.commands.every_organ --data DATA --out FOLDER`.
-The data is no part of the project: a CT's masks, organs of the Human Reference Atlas, SOFA's meshes, a colon.
+The data is not part of the project: masks of a CT, organs of the Human Reference Atlas, SOFA's meshes, a colon.
 """
 
 from __future__ import annotations
@@ -68,10 +68,10 @@ def main() -> int:
     An organ that is refused is no failure: its row says what to change.
     """
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.commands.every_organ", description=__doc__)
-    parser.add_argument("--data", required=True, metavar="FOLDER", help="where the organ data lies")
-    parser.add_argument("--out", required=True, metavar="FOLDER", help="for built and calibrated organs")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="some of them")
-    parser.add_argument("--json", metavar="FILE", help="write all figures there")
+    parser.add_argument("--data", required=True, metavar="FOLDER", help="folder of the organ data")
+    parser.add_argument("--out", required=True, metavar="FOLDER", help="folder for built and calibrated organs")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="names of the organs to calibrate (default: all)")
+    parser.add_argument("--json", metavar="FILE", help="JSON file for all figures")
     add_cluster(parser)
     args = parser.parse_args()
     try:
@@ -106,7 +106,7 @@ def built(sources: list[Source], data: Path, folder: Path) -> list[Path]:
             continue
         found.append(out)
     if not found:
-        raise UserError(f"no organ of {data} can be built; name the folder of the organ data with --data")
+        raise UserError(f"no organ in {data} can be built; name the folder of the organ data with --data")
     return found
 
 

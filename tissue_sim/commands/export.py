@@ -19,14 +19,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "out",
         metavar="OUT",
-        help=f"surface to write, by its ending: {', '.join(SURFACES)}; of a bag OUT.pvd, beside which frames are"
-        " written as VTU, with their times, or OUT.glb, for OUT_0000.glb and on",
+        help=f"surface to write, in the format of its extension: {', '.join(SURFACES)}; for a bag OUT.pvd, with frames"
+        " as VTU files and their times, or OUT.glb, for OUT_0000.glb and so on",
     )
     parser.add_argument(
         "--every", type=int, metavar="TICKS", help=f"of a bag: ticks from one frame to the next (default: {EVERY})"
     )
-    parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
-    parser.add_argument("--cells", metavar="FILE", help=f"write nodes and cells too, with moduli: {', '.join(CELLS)}")
+    parser.add_argument("--skeleton", metavar="FILE", help=f"also write the medial atoms, as lines: {', '.join(LINES)}")
+    parser.add_argument("--cells", metavar="FILE", help=f"also write nodes and cells, with moduli: {', '.join(CELLS)}")
     parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="length unit (default: %(default)s)")
 
 
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"--skeleton and the surface are both {args.out}; name two files")
     organ = Organ.load(args.organ)
     if cells is not None and not len(organ.cell_nodes):
-        raise UserError(f"organ '{organ.name}' has no cells for {args.cells}; tissue_sim calibrate gives it some")
+        raise UserError(f"organ '{organ.name}' has no cells for {args.cells}; tissue_sim calibrate adds them")
     scale = UNITS[args.unit]
     _write(args.out, surface(organ, args.unit))
     low, high = (getattr(organ.surface_positions, side)(axis=0) * scale for side in ("min", "max"))
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 def _writer(path: str, formats: Mapping[str, Writer], what: str) -> Writer:
     suffix = Path(path).suffix.lower()
     if suffix not in formats:
-        raise UserError(f"{path}: no format for the {what}; let its name end in {', '.join(formats)}")
+        raise UserError(f"{path}: unknown format of the {what}; use the extension {', '.join(formats)}")
     if not Path(path).parent.is_dir():
         raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
     return formats[suffix]

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ball",
         type=float,
         metavar="METRES",
-        help="tell also how many surface points (build --points) would do for a ball of this radius",
+        help="also print how many surface points (build --points) resolve a sphere of this radius",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
 
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         from tissue_sim.commands.info_scene import describe_scene, scene_lines
 
         if args.ball is not None:
-            raise UserError("--ball is of one organ; name an organ's file (.npz)")
+            raise UserError("--ball is for a single organ; name an organ's file (.npz)")
         found = describe_scene(Path(args.file))
         lines = scene_lines(found)
     else:

@@ -72,15 +72,15 @@ def scene_lines(found: dict[str, Any]) -> list[str]:
     for one in found["attachments"]:
         least, most = (f"{slack:.1f}" for slack in one["slack_mm"])
         lines.append(
-            f"  {one['from']} to {one['to']}: {one['links']} links, {one['stiffness_n_per_m']:g} N/m in all,"
+            f"  {one['from']} to {one['to']}: {one['links']} links, {one['stiffness_n_per_m']:g} N/m in total,"
             f" slack {least if least == most else f'{least} to {most}'} mm"
         )
     if found["attachments"]:
-        lines.append(f"  substeps for the attachments: {found['substeps_for_attachments']} at the least")
+        lines.append(f"  substeps for the attachments: at least {found['substeps_for_attachments']}")
     if found["breathing"]:
         way = ", ".join(f"{v:g}" for v in found["breathing"]["way_mm"])
         rate = found["breathing"]["rate_per_minute"]
-        lines.append(f"  breathing: {f'{rate:g} a minute' if rate else 'as ~/respiration tells'}, {way} mm")
+        lines.append(f"  breathing: {f'{rate:g} a minute' if rate else 'from ~/respiration'}, {way} mm")
     if found["friction"]:
         lines.append(f"  friction between organs: {found['friction']:g}")
     if any(found["gravity_m_per_s2"]):

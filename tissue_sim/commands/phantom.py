@@ -22,9 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default="ct.nii.gz",
         metavar="OUT",
-        help=f"CT to write, by its ending: {', '.join(_ENDINGS)} (default: %(default)s)",
+        help=f"CT to write, in the format of its extension: {', '.join(_ENDINGS)} (default: %(default)s)",
     )
-    parser.add_argument("--mask", metavar="FILE", help="write the mask of its left kidney too, as it was drawn")
+    parser.add_argument("--mask", metavar="FILE", help="also write the mask of its left kidney")
     parser.add_argument(
         "--noise", type=float, default=12.0, metavar="HU", help="standard deviation of the noise (default: %(default)g)"
     )
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="MM",
-        help="fat between the kidney and what is beside it (default: %(default)g, they touch)",
+        help="thickness of fat between the kidney and its neighbours (default: %(default)g, they touch)",
     )
 
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     seed = ",".join(f"{value:.0f}" for value in phantom.seed_point)
     _write(args.out, phantom.ct, "int16")
     size, spacing = (" x ".join(f"{value:g}" for value in values) for values in (phantom.ct.size, phantom.ct.spacing))
-    print(f"{args.out}: CT of {size} voxels of {spacing} mm, of no patient, with a left kidney of {kidney:.1f} mL")
+    print(f"{args.out}: synthetic CT of {size} voxels of {spacing} mm, with a left kidney of {kidney:.1f} mL")
     if args.mask is not None:
         _write(args.mask, phantom.kidney, "uint8")
         print(f"{args.mask}: mask of the kidney")
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(path: str) -> None:
     if not path.lower().endswith(_ENDINGS):
-        raise UserError(f"{path}: no format for an image; let its name end in {', '.join(_ENDINGS)}")
+        raise UserError(f"{path}: unknown image format; use the extension {', '.join(_ENDINGS)}")
     if not Path(path).parent.is_dir():
         raise UserError(f"folder {Path(path).parent} for {path} does not exist; make it first")
 
@@ -77,4 +77,4 @@ def _write(path: str, volume: Volume, kind: str) -> None:
     try:
         sitk.WriteImage(volume.with_array(volume.array.astype(kind)).to_sitk(), path)
     except RuntimeError:
-        raise UserError(f"cannot write {path}; is there room, and the right to write there?") from None
+        raise UserError(f"cannot write {path}; check the free space and the permissions there") from None

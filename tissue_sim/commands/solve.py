@@ -21,25 +21,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
     parser.add_argument(
-        "--loads", required=True, metavar="LOADS.npz", help="forces (L, n_surface, 3) in N, one set for each load"
+        "--loads",
+        required=True,
+        metavar="LOADS.npz",
+        help=".npz file with forces (L, n_surface, 3) in N, one set for each of L loads",
     )
     parser.add_argument(
         "--out",
         required=True,
         metavar="U.npz",
-        help="displacements (L, n_surface, 3) m, seconds (L,) of computing, converged (L,)",
+        help=".npz file to write: displacements (L, n_surface, 3) in m, seconds (L,) of computing, converged (L,)",
     )
     parser.add_argument(
         "--model",
         choices=MODEL_NAMES,
         default="auto",
-        help="model variant (default: %(default)s, that which the organ was made for)",
+        help="model variant (default: %(default)s, the one for which the organ was made)",
     )
-    parser.add_argument("--local-region", choices=LOCAL_REGIONS, default="off", help="what moves under a small load")
-    parser.add_argument("--integrator", choices=INTEGRATORS, default="symplectic", help="how nodes are stepped")
-    parser.add_argument("--rate", type=float, default=1000.0, help="ticks a second, Hz")
-    parser.add_argument("--tolerance", type=float, default=1e-3, help="residual force over load that counts as settled")
-    parser.add_argument("--longest", type=float, default=5.0, help="simulated seconds after which a load is given up")
+    parser.add_argument(
+        "--local-region", choices=LOCAL_REGIONS, default="off", help="part of the organ that moves under a small load"
+    )
+    parser.add_argument("--integrator", choices=INTEGRATORS, default="symplectic", help="time integration of the nodes")
+    parser.add_argument("--rate", type=float, default=1000.0, help="ticks per second, Hz")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-3,
+        help="residual force relative to the load at which a load counts as converged",
+    )
+    parser.add_argument(
+        "--longest", type=float, default=5.0, help="simulated seconds after which a load counts as not converged"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,8 +79,8 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise UserError(f"cannot write {args.out}: {error.strerror}") from None
     print(
-        f"{len(forces)} loads, {int(converged.sum())} settled, {seconds.sum():.1f} s,"
-        f" largest displacement {1e3 * np.linalg.norm(displacements, axis=2).max(initial=0.0):.2f} mm -> {args.out}"
+        f"{len(forces)} loads, {int(converged.sum())} converged, {seconds.sum():.1f} s, largest displacement"
+        f" {1e3 * np.linalg.norm(displacements, axis=2).max(initial=0.0):.2f} mm -> {args.out}"
     )
     return 0
 
@@ -78,12 +90,12 @@ def read_loads(path: str, n_surface: int) -> Floats:
     try:
         with np.load(path, allow_pickle=False) as stored:
             if "forces" not in stored.files:
-                raise UserError(f"{path} holds no array 'forces' (L, {n_surface}, 3)")
+                raise UserError(f"{path} has no array 'forces' (L, {n_surface}, 3)")
             forces = np.asarray(stored["forces"], dtype=np.float64)
     except FileNotFoundError:
         raise UserError(f"loads file {path} does not exist") from None
     except (OSError, ValueError, TypeError, EOFError, AttributeError, zipfile.BadZipFile):
-        raise UserError(f"{path} is no .npz file of loads; write one with numpy.savez(path, forces=...)") from None
+        raise UserError(f"{path} is not an .npz file of loads; write one with numpy.savez(path, forces=...)") from None
     if forces.ndim != 3 or forces.shape[1:] != (n_surface, 3):
         raise UserError(f"{path}: forces has shape {forces.shape}, expected (L, {n_surface}, 3) for this organ")
     if not np.all(np.isfinite(forces)):

@@ -54,7 +54,7 @@ class Breathing:
         if self.rate != 0.0 and not 1.0 <= self.rate <= 120.0:
             raise UserError(f"a breathing rate of {self.rate:g} a minute is outside 1..120")
         if way.shape != (3,) or not np.all(np.abs(way) <= 0.2):
-            raise UserError(f"breathing moves by {self.way!r}; wanted: three numbers of up to 0.2 m")
+            raise UserError(f"the breathing displacement is {self.way!r}; expected: three numbers of up to 0.2 m")
         breath = Breath.new()
         breath.period, breath.follows = 60.0 / self.rate if self.rate else 0.0, self.rate == 0.0
         breath.x, breath.y, breath.z = way
@@ -66,8 +66,8 @@ def links_of(attachments: Sequence[Attachment], simulations: Sequence[Simulation
     for simulation in simulations:
         if attachments and simulation.local_region != "off":
             raise UserError(
-                f"organ '{simulation.organ.name}' has a local region, and attachments move it as a whole;"
-                " use local region off"
+                f"organ '{simulation.organ.name}' has a local region, but attachments need the whole organ; use"
+                " local region off"
             )
         if attachments and simulation.integrator != "symplectic":
             raise UserError(f"attachments need integrator symplectic, not {simulation.integrator}")
@@ -106,7 +106,7 @@ def _nodes_of(one: Attachment, organs: Sequence[Organ], number: int) -> Longs:
     if not (0.0 < one.stiffness <= 1e6 and 0.0 <= one.damping <= 1e4):
         raise UserError(f"{name}: stiffness {one.stiffness:g} N/m or damping {one.damping:g} N s/m is out of range")
     if (far is None) != (one.point is not None):
-        raise UserError(f"{name} wants either another organ or a point")
+        raise UserError(f"{name} needs either another organ or a point")
     if one.nodes is None:
         if far is None:
             reach = np.linalg.norm(organs[near].surface_positions - np.asarray(one.point), axis=1)
@@ -124,5 +124,5 @@ def _nodes_of(one: Attachment, organs: Sequence[Organ], number: int) -> Longs:
         raise UserError(f"{name} joins nothing: no nodes within {one.within:g} m; make 'within' larger, or name nodes")
     limits = organs[near].n_surface, 1 if far is None else organs[far].n_surface
     if found.ndim != 2 or found.shape[1] != 2 or np.any(found < 0) or np.any(found >= limits):
-        raise UserError(f"{name} names surface nodes that aren't there")
+        raise UserError(f"{name} names surface nodes that don't exist")
     return found.astype(np.int64)

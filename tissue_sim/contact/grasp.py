@@ -49,7 +49,7 @@ def at_lower_pole(vertices: Floats, triangles: NDArray[np.integer], jaws: Jaws, 
     middle = np.average(outline.mean(axis=1), axis=0, weights=lengths)
     ends = _cut(outline, middle, thick).reshape(-1, 3) @ across
     if len(ends) < 2:
-        raise ValueError("its lower pole has no two sides")
+        raise ValueError("its lower pole doesn't have two sides")
     place = middle + (0.5 * (ends.max() + ends.min()) - middle @ across) * across
     width = float(np.ptp(ends))
     turn = Rotation.from_matrix(np.stack([across, np.cross(-out, across), -out], axis=1)).as_quat()

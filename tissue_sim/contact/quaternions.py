@@ -15,10 +15,10 @@ Quaternion = tuple[float, float, float, float]
 def unit_quaternion(values: Sequence[float]) -> Quaternion:
     """A quaternion xyzw scaled to length 1; raises ValueError when it is zero or isn't four finite numbers."""
     if len(values) != 4 or not all(map(math.isfinite, values)):
-        raise ValueError("takes a quaternion of four finite numbers: x, y, z, w")
+        raise ValueError("must be a quaternion of four finite numbers: x, y, z, w")
     length = math.hypot(*values)
     if length < 1e-6:
-        raise ValueError("has a quaternion of zero; no rotation is 0, 0, 0, 1")
+        raise ValueError("has a zero quaternion; the identity is 0, 0, 0, 1")
     x, y, z, w = (float(value) / length for value in values)
     return (x, y, z, w)
 

@@ -58,7 +58,7 @@ class SceneFile:
             raise UserError(f"scene {path} can't be read: {error.strerror}") from None
         except (YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
             said = shown(" ".join(str(error).split()), 200)
-            raise UserError(f"scene {path} is no YAML: {said}") from None
+            raise UserError(f"scene {path} is not valid YAML: {said}") from None
         try:
             return cls._parsed(path, _object(content, "the scene", OF_SCENE))
         except _Wrong as error:
@@ -70,11 +70,11 @@ class SceneFile:
             raise _Wrong(f"format is {shown(repr(said.get('format')))}, this package reads {FORMAT}")
         entries = _list(said.get("organs"), "organs")
         if not 1 <= len(entries) <= MOST_ORGANS:
-            raise _Wrong(f"organs has {len(entries)} entries, wanted: 1 to {MOST_ORGANS}")
+            raise _Wrong(f"organs has {len(entries)} entries, expected: 1 to {MOST_ORGANS}")
         rows = [_organ(path, entry, f"organs[{number}]") for number, entry in enumerate(entries)]
         names = [name for name, *_ in rows]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise _Wrong(f"two organs are called '{twice[0]}'")
+            raise _Wrong(f"two organs have the name '{twice[0]}'")
         _, organs, stiffness, breathes = zip(*rows, strict=True)
         attached = _list(said.get("attachments", []), "attachments")
         breathing = said.get("breathing")
@@ -144,10 +144,12 @@ def _organ(path: Path, entry: Any, where: str) -> tuple[str, Organ, float, float
     said = _object(entry, where, _OF_ORGAN)
     name = said.get("name")
     if not (isinstance(name, str) and name.isidentifier() and name.isascii()):
-        raise _Wrong(f"{where}.name is {shown(repr(name))}; wanted: letters, digits and _, not beginning with a digit")
+        raise _Wrong(
+            f"{where}.name is {shown(repr(name))}; expected: letters, digits and _, not beginning with a digit"
+        )
     file = said.get("file")
     if not isinstance(file, str) or not file:
-        raise _Wrong(f"{where}.file is {shown(repr(file))}; wanted: an organ file, beside the scene")
+        raise _Wrong(f"{where}.file is {shown(repr(file))}; expected: an organ file, next to the scene")
     organ = Organ.load(path.parent / file)
     position = _numbers(said.get("position", [0.0, 0.0, 0.0]), f"{where}.position", 3, 10.0)
     quaternion = _numbers(said.get("quaternion", [0.0, 0.0, 0.0, 1.0]), f"{where}.quaternion", 4, 1.0 + 1e-6)
@@ -162,16 +164,16 @@ def _organ(path: Path, entry: Any, where: str) -> tuple[str, Organ, float, float
 def _attachment(entry: Any, names: Sequence[str], where: str) -> Attachment:
     said = _object(entry, where, _OF_ATTACHMENT)
     if ("between" in said) == ("of" in said):
-        raise _Wrong(f"{where} wants either 'between' with two organs, or 'of' with one and a 'point'")
+        raise _Wrong(f"{where} needs either 'between' with two organs, or 'of' with one and a 'point'")
     ends = [said["of"]] if "of" in said else _list(said["between"], f"{where}.between")
     if len(ends) != (1 if "of" in said else 2) or not all(isinstance(name, str) for name in ends):
-        raise _Wrong(f"{where}.{'of' if 'of' in said else 'between'} is {shown(repr(ends))}; wanted: names of organs")
+        raise _Wrong(f"{where}.{'of' if 'of' in said else 'between'} is {shown(repr(ends))}; expected: names of organs")
     if unknown := [name for name in ends if name not in names]:
-        raise _Wrong(f"{where} names organ '{shown(unknown[0])}', which isn't there; there are {', '.join(names)}")
+        raise _Wrong(f"{where} names organ '{shown(unknown[0])}', which doesn't exist; there are {', '.join(names)}")
     if ("of" in said) != ("point" in said):
-        raise _Wrong(f"{where}: 'of' wants a 'point', and 'between' none")
+        raise _Wrong(f"{where}: 'of' needs a 'point', and 'between' has none")
     if ("within" in said) == ("nodes" in said):
-        raise _Wrong(f"{where} wants either 'within', m, or 'nodes'")
+        raise _Wrong(f"{where} needs either 'within', m, or 'nodes'")
     number = names.index(ends[0]), names.index(ends[1]) if len(ends) == 2 else None
     return Attachment(
         number,
@@ -196,30 +198,30 @@ def _breathing(entry: Any) -> Breathing:
 
 def _object(value: Any, where: str, keys: Sequence[str]) -> Mapping[str, Any]:
     if not isinstance(value, dict):
-        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: {', '.join(keys)}")
+        raise _Wrong(f"{where} is {shown(repr(value))}; expected: {', '.join(keys)}")
     for key in value:
         if key not in keys:
             near = difflib.get_close_matches(str(key), keys, 1)
             hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(keys)}"
-            raise _Wrong(f"{where} has '{shown(str(key))}', which nobody knows; {hint}")
+            raise _Wrong(f"{where} has '{shown(str(key))}', which is unknown; {hint}")
     return value
 
 
 def _list(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list):
-        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: a list")
+        raise _Wrong(f"{where} is {shown(repr(value))}; expected: a list")
     return value
 
 
 def _number(value: Any, where: str, low: float, high: float) -> float:
     if type(value) not in (int, float) or not math.isfinite(value) or not low <= value <= high:
-        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: a number in {low:g}..{high:g}")
+        raise _Wrong(f"{where} is {shown(repr(value))}; expected: a number in {low:g}..{high:g}")
     return float(value)
 
 
 def _numbers(value: Any, where: str, count: int, most: float) -> list[float]:
     if not isinstance(value, list) or len(value) != count:
-        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: {count} numbers")
+        raise _Wrong(f"{where} is {shown(repr(value))}; expected: {count} numbers")
     return [_number(one, f"{where}[{place}]", -most, most) for place, one in enumerate(value)]
 
 
@@ -229,5 +231,5 @@ def _nodes(value: Any, where: str, ends: int) -> list[Any]:
     flat = rows if ends == 1 else [node for row in rows for node in (row if isinstance(row, list) else [None])]
     right = all(type(node) is int and 0 <= node < 2**31 for node in flat)
     if not rows or not right or (ends == 2 and any(len(row) != 2 for row in rows)):
-        raise _Wrong(f"{where} is {shown(repr(value))}; wanted: {wanted}")
+        raise _Wrong(f"{where} is {shown(repr(value))}; expected: {wanted}")
     return rows

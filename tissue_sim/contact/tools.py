@@ -170,7 +170,7 @@ def _mesh_body(tool: Tool) -> _Body:
     if path is None:
         raise UserError(f"tool '{tool.name}': mesh file '{tool.mesh}' does not exist; name one in metres")
     if path.suffix[1:].lower() not in trimesh.available_formats():  # a bag may name any file, which nobody then opens
-        raise UserError(f"tool '{tool.name}': '{tool.mesh}' is no mesh file; name one such as jaw.obj or jaw.stl")
+        raise UserError(f"tool '{tool.name}': '{tool.mesh}' is not a mesh file; name one such as jaw.obj or jaw.stl")
     try:
         mesh = trimesh.load_mesh(path)
         with np.errstate(invalid="ignore"):  # a flat one has no centre of mass; it is refused below

@@ -70,12 +70,12 @@ def assemble(
         raise UserError(f"unknown return target '{return_target}'; choose one of {', '.join(RETURN_TARGETS)}")
     implied = return_target == "implied"
     if implied and model == "surface":
-        raise UserError("the surface model has no skeleton that could imply a boundary; use return target rest")
+        raise UserError("the surface model has no skeleton to imply a boundary; use return target rest")
     by_cells = model == "cells"
     if implied and by_cells:
-        raise UserError("cells have no return springs that could pull to an implied boundary; use return target rest")
+        raise UserError("cells have no return springs; use return target rest")
     if by_cells and not len(organ.cell_nodes):
-        raise UserError(f"organ '{organ.name}' has no cells; make them with tissue_sim calibrate")
+        raise UserError(f"organ '{organ.name}' has no cells; add them with tissue_sim calibrate")
     n, n_surface = organ.n_nodes, organ.n_surface
     rest = np.ascontiguousarray(organ.rest_positions)
     mass, damping = organ.mass.copy(), organ.damping.copy()

@@ -88,7 +88,7 @@ def lowest_modes(model: Model, count: int = N_MODES) -> Modes:
         square, vectors = np.zeros(1), np.zeros((len(free), 1))
     if square.min() <= _RIGID * scaled.diagonal().max():
         raise UserError(
-            "the organ has modes without stiffness, so nothing holds it: give it fixed nodes or return springs,"
+            "the organ has modes without stiffness, since nothing holds it: give it fixed nodes or return springs,"
             " or use local_region off"
         )
     order = np.argsort(square)

@@ -105,10 +105,12 @@ class Simulation:
         if substeps is not None and not 1 <= substeps <= 10_000:
             raise UserError(f"{substeps} substeps are outside 1..10000")
         if return_target != "rest" and local_region in ("modal", "auto"):
-            raise UserError(f"return target {return_target} goes with local region off or frozen, not {local_region}")
+            raise UserError(f"return target {return_target} needs local region off or frozen, not {local_region}")
         model = model_of(organ) if model == "auto" else model
         if model == "cells" and local_region == "frozen":
-            raise UserError("a frozen region is one of springs; use local region off, modal or auto, or model hybrid")
+            raise UserError(
+                "a frozen region supports springs only; use local region off, modal or auto, or model hybrid"
+            )
         if model == "cells" and local_region == "auto" and moves_whole(organ):
             local_region = "off"
         self.organ = organ
@@ -385,7 +387,7 @@ def acceleration_of(given: ArrayLike, name: str) -> Floats:
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.shape != (3,) or not np.all(np.isfinite(values)) or np.linalg.norm(values) > MOST_GRAVITY:
-        raise UserError(f"{name} {given!r} is not three numbers, m/s^2, of {MOST_GRAVITY:g} together at most")
+        raise UserError(f"{name} {given!r} is not three numbers, m/s^2, with a norm of at most {MOST_GRAVITY:g}")
     return values
 
 

@@ -239,13 +239,13 @@ def take_fields(state: State, fields: Mapping[str, NDArray[Any]]) -> None:
     for name, target in fields_of(state).items():
         found = fields.get(name)
         if found is None or found.shape != target.shape:
-            raise ValueError(f"its state has another '{name}': it belongs to another organ or other tools")
+            raise ValueError(f"its state has a different '{name}': it belongs to another organ or to other tools")
         if target.dtype.names is None:
             if found.dtype.kind not in "iufb":
-                raise ValueError(f"its state's '{name}' holds no numbers")
+                raise ValueError(f"its state's '{name}' contains no numbers")
             target[...] = found
             continue
         for field in target.dtype.names:
             if field not in (found.dtype.names or ()):
-                raise ValueError(f"its state lacks '{name}.{field}'")
+                raise ValueError(f"its state has no '{name}.{field}'")
             target[field] = found[field]

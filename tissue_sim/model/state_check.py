@@ -34,7 +34,7 @@ def check_state(state: State) -> None:
         chosen = nodes[:count]
         _check_index(f"{name}_node", chosen, n)
         if not np.array_equal(np.flatnonzero(marks), np.sort(chosen)):
-            raise ValueError(f"its state's {name}_node and is_{name} don't fit together")
+            raise ValueError(f"its state's {name}_node and is_{name} don't match")
     ranges = {
         "backoff": (1, MAX_BACKOFF),
         "region": (0, len(Region) - 1),
@@ -84,9 +84,9 @@ def contact_set_of(fields: Mapping[str, NDArray[Any]], n_bodies: int, n_nodes: i
             continue
         target, found = array_of(value), fields.get(name)
         if found is None or found.shape != target.shape or found.dtype.names != target.dtype.names:
-            raise ValueError(f"a contact set has another '{name}'")
+            raise ValueError(f"a contact set has a different '{name}'")
         if target.dtype.names is None and found.dtype.kind not in "iuf":
-            raise ValueError(f"a contact set's '{name}' holds no numbers")
+            raise ValueError(f"a contact set's '{name}' contains no numbers")
         target[...] = found
     _check_finite({name: array_of(value) for name, value in made._asdict().items()})
     _check_contacts(made, n_nodes)
@@ -100,13 +100,13 @@ def _check_contacts(found: ContactSet, n_nodes: int) -> None:
     _check_index("body of a contact point", found.body[:points], len(found.engaged))
     _check_index("node of a contact point", found.node[:points], n_nodes)
     if not np.isin(found.engaged, list(Engaged)).all() or found.reach.min(initial=0.0) < 0.0:
-        raise ValueError("a contact set says of a body what can't be, or has a reach below 0")
+        raise ValueError("a contact set has an invalid body, or a negative reach")
     if min(found.compliance[:points].min(initial=0.0), found.most_give[:points].min(initial=0.0)) < 0.0:
-        raise ValueError("a contact point gives way by less than nothing")
+        raise ValueError("a contact point has a negative compliance")
     tips = found.tip_node
     _check_index("node under a tip", tips[tips != -1], n_nodes)
     if np.any((tips == -1).any(axis=1) != (tips == -1).all(axis=1)):
-        raise ValueError("a contact set names half a triangle under a tip")
+        raise ValueError("a contact set names an incomplete triangle under a tip")
 
 
 def _check_index(name: str, values: NDArray[Any], count: int) -> None:
@@ -119,4 +119,4 @@ def _check_finite(fields: Mapping[str, NDArray[Any]]) -> None:
         parts = {name: values} if values.dtype.names is None else {f"{name}.{k}": values[k] for k in values.dtype.names}
         for part, numbers in parts.items():
             if numbers.dtype.kind == "f" and numbers.size and not np.abs(numbers).max() <= MOST:
-                raise ValueError(f"its '{part}' holds numbers that are not finite, or beyond {MOST:g}")
+                raise ValueError(f"its '{part}' contains numbers that are not finite, or beyond {MOST:g}")

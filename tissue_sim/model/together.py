@@ -79,15 +79,17 @@ class Joined:
         self.pairs = pairs = make_pairs() if pairs is None else pairs
         breath = Breath.new() if breath is None else breath
         if len(self.simulations) > MOST_ORGANS:
-            raise UserError(f"{len(self.simulations)} organs are joined; wanted: {MOST_ORGANS} at the most")
+            raise UserError(f"{len(self.simulations)} organs are joined; expected: at most {MOST_ORGANS}")
         if len({(one.rate, one.variant, one.local_region, one.integrator, one.implied) for one in simulations}) > 1:
-            raise UserError("organs of one scene have one rate, model, local region, integrator and return target")
+            raise UserError(
+                "the organs of a scene must have the same rate, model, local region, integrator and return target"
+            )
         if self.simulations[0].implied and not self.alone:
-            raise UserError("organs of one scene have return target rest, not implied")
+            raise UserError("the organs of a scene must have return target rest, not implied")
         moves = list(moves) or [0.0] * len(self.simulations)
         if len(moves) != len(self.simulations):
             raise UserError(
-                f"how far organs go with the breath: {len(moves)} numbers for {len(self.simulations)} organs"
+                f"the organs' breathing fractions are {len(moves)} numbers for {len(self.simulations)} organs"
             )
         gravity = np.array([gravity_of(one.settings) for one in self.simulations])
         self.carried = carried_with(breath, moves, gravity)

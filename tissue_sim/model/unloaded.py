@@ -59,7 +59,7 @@ def unloaded_shape(shape: Floats, cells: Ints, law: Law, weight: Floats, free: M
         else:
             break
         found, off = tried, left
-    raise UserError("no unloaded shape is found: the tissue is too soft for the gravity that its shape is to bear")
+    raise UserError("no unloaded shape exists: the tissue is too soft for the gravity under which its shape was given")
 
 
 class _Inverse:

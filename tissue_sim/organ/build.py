@@ -276,7 +276,7 @@ def _surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: 
         inclusions, specks = surround(replace(mask, name=f"label {label}"), stiffness)
         found += inclusions
         if specks:
-            progress.say(f"left out {specks} specks of label {label}")
+            progress.say(f"omitted {specks} specks of label {label}")
     return tuple(found)
 
 

@@ -57,7 +57,9 @@ def tissue_cells(points: Floats, surface: Floats, triangles: Ints, name: str) ->
             sound[cell] = True
             count[cells[cell]] += 1
     if not count.all():
-        raise UserError(f"organ '{name}': no cell joins {np.sum(count == 0)} nodes; build it with other --atoms")
+        raise UserError(
+            f"organ '{name}': no cell joins {np.sum(count == 0)} nodes; build it with another number of --atoms"
+        )
     share = float(np.abs(volume[sound]).sum()) / signed_volume(surface, triangles)
     if share < LEAST_SHARE:
         raise UserError(f"cells fill {100.0 * share:.0f} % of organ '{name}'; build it with more --interior atoms")

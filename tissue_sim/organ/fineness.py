@@ -41,12 +41,12 @@ def too_coarse(organ: Organ, radius: float) -> str | None:
         return None
     least = 1e3 * FAIR * edge * math.sqrt(organ.n_surface / MOST_POINTS)
     remedy = (
-        f"build the organ with --points {wanted} ({points_for(organ, radius, FINE)} for {FINE_WITHIN:g} %), or use a"
-        " larger radius"
+        f"build the organ with --points {wanted} ({points_for(organ, radius, FINE)} for an error of {FINE_WITHIN:g}"
+        " %), or use a larger radius"
         if wanted <= MOST_POINTS
-        else f"use a radius of {least:.2g} mm or more, for which --points {MOST_POINTS} would do"
+        else f"use a radius of {least:.2g} mm or more, for which --points {MOST_POINTS} is sufficient"
     )
     return (
-        f"its radius of {1e3 * radius:.3g} mm is below half the mean edge of organ '{organ.name}', {1e3 * edge:.3g} mm:"
-        f" forces may be off by more than {FAIR_WITHIN:g} %; {remedy}"
+        f"its radius of {1e3 * radius:.3g} mm is below half the mean edge of organ '{organ.name}', {1e3 * edge:.3g}"
+        f" mm: the error of forces may exceed {FAIR_WITHIN:g} %; {remedy}"
     )

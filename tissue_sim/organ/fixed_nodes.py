@@ -40,10 +40,12 @@ def select_fixed(choice: str | ArrayLike, positions: Floats) -> Ints:
         return _fixed_from_file(Path(text), len(positions))
     match = _FIXED.fullmatch(text)
     if match is None:
-        raise UserError(f"--fixed '{choice}' is not understood; use 'z<0.1' (axis, < or >, share), a .npy file or none")
+        raise UserError(
+            f"--fixed '{choice}' is not understood; use 'z<0.1' (axis, < or >, fraction), a .npy file or none"
+        )
     axis, side, share = "xyz".index(match[1]), match[2], float(match[3])
     if not 0.0 <= share <= 1.0:
-        raise UserError(f"--fixed '{choice}': the share of the extent must lie within 0..1")
+        raise UserError(f"--fixed '{choice}': the fraction of the extent must lie within 0..1")
     along = positions[:, axis]
     level = along.min() + share * np.ptp(along)
     chosen = np.flatnonzero(along <= level if side == "<" else along >= level)
@@ -56,7 +58,7 @@ def _fixed_from_file(path: Path, count: int) -> Ints:
     except FileNotFoundError:
         raise UserError(f"--fixed file {path} does not exist") from None
     except (OSError, ValueError, EOFError):
-        raise UserError(f"--fixed file {path} is no .npy file of indices") from None
+        raise UserError(f"--fixed file {path} is not a .npy file of indices") from None
     return _indices(index, count, f"--fixed file {path}")
 
 

@@ -32,7 +32,7 @@ class Inclusion(NamedTuple):
 def check_stiffness(stiffness: float) -> None:
     """Raise UserError for a factor that no inclusion has."""
     if not LEAST <= stiffness <= MOST:
-        raise UserError(f"an inclusion {stiffness:g} times as stiff is outside {LEAST:g}..{MOST:g}")
+        raise UserError(f"an inclusion's stiffness ratio {stiffness:g} is outside {LEAST:g}..{MOST:g}")
 
 
 def inclusions_of(organ: Organ) -> list[Inclusion]:

@@ -93,6 +93,6 @@ def place_interior_atoms(
         apart = np.minimum(apart, cKDTree(places[chosen]).query(places)[0] / size) if chosen else apart
     choose(count, np.minimum(apart, _WALL * depth))
     if len(chosen) < count:
-        raise UserError(f"--interior {count} is too many for this organ; it has room for {len(chosen)}")
+        raise UserError(f"--interior {count} is too many for this organ; the largest number is {len(chosen)}")
     index = np.array(chosen, dtype=np.int64)
     return InteriorAtoms(places[index], spoke[index].astype(np.int32), share[index])

@@ -65,7 +65,7 @@ def organ_from_image(
         f" {progress.took('segment')}"
     )
     if request.organ is None:
-        progress.say("checked against the bounds of any organ; --organ kidney, liver, ... notices smaller leaks")
+        progress.say("checked against the bounds of any organ; --organ kidney, liver, ... detects smaller leaks")
     for line in found.warnings:
         progress.say(f"warning: {line}")
     record = progress.record
@@ -100,16 +100,17 @@ def _inflated(mask: Volume, request: Request, progress: Progress, volume: float)
         positions, triangles = balloon.positions, balloon.triangles
         off = wall_distance(wall, positions, triangles)
     progress.say(
-        f"balloon of {len(positions)} points, {len(triangles)} triangles, {off:.2f} mm from the wall in the mean"
+        f"balloon of {len(positions)} points, {len(triangles)} triangles, mean distance from the wall {off:.2f} mm"
         f" {progress.took('balloon')}"
     )
     if not balloon.expanded:
-        progress.say("the balloon met itself in a fold; its points were thinned from the wall's own surface instead")
+        progress.say("the balloon intersected itself in a fold; the wall's own surface was decimated instead")
     for line in balloon.warnings:
         progress.say(f"warning: {line}")
     if balloon.missed > max(1.5 * wall.spacing, 0.5 * balloon.edge):
         progress.say(
-            f"warning: the balloon left out folds of the wall, up to {balloon.missed:.0f} mm deep; use more --points"
+            f"warning: the balloon did not reach folds of the wall up to {balloon.missed:.0f} mm deep; use more"
+            " --points"
         )
     if request.refinement:
         positions, triangles = _refined(wall, positions, triangles, request, progress)
@@ -187,8 +188,8 @@ def _check_mask_size(mask: Volume) -> None:
     size = 1e-3 * max(float(n[-1] - n[0] + 1) * step for n, step in zip(held, mask.spacing, strict=True))
     if not is_organ(size):
         raise UserError(
-            f"mask {mask.name} is {size:.3g} m long, an organ is 5 mm to 1 m; its voxels are {_voxels(mask)}: correct"
-            " that in its header"
+            f"mask {mask.name} is {size:.3g} m long, but an organ is 5 mm to 1 m; its voxels are {_voxels(mask)}:"
+            " correct that in its header"
         )
 
 
@@ -196,7 +197,7 @@ def _check_image_size(image: Volume) -> None:
     size = 1e-3 * float((image.spacing * image.size).max())
     if not ORGAN_SIZE[0] <= size <= _LARGEST_IMAGE:
         raise UserError(
-            f"image {image.name} is {size:.3g} m long, a CT is 5 mm to {_LARGEST_IMAGE:g} m; its voxels are"
+            f"image {image.name} is {size:.3g} m long, but a CT is 5 mm to {_LARGEST_IMAGE:g} m; its voxels are"
             f" {_voxels(image)}: correct that in its header"
         )
 
@@ -217,10 +218,12 @@ def _compared(volume: float, positions: Floats, triangles: Ints, request: Reques
     told = f"{volume:.1f} mL read, {built:.1f} mL built ({100.0 * off:+.1f} %)"
     if abs(off) > _WRONG and not request.accept:
         raise UserError(
-            f"{request.name} differs from what it is made from: {told}; resample a thin mask finer, close what it"
-            " leaves open, or pass it on with --accept"
+            f"{request.name} differs from its input: {told}; resample a thin mask more finely, close its gaps, or"
+            " accept it with --accept"
         )
-    progress.say(f"warning: {told}; a finer mask, or more --points, comes closer" if abs(off) > _NOTED else told)
+    progress.say(
+        f"warning: {told}; a finer mask or more --points reduces the difference" if abs(off) > _NOTED else told
+    )
     return _with(request, {"volume_read_ml": round(volume, 3), "volume_built_ml": round(built, 3)})
 
 
@@ -231,7 +234,7 @@ def _wall(mask: Volume, progress: Progress) -> Wall:
         wall = make_wall(mask)
     progress.record.mask, progress.record.wall = mask, wall
     if wall.fragments:
-        progress.say(f"left out {wall.fragments} separate fragment{'s' if wall.fragments > 1 else ''} of the mask")
+        progress.say(f"omitted {wall.fragments} separate fragment{'s' if wall.fragments > 1 else ''} of the mask")
     if wall.filled or wall.cut:
         progress.say(f"closed cavities and handles of the mask: {wall.filled:.2f} mL filled, {wall.cut:.2f} mL cut")
     return wall
@@ -294,9 +297,9 @@ def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: P
     within = inside(inclusion.positions, positions, triangles)
     volume = 1e6 * signed_volume(inclusion.positions, inclusion.triangles)
     if not within.any():
-        raise UserError(f"an inclusion of {volume:.2f} mL lies outside the organ; choose another label")
+        raise UserError(f"an inclusion of {volume:.2f} mL is outside the organ; choose another label")
     depth = 1e3 * float(distance_to_surface(inclusion.positions, positions, triangles)[within].min())
-    out = "" if within.all() else ", partly outside it: what sticks out is left out"
+    out = "" if within.all() else ", partly outside it: the part outside is omitted"
     progress.say(
         f"inclusion of {volume:.2f} mL, {inclusion.stiffness:g} times as stiff, {depth:.1f} mm under the surface{out}"
     )

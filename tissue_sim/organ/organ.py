@@ -189,7 +189,7 @@ class Organ:
                 raise UserError(f"organ '{self.name}': {key} names a node outside 0..{limit - 1}")
         spoke = self.interior_spoke
         if spoke.size and (spoke.min() < 0 or np.any(spoke.max(axis=0) >= [sizes["n_atoms"], sizes["n_surface"]])):
-            raise UserError(f"organ '{self.name}': interior_spoke names an atom or surface node that isn't there")
+            raise UserError(f"organ '{self.name}': interior_spoke names an atom or surface node that doesn't exist")
         parent = self.atom_parent
         if parent.size and (parent.min() < -1 or np.any(parent >= np.arange(len(parent)))):
             raise UserError(f"organ '{self.name}': atom_parent must name an earlier atom, or -1 for the root")
@@ -198,7 +198,7 @@ class Organ:
                 raise UserError(f"organ '{self.name}': {key} must not be negative")
         corner = self.rest_positions[self.cell_nodes]
         if np.any(np.linalg.det(corner[:, 1:] - corner[:, :1]) <= 0.0):
-            raise UserError(f"organ '{self.name}': cell_nodes holds cells without volume or inside out")
+            raise UserError(f"organ '{self.name}': cell_nodes contains cells without volume or inverted cells")
         check_surface(self.surface_positions, self.surface_triangles, f"organ '{self.name}'")
         for number in range(sizes["n_inclusions"]):
             used, own = np.unique(self.inclusion_triangles[self.inclusion_of == number], return_inverse=True)
@@ -276,10 +276,10 @@ class Organ:
             raise UserError(f"organ file {path} can't be read: {error.strerror}") from None
         except ValueError as error:
             raise UserError(
-                f"organ file {path} is damaged or no organ file ({shown(str(error), 200)}); build it again"
+                f"organ file {path} is damaged or not an organ file ({shown(str(error), 200)}); build it again"
             ) from None
         if "header" not in content or "sha256" not in content:
-            raise UserError(f"{path} is no organ file: it holds no header; make one with 'tissue_sim build'")
+            raise UserError(f"{path} is not an organ file: it has no header; make one with 'tissue_sim build'")
         text = str(content.pop("header"))
         digest = str(content.pop("sha256"))
         header = _header(text)
@@ -305,8 +305,8 @@ class Organ:
             raise UserError(f"organ file {path} was altered: its checksum does not match; build it again")
         if header.get("hardening", 0.0):
             raise UserError(
-                f"organ file {path} was calibrated with springs that harden, which are no more;"
-                " build and calibrate it anew: its cells harden as tissue does"
+                f"organ file {path} was calibrated with hardening springs, which are no longer supported; build and"
+                " calibrate it again, with cells, which harden as tissue does"
             )
         content.setdefault("interior_spoke", np.empty((0, 2)))  # version 1 had no interior atoms
         whole: dict[str, Any] = {**{key: header[key] for key in _TOLD}, **content}
@@ -356,19 +356,19 @@ def check_surface(positions: Floats, triangles: Ints, name: str) -> None:
     if pieces > 1:
         raise UserError(f"{name}: the surface falls into {pieces} pieces; keep one of them")
     if signed_volume(positions, triangles) <= 0.0:
-        raise UserError(f"{name}: the surface is inside out (negative volume); flip its triangles")
+        raise UserError(f"{name}: the surface is inverted (negative volume); flip its triangles")
 
 
 def _frozen(name: str, value: Any, dtype: type) -> NDArray[Any]:
     given = np.asarray(value)
     if given.dtype.kind not in "fiub":
-        raise UserError(f"organ: {name} holds {given.dtype.name}, no numbers")
+        raise UserError(f"organ: {name} contains {given.dtype.name}, not numbers")
     with np.errstate(all="ignore"):  # looked at below
         array: NDArray[Any] = np.array(given, dtype=dtype, order="C")
     if dtype is np.float64 and not np.all(np.isfinite(array)):
-        raise UserError(f"organ: {name} holds values that are not finite")
+        raise UserError(f"organ: {name} contains values that are not finite")
     if dtype is np.int32 and not np.array_equal(array, given):
-        raise UserError(f"organ: {name} holds values that are no whole numbers of 32 bits")
+        raise UserError(f"organ: {name} contains values that are not 32-bit integers")
     array.flags.writeable = False
     return array
 

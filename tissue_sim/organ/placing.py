@@ -23,7 +23,7 @@ def placed(
     if at.shape != (3,) or turn.shape != (4,) or not np.all(np.isfinite(np.concatenate([at, turn]))):
         raise UserError("an organ's pose is three numbers, m, and a quaternion of four, x, y, z, w")
     if abs(np.sqrt(np.sum(turn**2)) - 1.0) > 1e-6:
-        raise UserError(f"an organ's quaternion {turn.tolist()} is not of length 1")
+        raise UserError(f"an organ's quaternion {turn.tolist()} does not have length 1")
 
     def there(points: Floats) -> Floats:
         once = np.cross(turn[:3], points) + turn[3] * points

@@ -25,5 +25,5 @@ def shipped_organ(name: str = "kidney") -> Path:
     """Path of an organ that ships with the package. Raises UserError when there is none of that name."""
     found = shipped_file(f"config/organs/{name}.npz")
     if found is None:
-        raise UserError(f"no organ '{name}' comes with this installation; make one with 'tissue_sim build'")
+        raise UserError(f"organ '{name}' is not part of this installation; make one with 'tissue_sim build'")
     return found

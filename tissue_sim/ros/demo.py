@@ -32,14 +32,14 @@ WAIT = 600.0  # s that the bridge waits for the node, which may compile its kern
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "--seconds", type=client.number(0.1, 1e9, "s"), help="end after this time; without it, go on until Ctrl-C"
+        "--seconds", type=client.number(0.1, 1e9, "s"), help="end after this time; without it, run until Ctrl-C"
     )
     add_page_arguments(parser)
     parser.add_argument("--no-viewer", action="store_true", help="node and bridge only")
-    parser.add_argument("--organ", metavar="FILE", help="organ file (.npz); the kidney that ships unless given")
-    parser.add_argument("--bag-folder", metavar="DIR", help="folder for the bag; recordings/<date-time> unless given")
+    parser.add_argument("--organ", metavar="FILE", help="organ file (.npz); default: the kidney of this package")
+    parser.add_argument("--bag-folder", metavar="DIR", help="folder for the bag (default: recordings/<date-time>)")
     parser.add_argument(
-        "--rate", type=client.number(50.0, 2000.0, "Hz"), default=500.0, help="poses a second from the bridge, Hz"
+        "--rate", type=client.number(50.0, 2000.0, "Hz"), default=500.0, help="poses per second from the bridge, Hz"
     )
 
 
@@ -66,8 +66,8 @@ def run(args: argparse.Namespace) -> int:
         priority = PRIORITY if is_allowed(PRIORITY) else 0
         children = [Child("node", node_command(args.organ, folder, priority), os.environ)]
         print(
-            f"node: {args.organ or 'the kidney that ships'}, records to {folder};"
-            f" ROS domain {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'};"
+            f"node: {args.organ or 'the default kidney'}, records to {folder}; ROS domain"
+            f" {os.environ['ROS_DOMAIN_ID']}, real-time priority {priority or 'not allowed here'};"
             f" {dds.told_reach()}"
         )
         if not args.no_viewer:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"viewer: open {address(args.host, args.port, token)}")
         words = _command("bridge", "--rate", f"{args.rate:g}", "--wait", f"{WAIT:g}")
         children.append(Child("bridge", words, os.environ))
-        print("bridge: strokes, pokes, nips, lifts and releases; Ctrl-C ends", flush=True)
+        print("bridge: strokes, pokes, pinches, lifts and releases; Ctrl-C ends", flush=True)
         progress.tell_by(None)  # from here on a line a second
         try:
             dead = watch.run(children, stop)
@@ -173,8 +173,8 @@ class Watch:
                         print(status_line(values), flush=True)
                     elif (waited := round(now - started)) == 2 or (waited > 0 and waited % 10 == 0):
                         print(
-                            f"waiting for the node, {waited} s"
-                            " (its kernels compile when it runs here for the first time, half a minute)",
+                            f"waiting for the node, {waited} s (on its first run it compiles kernels, for half a"
+                            " minute)",
                             flush=True,
                         )
                 wait_a_little(min(next_line, end))
@@ -192,7 +192,7 @@ def _conclude(watch: Watch, dead: Child | None, last_words: str, killed: list[st
     if watch.bag and Path(watch.bag).is_dir():
         print(f"bag: {watch.bag}\nreplay it with: {_program()} replay {shlex.quote(watch.bag)}", flush=True)
     elif dead is None:
-        write_error("tissue_sim demo: the node made no bag\n")
+        write_error("tissue_sim demo: the node recorded no bag\n")
         return 1
     return 1 if dead is not None or killed else 0
 

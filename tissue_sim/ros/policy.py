@@ -40,7 +40,7 @@ class Allowed:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node, which runs")
+    parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the running node")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
     values = told_by(args.node, "policy", WAIT)
     if values is None:
-        raise UserError(f"/{args.node} doesn't answer; start it as it will run, without security, and ask again")
+        raise UserError(f"/{args.node} doesn't answer; start it as it will run, without security, and try again")
     print(fitted(args.node, values), end="")
     return 0
 

@@ -32,7 +32,7 @@ def test_a_surface_led_affinely_leads_the_inside_likewise(solid):
 
 
 def test_a_surface_led_through_itself_is_refused(solid):
-    with pytest.raises(UserError, match="don't settle between where its surface is led"):
+    with pytest.raises(UserError, match="don't converge with its surface prescribed"):
         settle_led(solid, -1.5 * solid.nodes)
 
 

@@ -56,7 +56,7 @@ def test_beads_are_read_by_their_place(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "told"),
-    [("1,1,1,a\n", "is not the table"), ("1,1,1,1,2,3,4,5,6,7,8,9,10,11,12\n", "lacks beads"), (None, "cannot read")],
+    [("1,1,1,a\n", "is not the table"), ("1,1,1,1,2,3,4,5,6,7,8,9,10,11,12\n", "has no beads"), (None, "cannot read")],
 )
 def test_another_table_is_refused_in_one_line(tmp_path, content, told):
     file = tmp_path / "beads.csv"

@@ -29,7 +29,7 @@ def test_bounds_take_the_worst_of_their_radii_and_leave_out_what_did_not_settle(
     assert (last["compared"], last["unsettled"]) == (1, 2)
     told = text(found | {"organ": "egg", "edge_m": 0.004, "places": 2})
     assert "-9.0 %" in told
-    assert "no rest 2 times" in told
+    assert "did not converge 2 times" in told
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert [bound["met"] for bound in as_json([], [])["bounds"]] == [None] * 3
 
@@ -37,10 +37,10 @@ def test_bounds_take_the_worst_of_their_radii_and_leave_out_what_did_not_settle(
 @pytest.mark.parametrize(
     ("given", "what"),
     [
-        (["--radii", "1"], "belong to --places"),
-        (["--slab"], "belong to --places"),
+        (["--radii", "1"], "need --places"),
+        (["--slab"], "need --places"),
         (["--places", "0"], "outside 1..100"),
-        (["--places", "1", "--radii", "one"], "are no numbers"),
+        (["--places", "1", "--radii", "one"], "are not numbers"),
         (["--places", "1", "--radii", "0.01"], "outside 0.2..5"),
         (["organ.npz", "--places", "1", "--slab"], "choose one"),
     ],

@@ -93,7 +93,7 @@ def main() -> None:
         node.create_subscription(PoseStamped, f"{tool}/measured_cp", answer(tool, servo), STREAM)
 
     def on_reset(_, response):
-        response.success, response.message = True, "the organ is back at rest"
+        response.success, response.message = True, "the organ was reset to rest"
         return response
 
     def on_record(request, response):

@@ -72,7 +72,7 @@ def test_refusals_name_the_file(tmp_path):
         text: "can't be read as an image",
         four: r"4-D \(4 x 4 x 4 x 3\)",
         flat: "single slice",
-        colour: "3 values a voxel",
+        colour: "3 values per voxel",
         cut: "damaged or truncated",
         tmp_path / "empty": "no DICOM series",
     }.items():
@@ -96,7 +96,7 @@ def test_several_series_are_named_and_chosen(tmp_path):
 
 def test_missing_slices_are_refused(tmp_path):
     write_dicom(tmp_path, small_volume(), skip=(2,))
-    with pytest.raises(UserError, match=r"misses slices: spacing is 2\.50 mm, but not between 302\.5 and 307\.5"):
+    with pytest.raises(UserError, match=r"lacks slices: the spacing is 2\.50 mm, but not between 302\.5 and 307\.5"):
         read_image(tmp_path)
 
 
@@ -159,8 +159,8 @@ def test_dicom_folders_that_are_not_one_whole_upright_volume(tmp_path):
         "four": "is 4-D, 2 slices at each position",
         "mixed": r"different geometry \(5 slices of 7 x 6, 5 slices of 5 x 5\)",
         "tilted": r"shift sideways by 2\.4 mm .*tilted gantry",
-        "nowhere": "lack their position",
-        "unscaled": "lack their position, orientation or pixel spacing",
+        "nowhere": "have no position",
+        "unscaled": "have no position, orientation or pixel spacing",
         "one": "single slice",
         "above": r"no DICOM series; .*it has the folders series",
     }.items():
@@ -177,7 +177,7 @@ def test_a_slice_exported_twice_counts_once(tmp_path):
     (tmp_path / "again.dcm").write_bytes(copy.read_bytes())
     found = read_image(tmp_path)
     assert_same(found, volume)
-    assert found.notes == ("left out 1 copies of slices",)
+    assert found.notes == ("omitted 1 copies of slices",)
 
 
 def test_a_series_is_chosen_by_its_number_too(tmp_path):
@@ -234,7 +234,7 @@ def test_masks_choose_a_label(tmp_path):
     sitk.WriteImage(sitk.Cast(volume.with_array(labels).to_sitk(), sitk.sitkUInt8), str(path))
     with pytest.raises(UserError, match=r"several labels \(2, 5\); choose one with --label"):
         read_mask(path)
-    with pytest.raises(UserError, match="no label 3; it holds 2, 5"):
+    with pytest.raises(UserError, match="no label 3; it has 2, 5"):
         read_mask(path, 3)
     np.testing.assert_array_equal(read_mask(path, 5).array, labels == 5)
     sitk.WriteImage(sitk.Image([4, 4, 4], sitk.sitkUInt8), str(path))
@@ -245,7 +245,7 @@ def test_masks_choose_a_label(tmp_path):
 def test_an_image_is_no_mask(tmp_path):
     path = tmp_path / "ct.nrrd"
     sitk.WriteImage(small_volume().to_sitk(), str(path))
-    with pytest.raises(UserError, match="over 200 different values"):
+    with pytest.raises(UserError, match="more than 200 different values"):
         read_mask(path)
 
 

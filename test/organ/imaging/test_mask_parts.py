@@ -34,17 +34,17 @@ def test_parts_are_refused_with_their_volumes_or_one_is_taken():
     for part, kept, left in ((1, large, small), (2, small, large)):
         found = one_part(both, part)
         assert volume(found) == pytest.approx(kept)
-        assert found.notes == (f"left out 1 separate part of {left:.3g} mL beside {kept:.3g} mL",)
-    with pytest.raises(UserError, match=r"has no part 3; it holds 1 "):
+        assert found.notes == (f"omitted 1 separate part of {left:.3g} mL next to {kept:.3g} mL",)
+    with pytest.raises(UserError, match=r"has no part 3; it contains 1 "):
         one_part(both, 3)
-    with pytest.raises(UserError, match="has no part 2: it is in one"):
+    with pytest.raises(UserError, match="has no part 2: it has a single part"):
         one_part(balls((25, 20)), 2)
 
 
 def test_scraps_are_left_out_and_told():
     found = one_part(balls((25, 20), (60, 5)))
     np.testing.assert_array_equal(found.array, balls((25, 20)).array)
-    assert found.notes[0].startswith("left out 1 separate part of 0.5")
+    assert found.notes[0].startswith("omitted 1 separate part of 0.5")
     whole = balls((25, 20))
     assert one_part(whole) is whole
 
@@ -60,7 +60,7 @@ def test_parts_close_by_are_joined():
 
 
 def test_parts_far_apart_are_not_joined():
-    with pytest.raises(UserError, match=r"parts 25 mm apart, too far to be one organ; build each with --part N"):
+    with pytest.raises(UserError, match=r"parts 25 mm apart, too far for one organ; build each with --part N"):
         one_part(balls((25, 20), (86, 16)), merge=True)
 
 

@@ -54,7 +54,7 @@ def test_the_only_segmentation_of_a_folder_is_read(tmp_path):
     segmentation(tmp_path / "seg.dcm", boxes())
     np.testing.assert_array_equal(read_mask(tmp_path, "liver").array, boxes()["liver"])
     segmentation(tmp_path / "second.dcm", boxes())
-    with pytest.raises(UserError, match=r"holds 2 segmentations \(second.dcm, seg.dcm\); name the file of one"):
+    with pytest.raises(UserError, match=r"contains 2 segmentations \(second.dcm, seg.dcm\); name the file of one"):
         read_mask(tmp_path, "liver")
 
 
@@ -110,7 +110,7 @@ def test_frames_are_ordered_by_their_positions(tmp_path):
 )
 def test_frames_that_are_no_regular_stack_are_refused(tmp_path, positions):
     path = enhanced_ct(tmp_path / "ct.dcm", np.zeros((4, 6, 7)), positions)
-    with pytest.raises(UserError, match=r"ct\.dcm has frames that are no regular stack"):
+    with pytest.raises(UserError, match=r"ct\.dcm has frames that don't form a regular stack"):
         read_image(path)
 
 

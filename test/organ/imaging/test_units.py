@@ -66,7 +66,7 @@ def test_distance_units_of_a_meta_image(tmp_path, unit, scale):
 
 @pytest.mark.parametrize("spacing", ["0 1 1", "nan 1 1", "1 inf 1", "a b c"])
 def test_spacings_that_are_none_are_refused(tmp_path, spacing):
-    with pytest.raises(UserError, match=f"ElementSpacing = {spacing}, wanted a number other than 0 for each axis"):
+    with pytest.raises(UserError, match=f"ElementSpacing = {spacing}, expected a number other than 0 for each axis"):
         read_image(meta(tmp_path / "ct.mha", f"ElementSpacing = {spacing}"))
 
 
@@ -77,13 +77,13 @@ def test_a_header_without_the_size_of_its_voxels_is_told(tmp_path):
         meta(tmp_path / "ct.mha"),
     ):
         (note,) = read_image(path).notes
-        assert note.startswith(f"warning: {path.name} doesn't say how large its voxels are: 1 mm was taken")
+        assert note.startswith(f"warning: {path.name} doesn't state the size of its voxels: 1 mm was assumed")
     assert read_image(meta(tmp_path / "size.mha", "ElementSize = 2 2 4")).notes == ()
 
 
 def test_a_tiff_is_refused(tmp_path):
     (tmp_path / "stack.tif").write_bytes(b"II*\0")
-    with pytest.raises(UserError, match="TIFF, which doesn't say how far its slices lie apart"):
+    with pytest.raises(UserError, match="TIFF, which doesn't state the distance of its slices"):
         read_image(tmp_path / "stack.tif")
 
 
@@ -129,5 +129,5 @@ def test_forms_that_agree_are_read(tmp_path):
 def test_a_nifti_without_a_form_is_told(tmp_path):
     write_nifti(tmp_path / "ct.nii", VOXELS)
     assert read_image(tmp_path / "ct.nii").notes == (
-        "warning: ct.nii has neither a qform nor a sform, so which side is left is not known",
+        "warning: ct.nii has neither a qform nor an sform, so it is unknown which side is left",
     )

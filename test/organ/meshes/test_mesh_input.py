@@ -45,9 +45,12 @@ def test_the_longest_side_stands_in_for_a_unit(tmp_path, egg):
     assert surface.notes == ("scaled: the longest side is 12 cm",)
     for options, reason in (
         ({"longest": 0.12, "unit": "mm"}, "--unit and --length were given"),
-        ({"longest": 12.0}, "--length 12 m is no organ's longest side"),
-        ({"unit": "ell"}, "unit ell is not known; use one of mm, cm, m, um, in"),
-        ({"unit": "m"}, r"64 m long with --unit m, an organ is 5 mm to 1 m; give --unit mm or cm, or its longest side"),
+        ({"longest": 12.0}, "--length 12 m is not a plausible longest side"),
+        ({"unit": "ell"}, "unit ell is unknown; use one of mm, cm, m, um, in"),
+        (
+            {"unit": "m"},
+            r"64 m long with --unit m, but an organ is 5 mm to 1 m; give --unit mm or cm, or its longest side",
+        ),
         ({"unit": "um"}, r"give --unit mm or cm, or its longest side with --length METRES"),
     ):
         with pytest.raises(UserError, match=reason):
@@ -71,7 +74,7 @@ def test_gltf_is_in_metres(tmp_path, egg):
     expected = np.asarray(egg.vertices) @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T
     np.testing.assert_allclose(surface.positions, expected, atol=1e-6)
     assert signed_volume(surface.positions, surface.triangles) == pytest.approx(egg.volume, rel=1e-4)
-    assert "turned into the patient frame" in surface.notes[0]
+    assert "rotated into the patient frame" in surface.notes[0]
 
 
 def test_the_unit_must_be_known(tmp_path, egg):
@@ -108,7 +111,7 @@ def test_small_holes_are_filled_and_told(tmp_path, egg):
 def test_a_wide_hole_is_refused_with_its_width(tmp_path, egg):
     without_cap(egg, 28.0).export(tmp_path / "open.obj")
     with pytest.raises(
-        UserError, match=r"open\.obj is open: 1 hole, the widest (1[5-9]|2\d)\S* mm; up to a tenth"
+        UserError, match=r"open\.obj is open: 1 hole, the widest (1[5-9]|2\d)\S* mm; holes up to a tenth"
     ) as caught:
         read_mesh(tmp_path / "open.obj", "mm")
     assert "\n" not in str(caught.value)
@@ -152,7 +155,7 @@ def test_doubled_triangles_are_left_out(tmp_path, egg):
     trimesh.Trimesh(egg.vertices, doubled, process=False).export(tmp_path / "doubled.ply")
     surface = read_mesh(tmp_path / "doubled.ply", "mm")
     assert surface.triangles.shape == (1280, 3)
-    assert surface.repairs == ("left out 5 doubled triangles",)
+    assert surface.repairs == ("omitted 5 duplicate triangles",)
 
 
 def export(path, *meshes):
@@ -170,7 +173,7 @@ def test_parts_beside_and_inside(tmp_path, egg):
     surface = read_mesh(islands, "mm")
     np.testing.assert_allclose(surface.positions * 1e3, egg.vertices, atol=1e-4)
     assert surface.repairs == (
-        "left out 2 separate parts of 0.383 mL beside 42.5 mL",
+        "omitted 2 separate parts of 0.383 mL next to 42.5 mL",
         "filled 1 cavity of 2.72 mL",
     )
     twins = export(tmp_path / "twins.ply", egg, moved(0.7, 60.0))
@@ -178,7 +181,7 @@ def test_parts_beside_and_inside(tmp_path, egg):
         read_mesh(twins, "mm")
     second = read_mesh(twins, "mm", part=2)
     assert signed_volume(second.positions, second.triangles) == pytest.approx(0.343 * egg.volume * 1e-9, rel=1e-3)
-    for part, reason in ((3, "has no part 3; it holds 1 42.5 mL"), ("left", "has no part 'left'")):
+    for part, reason in ((3, "has no part 3; it contains 1 42.5 mL"), ("left", "has no part 'left'")):
         with pytest.raises(UserError, match=reason):
             read_mesh(twins, "mm", part=part)
 
@@ -216,7 +219,7 @@ def test_parts_are_joined_across_a_gap_or_told_to_be_too_far_apart(tmp_path):
     assert signed_volume(surface.positions, surface.triangles) == pytest.approx(82.0 * 40.0 * 40.0 * 1e-9, rel=0.02)
     assert surface.repairs[1].startswith("joined 2 separate parts across gaps of up to 2.5")
     far = export(tmp_path / "far.ply", box, box.copy().apply_translation([100.0, 0.0, 0.0]))
-    with pytest.raises(UserError, match=r"far\.ply has parts 61.* mm apart, too far to be one organ; build each with"):
+    with pytest.raises(UserError, match=r"far\.ply has parts 61.* mm apart, too far for one organ; build each with"):
         read_mesh(far, "mm", merge_parts=True)
 
 
@@ -240,7 +243,7 @@ def test_inward_and_mixed_winding_are_repaired_and_told(tmp_path, egg):
     inward = tmp_path / "inward.ply"
     trimesh.Trimesh(egg.vertices, egg.faces[:, ::-1], process=False).export(inward)
     surface = read_mesh(inward, "mm")
-    assert surface.repairs == ("turned inward triangles outward",)
+    assert surface.repairs == ("flipped inward triangles",)
     assert signed_volume(surface.positions, surface.triangles) > 0
     mixed = tmp_path / "mixed.ply"
     faces = egg.faces.copy()
@@ -289,7 +292,7 @@ def test_hollow_and_thin_shells_are_refused(tmp_path, egg):
     inner = egg.copy().apply_scale(0.95)
     inner.invert()
     shell = export(tmp_path / "shell.ply", egg, inner)
-    with pytest.raises(UserError, match=r"hollow shell: inner walls take 86 % .* give --part 1 to fill it"):
+    with pytest.raises(UserError, match=r"hollow shell: the cavity is 86 % .* give --part 1 to fill it"):
         read_mesh(shell, "mm")
     filled = read_mesh(shell, "mm", part=1)
     assert signed_volume(filled.positions, filled.triangles) == pytest.approx(egg.volume * 1e-9, rel=1e-4)
@@ -297,7 +300,10 @@ def test_hollow_and_thin_shells_are_refused(tmp_path, egg):
         [[0, -30], [20, -30], [30, 0], [30, 20], [28, 20], [28, 0], [18.5, -28], [0, -28]], sections=48
     )
     sheet = trimesh.creation.box([60.0, 60.0, 0.3])
-    for mesh, reason in ((cup, r"thin shell: walls of [12]\.\d mm in the mean"), (sheet, "too thin|thin shell")):
+    for mesh, reason in (
+        (cup, r"thin shell: its walls have a mean thickness of [12]\.\d mm"),
+        (sheet, "too thin|thin shell"),
+    ):
         mesh.export(tmp_path / "thin.stl")
         with pytest.raises(UserError, match=reason):
             voxelize(read_mesh(tmp_path / "thin.stl", "mm"), "thin")
@@ -533,7 +539,7 @@ def test_a_vtk_of_slicer_in_ras_is_turned(tmp_path, name):
     (tmp_path / name).write_bytes(IN_RAS[name])
     surface = read_mesh(tmp_path / name, "mm")
     np.testing.assert_allclose(surface.positions * 1e3, TETRA * [-1.0, -1.0, 1.0])
-    assert surface.notes == ("turned from RAS to LPS",)
+    assert surface.notes == ("converted from RAS to LPS",)
 
 
 def curved():
@@ -554,7 +560,7 @@ def test_of_elements_of_second_order_the_corners_are_taken_and_told(tmp_path, su
     sides = [[*face, *(middle[frozenset((face[k], face[(k + 1) % 3]))] for k in range(3))] for face in FACES.tolist()]
     curved_sides = "took the corners of elements of second or higher order: curved sides are flat"
     for cells, notes in (
-        ({"tetra10": [list(range(10))]}, (curved_sides, "took the surface of 1 tetrahedra")),
+        ({"tetra10": [list(range(10))]}, (curved_sides, "used the surface of 1 tetrahedra")),
         ({"triangle6": sides}, (curved_sides,)),
     ):
         file = tmp_path / f"curved.{suffix}"

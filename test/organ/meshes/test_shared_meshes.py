@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no shared/data beside
 
 COLON = "large_intestine/EdinGCA_3D_00090_Surfaces_large_intestine_20k.vtk"
 HEART = "hra_organs/v1.2_VH_F_Heart.glb"
-Y_UP = "glTF is y up, z to the front: turned into the patient frame (z to the head)"
+Y_UP = "glTF has y up and z to the front: rotated into the patient frame (z to the head)"
 SCALED = "scaled: the longest side is 12 cm"
 
 
@@ -48,19 +48,19 @@ ACCEPTED = [
     (
         "sofa_meshes/coeur1.trian",
         LONG,
-        Outcome(7778, 15552, 406.1, ("turned inward triangles outward",), (SCALED,)),
+        Outcome(7778, 15552, 406.1, ("flipped inward triangles",), (SCALED,)),
     ),
-    ("sofa_meshes/coeur1.trian", {"unit": "cm"}, Outcome(7778, 15552, 13865.3, ("turned inward triangles outward",))),
+    ("sofa_meshes/coeur1.trian", {"unit": "cm"}, Outcome(7778, 15552, 13865.3, ("flipped inward triangles",))),
     ("sofa_meshes/liver-smooth.obj", LONG, Outcome(2194, 4384, 260.5, (), (SCALED,))),
     (
         "sofa_meshes/liver.obj",
         LONG,
-        Outcome(139, 274, 232.0, ("dropped 42 points that no triangle uses",), (SCALED,)),
+        Outcome(139, 274, 232.0, ("removed 42 points that no triangle uses",), (SCALED,)),
     ),
     (
         "sofa_meshes/liver.msh",
         LONG,
-        Outcome(140, 276, 231.9, (), ("took the surface of 596 tetrahedra", SCALED)),
+        Outcome(140, 276, 231.9, (), ("used the surface of 596 tetrahedra", SCALED)),
     ),
     ("sofa_meshes/liver2.obj", LONG, Outcome(1170, 2336, 199.6, (), (SCALED,))),
     ("sofa_meshes/liver2.obj", {"unit": "in"}, Outcome(1170, 2336, 18.80)),
@@ -72,18 +72,18 @@ ACCEPTED = [
             20000,
             851.2,
             (),
-            ("the surface has 1 handle (genus 1); kept points keep them, the wall closes them",),
+            ("the surface has 1 handle (genus 1); kept points preserve them, the wall closes them",),
             genus=1,
         ),
     ),
 ]
 REFUSED = [
     (HEART, {}, r"18 separate parts: 1 VH_F_left_ventricle 229 mL, .*--part N, or join them with --merge-parts"),
-    (HEART, {"part": 3}, r"open: 5 holes, the widest 36\.2 mm; up to a tenth of its longest side \(7\.41 mm\)"),
-    (HEART, {"part": "VH_F_left_cardiac_atrium"}, r"hollow shell: inner walls take 77 % .*--part 3"),
+    (HEART, {"part": 3}, r"open: 5 holes, the widest 36\.2 mm; holes up to a tenth of its longest side \(7\.41 mm\)"),
+    (HEART, {"part": "VH_F_left_cardiac_atrium"}, r"hollow shell: the cavity is 77 % .*--part 3"),
     (HEART, {"part": "VH_F_right_ventricle"}, r"open: 5 holes, the widest 13\.8 mm"),
-    (HEART, {"part": "VH_F_right_cardiac_atrium"}, r"thin shell: walls of 3\.\d mm in the mean"),
-    (HEART, {"part": "liver"}, r"has no part 'liver'; it holds 1 VH_F_left_ventricle"),
+    (HEART, {"part": "VH_F_right_cardiac_atrium"}, r"thin shell: its walls have a mean thickness of 3\.\d mm"),
+    (HEART, {"part": "liver"}, r"has no part 'liver'; it contains 1 VH_F_left_ventricle"),
     ("hra_organs/kidney_left_solid.stl", {}, "STL doesn't say its length unit; give --unit mm"),
     ("sofa_meshes/liver.obj", {"unit": "m"}, r"6\.48 m long with --unit m, .* give --unit mm or cm or in, or its"),
     ("sofa_meshes/aneurysm3D_1.off", {"unit": "m"}, r"33\.2 m long with --unit m"),
@@ -144,7 +144,7 @@ def test_the_hearts_parts_joined_are_one_solid():
     assert any(line.startswith("filled chambers") for line in surface.repairs)
     mask = voxelize(surface, HEART)
     # The chambers that vessels join on both sides still make rings of it: no ball, so no balloon.
-    with pytest.raises(UserError, match="hole through it"):
+    with pytest.raises(UserError, match="through hole"):
         make_wall(mask)
 
 

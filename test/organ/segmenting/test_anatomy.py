@@ -45,7 +45,7 @@ def test_two_bodies_on_a_neck_are_a_leak_for_any_organ():
 
 
 def test_an_unknown_organ_is_told():
-    with pytest.raises(UserError, match="--organ spline is not known; choose one of kidney, liver"):
+    with pytest.raises(UserError, match="--organ spline is unknown; choose one of kidney, liver"):
         anatomy_of("spline")
 
 

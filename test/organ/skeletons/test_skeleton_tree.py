@@ -161,5 +161,5 @@ def test_few_atoms_many_atoms_and_unknown_choices():
         skeleton = extract(wall, atoms)
         check_tree(skeleton, atoms)
         assert np.all(np.bincount(skeleton.branch) >= 1)
-    with pytest.raises(UserError, match="--branches some is not known"):
+    with pytest.raises(UserError, match="--branches some is unknown"):
         extract(wall, 20, branches="some")

@@ -51,7 +51,7 @@ def test_a_thin_handle_is_cut():
 
 def test_a_ring_is_refused():
     z, y, x = grid()
-    with pytest.raises(UserError, match=r"ring has a hole through it.*fill the hole or cut the ring.*--part N"):
+    with pytest.raises(UserError, match=r"ring has a through hole.*fill the hole or cut the ring.*--part N"):
         as_ball(np.hypot(np.hypot(x, y) - 13, z) < 4, "ring")
 
 

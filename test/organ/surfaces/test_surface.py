@@ -166,7 +166,7 @@ def test_a_ring_is_refused():
     def torus(x, y, z):
         return np.hypot(np.hypot(x, y) - 18.0, z) - 4.0
 
-    with pytest.raises(UserError, match="hole through it"):
+    with pytest.raises(UserError, match="through hole"):
         make_wall(solid(torus))
 
 
@@ -174,7 +174,7 @@ def test_empty_and_tiny_masks_are_refused():
     empty = solid(ball(-1.0))
     with pytest.raises(UserError, match="is empty"):
         make_wall(empty)
-    with pytest.raises(UserError, match="voxels only"):
+    with pytest.raises(UserError, match=r"has only \d+ voxels"):
         make_wall(solid(ball(2.0)))
 
 

@@ -65,14 +65,14 @@ def kill_and_replay(folder: Path, start, capsys, moment: float, phase: float) ->
     assert not (bag / "metadata.yaml").exists()
     assert main(["replay", str(bag), *EXACT]) == 0
     out = capsys.readouterr().out
-    assert out.count("was broken off") == 1
+    assert out.count("was interrupted") == 1
     assert "s of it are recovered" in out
     assert "repeats" in out
     opens_elsewhere(bag)
     with Reader(bag) as reader:
         assert reader.end_time > queued
     assert main(["replay", str(bag), *EXACT]) == 0
-    assert "broken off" not in capsys.readouterr().out
+    assert "interrupted" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_full_disk_ends_the_bag_and_nothing_else(tmp_path, capsys):
         assert client.record(False).success
         client.close()
     assert main(["replay", started.message, *EXACT]) == 0
-    assert "was broken off" in capsys.readouterr().out
+    assert "was interrupted" in capsys.readouterr().out
     opens_elsewhere(Path(started.message))
 
 

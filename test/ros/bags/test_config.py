@@ -44,7 +44,7 @@ def test_that_of_a_recording_passes(whole):
 def test_what_it_lacks_is_named(whole, name):
     config, owner, key = placed(whole, name)
     del owner[key]
-    with pytest.raises(ValueError, match=f"lacks '{name}'"):
+    with pytest.raises(ValueError, match=f"has no '{name}'"):
         check(config)
 
 

@@ -138,7 +138,7 @@ def test_a_header_that_goes_beyond_its_file_is_refused(bag, capsys, length):
     file.write_bytes(data)
     assert "in a file of" in refused(capsys, path)
     (path / metadata.NAME).unlink()
-    assert "broken off before anything was in it" in refused(capsys, path)
+    assert "interrupted before it had any content" in refused(capsys, path)
 
 
 def test_a_message_type_that_nobody_knows_is_told(bag, capsys):
@@ -153,7 +153,7 @@ def test_metadata_of_another_storage_is_refused(bag, capsys):
     path, _, _ = bag
     told = path / metadata.NAME
     told.write_text(told.read_text().replace("storage_identifier: mcap", "storage_identifier: sqlite3"))
-    assert "is of storage sqlite3" in refused(capsys, path)
+    assert "has storage sqlite3" in refused(capsys, path)
 
 
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
@@ -197,7 +197,7 @@ def test_poses_and_forces_that_no_node_takes_up_are_refused(tmp_path, capsys, to
 
 def test_a_bag_without_settings_is_refused(tmp_path, capsys):
     path = rewritten(tmp_path / "bag", lambda name, raw: b"" if name.endswith("/settings") else raw)
-    assert "holds no settings" in refused(capsys, path)
+    assert "has no settings" in refused(capsys, path)
 
 
 def rewritten(path, changed, source=BAG):
@@ -228,11 +228,11 @@ def test_lost_settings_are_named(recording):
     (organ,) = recording.organs
     inputs = organ.journal["inputs"].copy()
     inputs["settings"][len(inputs) // 2 :] = 77
-    with pytest.raises(UserError, match="the bag lacks settings number 77"):
+    with pytest.raises(UserError, match="the bag has no settings number 77"):
         replay(with_organ(recording, journal={**organ.journal, "inputs": inputs}))
 
 
 def test_surfaces_of_another_organ_are_told(recording):
     more = [np.concatenate([surface, surface]) for surface in recording.organs[0].surfaces]
-    with pytest.raises(UserError, match=r"surfaces have .* points, the organ has .*: another organ"):
+    with pytest.raises(UserError, match=r"surfaces have .* points, but the organ has .*: it is another organ"):
         replay(with_organ(recording, surfaces=more))

@@ -38,12 +38,12 @@ def test_rows_that_are_missing_or_of_another_kind_are_named(recording, kind):
         check_journal(without, 1, recording.first_tick, RATE)
     *others, last = rows.dtype.names
     fewer = np.zeros(rows.shape, dtype=[*((name, rows.dtype[name]) for name in others), ("more", "i8")])
-    strange = [(np.zeros(rows.shape), "lack the field"), (fewer, f"lack the field '{last}'")]
+    strange = [(np.zeros(rows.shape), "have no field"), (fewer, f"have no field '{last}'")]
     texts = np.zeros(rows.shape, dtype=[(name, "U3") for name in rows.dtype.names])
     wide = np.zeros(rows.shape, dtype=[(name, "i8", (2,)) for name in rows.dtype.names])
-    strange += [(texts, "of another type"), (wide, "of another type"), (rows.reshape(-1)[0], "of shape")]
+    strange += [(texts, "of another type"), (wide, "of another type"), (rows.reshape(-1)[0], "have shape")]
     for found, reason in strange:
-        with pytest.raises(ValueError, match=rf"its journal's ({kind}|body_{kind}) .*({reason}|of shape)"):
+        with pytest.raises(ValueError, match=rf"its journal's ({kind}|body_{kind}) .*({reason}|have shape)"):
             check(recording, **{kind: found})
 
 
@@ -51,9 +51,9 @@ def test_rows_that_are_missing_or_of_another_kind_are_named(recording, kind):
 def test_unequal_lengths_are_named(recording, kind, owner):
     rows = recording.organs[0].journal[kind]
     for found in (rows[:-2], np.concatenate([rows, rows[:1]]), np.repeat(rows, 2, axis=1)):
-        with pytest.raises(ValueError, match=f"its journal's {kind} are of shape"):
+        with pytest.raises(ValueError, match=f"its journal's {kind} have shape"):
             check(recording, **{kind: found})
-    with pytest.raises(ValueError, match=f"its journal's {kind} are of shape"):
+    with pytest.raises(ValueError, match=f"its journal's {kind} have shape"):
         check(recording, **{owner: recording.organs[0].journal[owner][:-2]})
 
 
@@ -61,10 +61,10 @@ def test_unequal_lengths_are_named(recording, kind, owner):
 def test_ticks_that_nobody_waits_for_are_refused(recording, kind):
     rows = recording.organs[0].journal[kind]
     for tick in (2**31, 2**40, 10**9):
-        with pytest.raises(ValueError, match=r"of nothing for [\d.e+]+ hours"):
+        with pytest.raises(ValueError, match=r"no event for [\d.e+]+ hours"):
             check(recording, **{kind: with_tick(rows, tick)})
     for tick in (2**63 - 1, -2, -(2**63)):
-        with pytest.raises(ValueError, match=f"of tick {tick}"):
+        with pytest.raises(ValueError, match=f"contains tick {tick}"):
             check(recording, **{kind: with_tick(rows, tick)})
     check(recording, **{kind: with_tick(rows, recording.last_tick + int(LONGEST_STILL * RATE) - 10)})
 

@@ -46,7 +46,7 @@ def test_another_stiffness_is_named_and_found(node, client, capsys):
     assert client.set_parameter("stiffness_scale", 1.0).successful
     assert code == 1, said.out + said.err
     assert "parameter stiffness_scale: recorded 1.0, /tissue_sim has 3.0" in said.out
-    assert "FAILED: beyond force 0.5 N" in said.out
+    assert "FAILED: deviation above force 0.5 N" in said.out
 
 
 def test_a_node_that_follows_the_wall_is_refused(node, client, capsys):

@@ -82,19 +82,19 @@ def test_other_friction_is_noticed(recording):
 def test_a_setting_that_one_of_both_lacks_is_named(recording):
     recorded = array_of(next(iter(recording.organs[0].settings.values())))
     names = [name for name in recorded.dtype.names if name != "friction"]
-    with pytest.raises(UserError, match="setting 'friction' is not in both"):
+    with pytest.raises(UserError, match="setting 'friction' is in the bag or in this version only"):
         settings_of(Path("bag"), recorded[names])
 
 
 def test_a_state_that_lacks_a_field_is_named(recording):
     state = {name: array for name, array in recording.organs[0].state.items() if name != "velocity"}
-    with pytest.raises(UserError, match="another 'velocity'"):
+    with pytest.raises(UserError, match="a different 'velocity'"):
         replay(with_organ(recording, state=state))
 
 
 def test_lost_input_is_named(recording):
     poses = [dict(list(numbered.items())[:5]) for numbered in recording.poses]
-    with pytest.raises(UserError, match="the bag lacks pose number"):
+    with pytest.raises(UserError, match="the bag has no pose number"):
         replay(dataclasses.replace(recording, poses=poses))
 
 

@@ -49,7 +49,7 @@ def test_another_organ_is_named_and_deviates_from_a_tick_on(tmp_path, capsys, or
     assert main(words) == 1
     out = capsys.readouterr().out
     assert out.startswith(f"organ: recorded {organ.name} ({organ.digest()[:12]}), replayed with {organ.name} (")
-    assert "FAILED: beyond force 1e-06 N" in out
+    assert "FAILED: deviation above force 1e-06 N" in out
     tick = int(out.rpartition("from tick ")[2].split()[0])
     suite = ElementTree.parse(report).getroot()[0]
     cases = {case.get("name"): case for case in suite.iter("testcase")}
@@ -64,7 +64,7 @@ def test_an_organ_of_other_nodes_is_refused_with_both_numbers(capsys, organ):
     other = Organ.load(shipped_organ())
     assert main(["replay", str(BAG), "--organ", str(shipped_organ())]) == 2
     error = capsys.readouterr().err
-    assert f"an organ of {organ.n_nodes} nodes, '{other.name}' has {other.n_nodes}: replay it with one of" in error
+    assert f"an organ of {organ.n_nodes} nodes, '{other.name}' has {other.n_nodes}: replay it with an organ of" in error
     assert error.count("\n") == 1
 
 
@@ -92,7 +92,7 @@ def test_two_bags_of_the_same_inputs(tmp_path, capsys):
     out = capsys.readouterr().out
     assert f"parameter friction: in {BAG} 0.6, in {other} 0.25\n" in out
     assert "record_folder" not in out
-    assert "are in both bags, the other 0 ticks later" in out
+    assert "are in both bags, 0 ticks later in the other one" in out
     assert "largest deviation: force 0.5 N (tick " in out
     assert main(["replay", str(BAG), "--against", str(BAG)]) == 0
 

@@ -55,7 +55,7 @@ def test_a_planted_error_is_found(tmp_path, capsys):
     out = capsys.readouterr().out
     assert f"{FOLDER / 'poke'}: organ: recorded" in out
     (row,) = (line for line in out.splitlines() if line.startswith(f"{FOLDER / 'poke'} "))
-    tick = int(re.search(r"FAILED: beyond .* from tick (\d+) on", row)[1])
+    tick = int(re.search(r"FAILED: deviation above .* from tick (\d+) on", row)[1])
     assert min(recording.shown().ticks) <= tick <= recording.last_tick
 
 
@@ -94,6 +94,6 @@ def test_the_organ_falls_asleep_and_wakes():
 
 def test_a_picture_of_each_needs_a_folder(capsys):
     assert main(["replay", *map(str, BAGS[:2]), "--plot", "a.png"]) == 2
-    assert "--plot takes a folder" in capsys.readouterr().err
+    assert "--plot must be a folder" in capsys.readouterr().err
     assert main(["replay", *map(str, BAGS[:2]), "--against", str(BAGS[0])]) == 2
-    assert "--against goes with one BAG" in capsys.readouterr().err
+    assert "--against needs exactly one BAG" in capsys.readouterr().err

@@ -65,7 +65,7 @@ def test_a_bag_cut_anywhere_is_completed_and_replays(broken, tmp_path, capsys, b
     path = cut(broken, tmp_path, (before + whole) // 2 if is_less else whole + beyond)
     assert main(["replay", str(path), *EXACT]) == 0
     first = capsys.readouterr().out
-    assert first.count("was broken off") == 1
+    assert first.count("was interrupted") == 1
     assert "repeats" in first
     with Reader(path) as reader:
         counted = sum(1 for _ in reader.messages())
@@ -85,7 +85,7 @@ def test_rubbish_after_a_power_cut_is_left_out(broken, tmp_path, tail):
 @pytest.mark.parametrize("size", [0, 5, 20])
 def test_a_bag_with_nothing_in_it_is_refused(broken, tmp_path, capsys, size):
     assert main(["replay", str(cut(broken, tmp_path, size))]) == 2
-    assert "before anything was in it" in capsys.readouterr().err
+    assert "before it had any content" in capsys.readouterr().err
 
 
 def test_a_bag_that_cannot_be_written_is_read_all_the_same(broken, tmp_path, monkeypatch):
@@ -196,7 +196,7 @@ def test_a_disk_that_is_too_far_behind_ends_the_bag_before_an_input_is_lost(stal
     while recorder.active:
         recorder.received(POSE, sent.to_bytes(4, "little") * 2500)
         sent += 1
-    assert "the disk can't keep up" in recorder.error
+    assert "the disk is too slow" in recorder.error
     assert 600 < sent < 900
     let_go.set()
     path = recorder.stop()

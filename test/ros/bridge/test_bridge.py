@@ -158,7 +158,7 @@ def test_it_presses_feels_and_leaves_when_a_signal_ends_it(node, bridge):
 def test_no_node_is_one_line_and_exit_code_1(capfd):
     assert main(["bridge", "--wait", "0.3", "--node", "nobody"]) == 1
     assert capfd.readouterr().err == (
-        "tissue_sim bridge: no answer from /nobody/get_parameters in 0.3 s;"
+        "tissue_sim bridge: no answer from /nobody/get_parameters within 0.3 s;"
         " start tissue_node, or name yours with --node\n"
     )
 
@@ -167,10 +167,10 @@ def test_no_node_is_one_line_and_exit_code_1(capfd):
     ("words", "message"),
     [
         (["--rate", "0"], "outside 1..2000 Hz"),
-        (["--rate", "fast"], "no number"),
-        (["--tools", "left,left"], "no name of its own"),
+        (["--rate", "fast"], "not a number"),
+        (["--tools", "left,left"], "not a valid or unique name"),
         (["--script", "stroke,cut"], "'cut' is unknown"),
-        (["--node", "a b"], "no name of a node"),
+        (["--node", "a b"], "not a node name"),
         (["--tools", "left", "--script", "nip"], "two tools"),
     ],
 )

@@ -64,7 +64,7 @@ def test_what_is_not_answered_is_behind_and_not_asked_again(clock):
     assert backlog.pause > 0.0
     backlog.report(report := Report())
     assert report.values["executor_behind_ms"] == pytest.approx(1000.0)
-    assert "poses and forces come faster" in report.warnings[0]
+    assert "poses and forces arrive faster" in report.warnings[0]
 
 
 def test_one_message_in_a_pause_passes_and_all_without_one(clock):

@@ -55,16 +55,16 @@ def test_false_is_off_where_a_dump_is_loaded_and_nothing_else_is(node, client):
 
 def test_a_misspelt_parameter_is_named_with_the_nearest(node):
     for line in (
-        "parameter 'organ_fil' is unknown and changes nothing; did you mean 'organ_file'?",
-        "parameter 'lef.radius' is unknown and changes nothing; did you mean 'left.radius'?",
-        "parameter 'entirely_else' is unknown and changes nothing; 'tissue_node --help' lists all",
+        "parameter 'organ_fil' is unknown and has no effect; did you mean 'organ_file'?",
+        "parameter 'lef.radius' is unknown and has no effect; did you mean 'left.radius'?",
+        "parameter 'entirely_else' is unknown and has no effect; 'tissue_node --help' lists all",
     ):
         assert line in node.text()
     assert node.text().count("is unknown") == len(MISSPELT)
 
 
 def test_the_old_name_of_a_parameter_is_told_with_the_new_one(node):
-    line = "parameter 'left.measured_cf' changes nothing: it is called 'left.external_cf' now, topic of external forces"
+    line = "parameter 'left.measured_cf' has no effect: its name is now 'left.external_cf', topic of external forces"
     assert node.text().count(line) == 1
 
 
@@ -112,7 +112,7 @@ def test_an_empty_frame_is_refused_with_the_remedy_or_allowed(node, client):
     def is_refused():
         client.send_pose(np.ones(3), frame="")
         client.spin(0.02)
-        return "its frame is '', expected 'organ' (parameter left.allow_empty_frame takes it for that)" in node.text()
+        return "its frame is '', expected 'organ' (parameter left.allow_empty_frame accepts it)" in node.text()
 
     assert client.spin_until(is_refused)
     poses = client.node.create_publisher(PoseStamped, "right/measured_cp", 10)
@@ -130,7 +130,7 @@ def test_an_empty_frame_is_refused_with_the_remedy_or_allowed(node, client):
 
 
 def test_a_stamp_of_zero_is_refused_with_the_remedy_or_taken_as_of_its_arrival(node, client):
-    line = "its stamp is 0, which marks invalid data (parameter left.allow_zero_stamp takes the time of its arrival)"
+    line = "its stamp is 0, which marks invalid data (parameter left.allow_zero_stamp uses the time of arrival instead)"
     right = client.node.create_publisher(PoseStamped, "right/measured_cp", 10)
     message = PoseStamped()
     message.header.frame_id, message.pose.position.x = "organ", 1.0
@@ -150,18 +150,18 @@ def test_qos_that_does_not_match_is_told_both_ways_with_the_remedy(node, client)
     client.node.create_publisher(PoseStamped, "needle/measured_cp", qos_profile_sensor_data)
     client.node.create_subscription(WrenchStamped, "left/servo_cf", print, 10)
     for line in (
-        r"the QoS on /needle/measured_cp does not match: this node asks for reliable, and (/client|another node) offers"
-        r" best effort: it is not heard; needle\.reliable:=false makes it match",
-        r"the QoS on /left/servo_cf does not match: this node offers best effort, and (/client|another node) asks for"
-        r" reliable: it hears nothing; left\.reliable:=true makes it match",
+        r"the QoS on /needle/measured_cp does not match: this node requests reliable, but (/client|another node) offers"
+        r" best effort: its messages are not received; set needle\.reliable:=false",
+        r"the QoS on /left/servo_cf does not match: this node offers best effort, but (/client|another node) requests"
+        r" reliable: it receives nothing; set left\.reliable:=true",
     ):
         assert client.spin_until(lambda line=line: re.search(line, node.text()) is not None), node.text()
 
 
 WRONG_WORDS = {
     "--bogus": "argument '--bogus' is unknown; 'tissue_node --help' lists",
-    "-p rate:=500.0": "'-p' is for ROS, which wants --ros-args: tissue_node --ros-args -p rate:=500.0",
-    "rate:=500.0": "'rate:=500.0' is for ROS, which wants --ros-args: tissue_node --ros-args -p rate:=500.0",
+    "-p rate:=500.0": "'-p' is an argument of ROS, which needs --ros-args: tissue_node --ros-args -p rate:=500.0",
+    "rate:=500.0": "'rate:=500.0' is an argument of ROS, which needs --ros-args: tissue_node --ros-args -p rate:=500.0",
     "--ros-args -r __ns:=/a -- more": "argument 'more' is unknown",
     "--ros-args --bogus": "ROS does not know '--bogus' behind --ros-args",
 }
@@ -184,7 +184,7 @@ def test_wrong_words_end_with_one_line_each_and_2():
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
     lines = done.stderr.splitlines()
     for line, told in zip(
-        lines, [*WRONG_WORDS.values(), "ROS_DOMAIN_ID is '300'; wanted: a number from 0 to 232"], strict=True
+        lines, [*WRONG_WORDS.values(), "ROS_DOMAIN_ID is '300'; expected: a number from 0 to 232"], strict=True
     ):
         assert line.startswith(f"tissue_node: error: {told}")
     version, codes = done.stdout.splitlines()

@@ -108,7 +108,7 @@ def test_a_tool_that_is_disabled_lets_go_and_is_taken_up_again(client, node, pre
         return client.hand_force() == 0.0 and client.diagnostics.get("left.state") == "disabled"
 
     assert client.spin_until(has_let_go), client.diagnostics
-    assert "tool 'left' is disabled: its poses are passed over (~/left/enable)" in node.text()
+    assert "tool 'left' is disabled: its poses are ignored (~/left/enable)" in node.text()
     poses = int(client.diagnostics["left.poses"])
     enable.publish(Bool(data=True))
     assert client.spin_until(lambda: ask(client, pressed) or int(client.diagnostics["left.poses"]) > poses)

@@ -41,7 +41,7 @@ class Run:
 
 def test_a_look_tells_what_it_saw():
     assert Look(0.28, 0.4, 0).words == "ticks took 28 % of the time, 40 % of them were late"
-    assert Look(0.95, 0.0, 7).words == "ticks took 95 % of the time, 0 % of them were late, 7 were given up"
+    assert Look(0.95, 0.0, 7).words == "ticks took 95 % of the time, 0 % of them were late, 7 were dropped"
 
 
 def test_steps_come_in_the_stated_order_and_go_back_in_reverse():
@@ -206,7 +206,7 @@ def test_report_tells_rate_delay_bound_and_why():
     assert report.parts["tool left"].values["delay_ms"] == values["left.delay_ms"]
     assert report.warnings == [
         f"coupling_stiffness is {stiffness:.0f} instead of 2000 N/m: with left.device_damping 4 N s/m,"
-        " poses at 1000 Hz and 2.0 ms old, more may not be stable"
+        " poses at 1000 Hz and 2.0 ms old, a larger value may not be stable"
     ]
     made, _ = live(coupling_stiffness=2000.0)
     made.update()

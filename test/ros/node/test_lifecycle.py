@@ -186,8 +186,8 @@ def test_second_node_of_the_same_name_is_noticed(client, node):
     twin = rclpy.create_node("tissue_sim", context=client.context)
     assert client.spin_until(lambda: counter(client, "same_name_nodes") == 1)
     assert client.level == DiagnosticStatus.WARN
-    assert "another node is called /tissue_sim" in client.message
-    lines = [line for line in node.text().splitlines() if "another node is called" in line]
+    assert "another node has the name /tissue_sim" in client.message
+    lines = [line for line in node.text().splitlines() if "another node has the name" in line]
     assert len(lines) == 1
     assert "-r __node:=" in lines[0]
     assert "-r __ns:=" in lines[0]

@@ -192,12 +192,12 @@ def test_tool_that_appears_inside_is_held_off(client, node):
     def warns():
         client.ask(inside)
         state = client.diagnostics.get("left.state")
-        return state == "held_off" and client.message.startswith("tool 'left' is held off")
+        return state == "held_off" and client.message.startswith("tool 'left' is inactive")
 
     assert client.spin_until(warns), client.message
-    said, counted = node.text().count("'left' is held off"), int(client.diagnostics["left.held_off"])
+    said, counted = node.text().count("'left' is inactive"), int(client.diagnostics["left.held_off"])
     client.reset()  # the tool is inside still
-    assert client.spin_until(lambda: client.ask(inside) or node.text().count("'left' is held off") > said)
+    assert client.spin_until(lambda: client.ask(inside) or node.text().count("'left' is inactive") > said)
     assert client.spin_until(lambda: client.ask(inside) or int(client.diagnostics["left.held_off"]) > counted)
 
 
@@ -206,10 +206,10 @@ def test_parameters_change_live_or_say_why_not(client):
     assert client.set_parameter("marker_rate", 20.0).successful
     refused = client.set_parameter("model", "surface")
     assert not refused.successful
-    assert "start it again" in refused.reason
+    assert "restart the node" in refused.reason
     refused = client.set_parameter("organ_pose", [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     assert not refused.successful
-    assert "names no other frame" in refused.reason
+    assert "which is that frame itself" in refused.reason
     assert not client.set_parameter("friction", -1.0).successful
     assert client.set_parameter("friction", 0.6).successful
     assert client.set_parameter("marker_rate", 30.0).successful
@@ -319,15 +319,15 @@ REFUSED_STARTS = {
     "rate:=1.0": "outside",
     "rate:=fast": "wrong type",
     "model:=solid": "choose one of auto, surface, volume, hybrid, cells",
-    "tools:=[a, a]": "no name of its own",
+    "tools:=[a, a]": "not a valid or unique name",
     "left.shape:=cube": "sphere, capsule, gripper, mesh",
     "left.pose_type:=Twist": "choose one of PoseStamped, Pose, TransformStamped, Odometry",
-    "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a quaternion of zero",
-    "organ_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'organ_pose' is the pose of 'organ' in base_frame, which names",
-    f"{ARM}": "'left.base_pose' and 'right.base_pose' place the frame 'arm' differently",
-    "left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'left.base_pose' would move 'organ', which has its place",
+    "organ_pose:=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]": "'organ_pose' has a zero quaternion",
+    "organ_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'organ_pose' is the pose of 'organ' in base_frame, which is",
+    f"{ARM}": "'left.base_pose' and 'right.base_pose' give the frame 'arm' different poses",
+    "left.base_pose:=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]": "'left.base_pose' would move 'organ', whose pose is",
     "scene_file:=none.yaml": "none.yaml can't be read",
-    "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both given",
+    "scene_file:=none.yaml -p organ_file:=nowhere.npz": "organ_file and scene_file are both set",
 }
 
 

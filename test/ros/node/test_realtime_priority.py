@@ -47,7 +47,7 @@ def test_only_the_loop_goes_first():
         try:
             loop.prefer(7)
         except PermissionError:
-            pytest.skip("this user may not ask for a real-time priority")
+            pytest.skip("this user is not allowed to use a real-time priority")
         assert loop.priority == 7
         assert os.sched_getscheduler(0) == os.SCHED_OTHER, "of this thread"
         before = physics.results().status.tick

@@ -223,7 +223,7 @@ def test_a_breath_that_is_told_is_followed_and_refused_where_it_is_none(scene_fi
         assert height() < 0.002, "what is refused moves nothing"
         stopped = client.record(False)
         assert stopped.success, f"{stopped.message}\n{process.text()}"
-        assert "a message on ~/respiration is refused: " in process.text()
+        assert "a message on ~/respiration was refused: " in process.text()
     finally:
         client.close()
         assert process.stop() == 0, process.text()

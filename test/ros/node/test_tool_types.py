@@ -183,7 +183,7 @@ def test_frame_that_tf_does_not_know_is_refused_by_name(node, tools):
 
     assert tools.spin_until(refused)
     line = next(line for line in node.text().splitlines() if "'moon'" in line)
-    assert "expected 'elsewhere' (parameter led.frame_id names another); tf leads from none of that name to" in line
+    assert "expected 'elsewhere' (parameter led.frame_id sets another one); tf has no transform from it to" in line
     assert "does not exist" in line
 
 

@@ -21,12 +21,12 @@ LOOK_AROUND = str(HERE / "look_around.py")
         ({REACH: "LOCALHOST"}, LOCAL_PROFILE, "on this machine only"),
         ({"ROS_LOCALHOST_ONLY": "1"}, LOCAL_PROFILE, "on this machine only"),
         ({REACH: "SUBNET"}, PROFILE, "in the whole subnet"),
-        ({REACH: "OFF"}, PROFILE, "by nobody else"),
-        ({REACH: "SYSTEM_DEFAULT"}, PROFILE, "as the middleware is set up"),
+        ({REACH: "OFF"}, PROFILE, "by no other program"),
+        ({REACH: "SYSTEM_DEFAULT"}, PROFILE, "as the middleware is configured"),
         ({"ROS_LOCALHOST_ONLY": "0"}, PROFILE, "in the whole subnet"),
         ({"ROS_STATIC_PEERS": "10.0.0.2"}, PROFILE, "in the whole subnet and by ROS_STATIC_PEERS"),
         ({REACH: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.2"}, PROFILE, "on this machine and by ROS_STATIC_PEERS"),
-        ({"ROS_DISCOVERY_SERVER": "10.0.0.2:11811"}, PROFILE, "by way of ROS_DISCOVERY_SERVER"),
+        ({"ROS_DISCOVERY_SERVER": "10.0.0.2:11811"}, PROFILE, "through ROS_DISCOVERY_SERVER"),
     ],
 )
 def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, profile, told):
@@ -34,7 +34,7 @@ def test_the_range_is_narrowed_only_where_the_user_says_nothing(set_by_user, pro
     dds.prepare(environment)
     chosen = {REACH: "LOCALHOST"} if not any(set_by_user.values()) else set_by_user
     assert environment == chosen | dict.fromkeys(PROFILE_VARIABLES, str(ROOT / profile))
-    assert f"heard {told}" in dds.told_reach(environment)
+    assert f"discoverable {told}" in dds.told_reach(environment)
 
 
 def test_a_profile_or_transports_of_the_users_are_kept():
@@ -78,8 +78,11 @@ def test_a_node_is_heard_on_its_machine_alone_until_the_switch_is_set(tmp_path, 
         wide = start(here, "wide", *program, "-r", "__ns:=/wide", **{REACH: "SUBNET"})
         node.wait_for(READY)
         wide.wait_for(READY)
-        assert "heard on this machine only; ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET lets others in" in node.text()
-        assert "heard in the whole subnet" in wide.text()
+        assert (
+            "discoverable on this machine only; ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET extends that to the subnet"
+            in node.text()
+        )
+        assert "discoverable in the whole subnet" in wide.text()
 
         # ROS's own defaults on the same machine, which are those of rviz2 and ros2; the other machine; and the other
         # machine that names this one.

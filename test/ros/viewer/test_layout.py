@@ -80,7 +80,7 @@ def test_it_names_what_a_node_in_a_namespace_has(kind, ward, client, printed):
 def test_without_an_answer_it_says_what_it_takes_for_granted(monkeypatch, printed):
     monkeypatch.setattr(layout, "WAIT", 0.3)
     said = printed("foxglove", "ward/nobody")
-    assert said.err == "/ward/nobody doesn't answer: frame organ and tools left, right are taken for its own\n"
+    assert said.err == "/ward/nobody doesn't answer: frame organ and tools left, right are assumed\n"
     assert "/ward/left/servo_cf" in topics_in("foxglove", said.out)
     assert "/ward/nobody/surface" in topics_in("foxglove", said.out)
 

@@ -94,10 +94,10 @@ FILES = {
     "organ": Kind("tissue_sim.bench.fuzz.files.organs", "organ files (.npz): loaded, and simulated for some ticks"),
     "image": Kind("tissue_sim.bench.fuzz.files.images", "NIfTI, NRRD, MHA and DICOM: read as an image or a mask"),
     "segmentation": Kind("tissue_sim.bench.fuzz.files.segmentations", "DICOM segmentations: a segment of one is read"),
-    "mesh": Kind("tissue_sim.bench.fuzz.files.meshes", "meshes of every format: read, repaired and made voxels of"),
+    "mesh": Kind("tissue_sim.bench.fuzz.files.meshes", "meshes of every format: read, repaired and voxelised"),
     "bag": Kind(
         "tissue_sim.bench.fuzz.files.bags",
-        "bags: completed where they were broken off, replayed, compared",
+        "bags: completed if they were interrupted, replayed, compared",
         seconds=300.0,  # one may list a part thrice
         needs=SCENE,
     ),
@@ -105,7 +105,7 @@ FILES = {
 SCENES = {
     "tick": Kind("tissue_sim.bench.fuzz.scenes.ticks", "tools, loads and settings, tick by tick", seconds=120.0),
     "joined": Kind(
-        "tissue_sim.bench.fuzz.scenes.joined", "two organs that touch, hang together and breathe", seconds=240.0
+        "tissue_sim.bench.fuzz.scenes.joined", "two organs that touch, are joined and breathe", seconds=240.0
     ),
     "node": Kind("tissue_sim.bench.fuzz.scenes.node", "messages and services, to a running node over DDS"),
     "scene_node": Kind(

@@ -24,16 +24,18 @@ USUAL = 200
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "--files", type=int, metavar="N", help=f"files of each kind (default: {USUAL}, where no --scenes is given)"
+        "--files", type=int, metavar="N", help=f"files of each kind (default: {USUAL}, if no --scenes is given)"
     )
     parser.add_argument(
-        "--scenes", type=int, metavar="N", help=f"scenes of each kind (default: {USUAL}, where no --files is given)"
+        "--scenes", type=int, metavar="N", help=f"scenes of each kind (default: {USUAL}, if no --files is given)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="other cases; the same seed gives the same ones")
-    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)}")
-    parser.add_argument("--case", type=int, metavar="K", help="only this case of each kind, from 0")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the cases; the same seed gives the same cases")
     parser.add_argument(
-        "--from", dest="first", type=int, default=0, metavar="K", help="go on with case K, where a run was stopped"
+        "--kinds", nargs="+", choices=tuple(KINDS), metavar="KIND", help=f"kinds of cases, of {', '.join(KINDS)}"
+    )
+    parser.add_argument("--case", type=int, metavar="K", help="only this case of each kind, counted from 0")
+    parser.add_argument(
+        "--from", dest="first", type=int, default=0, metavar="K", help="continue with case K, where a run was stopped"
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument(
@@ -80,14 +82,14 @@ def cases_of(args: argparse.Namespace) -> list[Case]:
     lacking = [kind for kind in args.kinds or () if KINDS[kind].missing]
     if lacking:
         raise UserError(
-            f"no {lacking[0]} to mutate comes with this installation: {KINDS[lacking[0]].needs} is in a checkout"
+            f"no {lacking[0]} to mutate is part of this installation: {KINDS[lacking[0]].needs} is in a checkout"
         )
     usual = USUAL if args.files is None and args.scenes is None else 0
     counts = {kind: (args.files if kind in FILES else args.scenes) or usual for kind in KINDS}
     asked = args.kinds or [kind for kind in KINDS if not KINDS[kind].missing]
     asked = [kind for kind in asked if counts[kind]]
     if not asked:
-        raise UserError(f"--kinds {' '.join(args.kinds)} takes {'--scenes' if args.files else '--files'}")
+        raise UserError(f"--kinds {' '.join(args.kinds)} needs {'--scenes' if args.files else '--files'}")
     if args.case is not None:
         return [Case(kind, args.seed, args.case) for kind in asked]
     most = max(counts[kind] for kind in asked)

@@ -72,7 +72,7 @@ class _Worker:
             except (EOFError, ConnectionError):
                 return self._anew(case, "")
         if time.monotonic() - self._started > self._patience:
-            return self._anew(case, f"hung: not done after {self._patience:.0f} s")
+            return self._anew(case, f"hung: not finished after {self._patience:.0f} s")
         return None
 
     def _anew(self, case: Case, reason: str) -> Outcome:

@@ -102,7 +102,7 @@ class Trial:
             if not line.strip() or "\n" in line or len(line) > LONGEST_LINE:
                 return f"refused with {line.count(chr(10)) + 1} lines of {len(line)} characters: {line[:100]!r}"
             if _NO_MEMORY.search(line):
-                return f"asked for more than there is: {line}"
+                return f"requested more memory than available: {line}"
         printed = (self.folder / PRINTED).read_text(encoding="utf-8", errors="replace").split("\n", 1)[0]
         return f"something else was printed: {printed}" if printed else ""
 

@@ -233,7 +233,7 @@ class Elements:
         """Mean travel of the markers at rest, m. Raises UserError when it doesn't settle."""
         found = self.body.solid.settle(self.load)
         if not found.converged:
-            raise UserError("the beam's finite elements do not settle")
+            raise UserError("the beam's finite elements do not converge")
         moved = tip_markers(self._rest, self._rest + found.displacement[self.end])
         return float(np.linalg.norm(moved.mean(axis=0)))
 
@@ -307,7 +307,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> tuple[Fitted, list[
     with until_stopped(), progress.stage("beam in motion", len(runs)) as done:
         for run in runs:
             bent.append(predicted(beam, run, found, rests[run.weight]))
-            tell(f"beam, {run.name}", f"{bent[-1].off['model']:+.1f} % off at rest")
+            tell(f"beam, {run.name}", f"error {bent[-1].off['model']:+.1f} % at rest")
             done()
     return found, bent
 

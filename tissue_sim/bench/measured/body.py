@@ -80,7 +80,7 @@ def settle_led(solid: Solid, led: Floats) -> Floats:
             length *= 0.5
         moved = moved + length * step
         energy, forces, _ = solid.energy(moved)
-    raise UserError("the finite elements of a measured body don't settle between where its surface is led")
+    raise UserError("the finite elements of a measured body don't converge with its surface prescribed")
 
 
 def timed(simulation: Simulation, ticks: int, watch: Callable[[], None] | None = None) -> Rate:

@@ -20,15 +20,18 @@ BODIES = ("cube", "beam")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--data", metavar="FOLDER", required=True, help="where the measured tables lie")
+    parser.add_argument("--data", metavar="FOLDER", required=True, help="folder of the measured tables")
     parser.add_argument(
-        "--out", metavar="FOLDER", required=True, help="for pictures, the calibrated bodies and what is kept of them"
+        "--out",
+        metavar="FOLDER",
+        required=True,
+        help="folder for pictures, the calibrated bodies and intermediate results",
     )
     parser.add_argument("--bodies", nargs="+", choices=BODIES, default=BODIES, help="which")
     parser.add_argument(
         "--json", nargs="?", const="-", metavar="FILE", help="write JSON to a file, or - instead of text"
     )
-    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is missed")
+    parser.add_argument("--check", action="store_true", help="exit with 1 when a bound is not met")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,7 +63,7 @@ def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str
         at = f"at {last['strain_percent']:g} %"
         bounds += [
             Bound(f"truth cube: inner beads {at}, mean", last["model_mean_mm"], truth_cube.MOST_OFF, "mm"),
-            Bound(f"truth cube: behind finite elements {at}", behind, truth_cube.MOST_BEHIND, "mm"),
+            Bound(f"truth cube: relative to finite elements {at}", behind, truth_cube.MOST_BEHIND, "mm"),
         ]
     fit: beam.Fitted | None = None
     with rows.until_stopped():
@@ -73,7 +76,7 @@ def measure(data: Path, folder: Path, bodies: tuple[str, ...]) -> tuple[dict[str
             still = max((abs(one.off["model"]) for one in some), default=None)
             moving = max((one.off_moving["model"] for one in some), default=None)
             bounds += [
-                Bound(f"beam, {weight}: travel at rest, the worse run", still, beam.MOST_OFF, "%"),
+                Bound(f"beam, {weight}: displacement at rest, the worse run", still, beam.MOST_OFF, "%"),
                 Bound(f"beam, {weight}: motion, the worse run", moving, beam.MOST_OFF_MOVING, "%"),
             ]
     found["bounds"] = [bound.as_json() for bound in bounds]
@@ -88,7 +91,11 @@ def text(found: dict[str, Any]) -> str:
         for one in found["truth_cube"]:
             means = [f"{one[f'{who}_{what}_mm']:.3f}" for who in ("elements", "model") for what in ("mean", "worst")]
             rows.append([f"{one['strain_percent']:g}", *means, f"{one['tick_us']:.0f}", str(one["faults"])])
-        lines += ["truth cube (Kerdok et al. 2003): 125 inner beads, off what was measured", *aligned(rows), ""]
+        lines += [
+            "truth cube (Kerdok et al. 2003): 125 inner beads, distance from the measured ones",
+            *aligned(rows),
+            "",
+        ]
     if "beam" in found:
         rest = [["run", "at rest mm", "finite elements", "%", "model", "%", "motion: finite elements %", "model %"]]
         rest[0] += ["us a ms", "faults"]

@@ -66,8 +66,8 @@ def _cube(found: list[Compressed]) -> Any:
         for box in boxes["boxes"]:
             box.set(facecolor=colour, alpha=0.5, label=label if box is boxes["boxes"][0] else None)
     errors.set_xticks(range(len(found)), [f"{one.strain:g} %" for one in found])
-    errors.axhline(0.35, color="#777777", linestyle=":", label="what a bead is good to")
-    errors.set_ylabel("off the measured bead (mm)")
+    errors.axhline(0.35, color="#777777", linestyle=":", label="accuracy of a bead's position")
+    errors.set_ylabel("distance from the measured bead (mm)")
     errors.set_ylim(0.0, 1.3 * max(float(one.off[who].max()) for one in found for who in one.off))
     errors.legend(frameon=False, fontsize=9, loc="upper left")
     for axis in (layer, errors):
@@ -98,7 +98,7 @@ def _beam(found: list[Bent]) -> Any:
                 )
         panel.set_xlabel("time (s)")
         worst = max(some.off_moving["model"] for some in found if some.run.startswith(load))
-        panel.set_title(f"{load}: model {worst:.1f} % off", loc="left", fontsize=10)
+        panel.set_title(f"{load}: error of the model {worst:.1f} %", loc="left", fontsize=10)
         _bare(panel)
     panels[0].set_ylabel("free end's markers, upward (mm)")
     panels[0].legend(frameon=False, fontsize=9, title="runs a (solid) and b (dashed)", title_fontsize=9)

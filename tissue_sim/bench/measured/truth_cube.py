@@ -71,7 +71,7 @@ def read(path: Path) -> Floats:
     except (ValueError, IndexError):
         raise UserError(f"{path} is not the table of the Truth Cube's beads") from None
     if np.isnan(beads).any():
-        raise UserError(f"{path} lacks beads of the Truth Cube")
+        raise UserError(f"{path} has no beads of the Truth Cube")
     return beads
 
 
@@ -118,7 +118,7 @@ def measure(data: Path, folder: Path, progress: Progress) -> list[Compressed]:
                     seconds,
                 )
             )
-            tell(f"truth cube, {strain:g} %", f"{found[-1].off['model'].mean():.3f} mm off")
+            tell(f"truth cube, {strain:g} %", f"error {found[-1].off['model'].mean():.3f} mm")
             done()
     return found
 

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     if args.slab and args.organ:
         raise UserError("--slab and an ORGAN are both given; choose one")
     if args.out:
-        raise UserError("--out draws what a finger feels of a tumour; leave it out with --places")
+        raise UserError("--out draws the palpation of a tumour; leave it out with --places")
     organ = slab() if args.slab else Organ.load(args.organ or shipped_organ())
     edge = mean_edge(organ)
     places = flat_places(organ, args.places)
@@ -46,10 +46,10 @@ def run(args: argparse.Namespace) -> int:
         for press in presses(organ, radii, places):
             pressed.append(press)
             worst = np.nanmax(np.abs(press.off), initial=0.0)
-            rows.tell(f"{press.radius:g} edges, place {press.place}, {press.kind}", f"off {worst:.1f} % at worst")
+            rows.tell(f"{press.radius:g} edges, point {press.place}, {press.kind}", f"error at most {worst:.1f} %")
         for slide in slides(organ, radii, places):
             slid.append(slide)
-            rows.tell(f"{slide.radius:g} edges, place {slide.place}, slid", f"ripple {slide.ripple:.1f} %")
+            rows.tell(f"{slide.radius:g} edges, point {slide.place}, sliding", f"ripple {slide.ripple:.1f} %")
     found = as_json(pressed, slid) | {"organ": organ.name, "edge_m": edge, "places": len(places)}
     emit(found, text(found), args.json)
     return exit_code(found, check=args.check)
@@ -62,7 +62,7 @@ def parse_radii(given: str | None) -> tuple[float, ...]:
     try:
         radii = tuple(float(one) for one in given.split(","))
     except ValueError:
-        raise UserError(f"--radii '{given}' are no numbers; write them as 0.5,1,2") from None
+        raise UserError(f"--radii '{given}' are not numbers; write them as 0.5,1,2") from None
     for radius in radii:
         if not LEAST_RADIUS <= radius <= MOST_RADIUS:
             raise UserError(f"--radii {radius:g} is outside {LEAST_RADIUS:g}..{MOST_RADIUS:g} edges")
@@ -82,10 +82,20 @@ def as_json(pressed: Sequence[Pressed], slid: Sequence[Slid]) -> dict[str, Any]:
     fine, fair = ([one for one in pressed if low <= one.radius < high] for low, high in ((FINE, np.inf), (FAIR, FINE)))
     ripples = [one.ripple for one in slid if one.radius >= FINE]
     bounds = [
-        Bound(f"force off finite elements, radii of {FINE:g} edge and more, worst", _worst(fine), FINE_WITHIN, "%"),
-        Bound(f"force off finite elements, radii of {FAIR:g} to {FINE:g} edge, worst", _worst(fair), FAIR_WITHIN, "%"),
         Bound(
-            "ripple of a sliding ball, radii of 1 edge and more, worst", max(ripples, default=None), MOST_RIPPLE, "%"
+            f"error of the force against finite elements, radii of at least {FINE:g} edge, worst",
+            _worst(fine),
+            FINE_WITHIN,
+            "%",
+        ),
+        Bound(
+            f"error of the force against finite elements, radii of {FAIR:g} to {FINE:g} edge, worst",
+            _worst(fair),
+            FAIR_WITHIN,
+            "%",
+        ),
+        Bound(
+            "ripple of a sliding sphere, radii of at least 1 edge, worst", max(ripples, default=None), MOST_RIPPLE, "%"
         ),
     ]
     return {
@@ -164,13 +174,13 @@ def text(found: dict[str, Any]) -> str:
         )
     deep = ", ".join(f"{depth:g}" for depth in DEPTHS)
     lines = [
-        f"organ '{found['organ']}', mean edge {1e3 * edge:.2f} mm: balls that don't slip, {deep} radii deep at"
-        f" {found['places']} flat places, off finite elements",
+        f"organ '{found['organ']}', mean edge {1e3 * edge:.2f} mm: spheres without slip, {deep} radii deep at"
+        f" {found['places']} flat points, error against finite elements",
         "",
         *aligned(table),
-        *([f"finite elements found no rest {unsettled} times; these are left out"] if unsettled else []),
+        *([f"the finite elements did not converge {unsettled} times; these are excluded"] if unsettled else []),
         "",
-        f"balls that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola",
+        f"spheres that slide {WAY:g} edges, {SLID_DEPTH:g} radii deep: half the force's range about a parabola",
         "",
         *aligned(slid),
         "",

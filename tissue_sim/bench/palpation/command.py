@@ -22,24 +22,27 @@ DEFAULT = "kidney_tumour"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     add_shared(
-        parser, organ="the kidney with a tumour that ships", out="folder for a plot of curves and map", check=True
+        parser, organ="the kidney with a tumour of this package", out="folder for a plot of curves and map", check=True
     )
     places = parser.add_argument_group(
-        "balls at nodes, on edges and inside triangles, and sliding, in place of a finger"
+        "spheres at nodes, on edges and inside triangles, and sliding, instead of a finger"
     )
     places.add_argument(
         "--places",
         type=int,
         metavar="N",
-        help="press balls at so many flat places of ORGAN, which needs no inclusion (default: the kidney that ships)",
+        help="press spheres at this number of flat points of ORGAN, which needs no inclusion (default: the kidney"
+        " of this package)",
     )
     places.add_argument(
-        "--radii", metavar="R,...", help="of the balls, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)"
+        "--radii",
+        metavar="R,...",
+        help="radii of the spheres, in mean edges of the surface (default: 0.5,0.8,1,1.5,2,3)",
     )
     places.add_argument(
         "--slab",
         action="store_true",
-        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated, once, in four minutes",
+        help="press a slab of 60 x 60 x 25 mm, which is built and calibrated once, in four minutes",
     )
 
 
@@ -51,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
         return balls.run(args)
     if args.radii is not None or args.slab:
-        raise UserError("--radii and --slab belong to --places N")
+        raise UserError("--radii and --slab need --places N")
     organ = Organ.load(args.organ or shipped_organ(DEFAULT))
     felt = finger.measure(organ)
     maps = finger.measure_maps(organ, felt)

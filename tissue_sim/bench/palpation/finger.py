@@ -68,7 +68,7 @@ def measure(organ: Organ) -> list[Felt]:
             scene = finger(organ)
             reference, plain = (by_elements(one, press) for one in (organ, with_inclusions(organ, [])))
             found.append(Felt(inclusion, press, forces(scene, press, DEPTHS), reference, plain))
-            rows.tell(f"node {press.node}", f"off {found[-1].off.max():.2f} % at worst")
+            rows.tell(f"node {press.node}", f"error at most {found[-1].off.max():.2f} %")
     return found
 
 
@@ -78,7 +78,7 @@ def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
     with rows.until_stopped():
         for one in rows.each(felt, "maps"):
             found.append(mapped(organ, one.press))
-            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} places")
+            rows.tell(f"map around node {one.press.node}", f"{len(found[-1].nodes)} points")
     return found + [Map(np.zeros(0, dtype=np.int64), np.zeros(0))] * (len(felt) - len(found))
 
 
@@ -140,7 +140,9 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
         name = f"inclusion {number}: " if len(felt) > 1 else ""
         bounds += [
             Bound(f"{name}force against finite elements, worst depth", off, MOST_OFF, "%"),
-            Bound(f"{name}stiffer for its inclusion, over that error", apart and off and apart / off, 1.0, "", True),
+            Bound(
+                f"{name}effect of the inclusion, relative to that error", apart and off and apart / off, 1.0, "", True
+            ),
         ]
         table.append(
             {
@@ -163,9 +165,9 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
     """The figures as tables."""
-    lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, that doesn't slip"]
+    lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, without slip"]
     for row in found["inclusions"]:
-        table = [["deep mm", "force N", "finite elements N", "off %", "without the inclusion N", "it tells by %"]]
+        table = [["deep mm", "force N", "finite elements N", "error %", "without the inclusion N", "effect %"]]
         keys = ("depth_m", "force_n", "reference_n", "off_percent", "plain_reference_n", "told_apart_percent")
         for depth, force, reference, off, plain, apart in zip(*(row[key] for key in keys), strict=True):
             numbers = [f"{force:.3f}", f"{reference:.3f}", f"{off:.2f}", f"{plain:.3f}", f"{apart:.1f}"]
@@ -174,12 +176,12 @@ def text(organ: Organ, found: dict[str, Any]) -> str:
         here = stiffness[row["map"]["nodes"].index(row["node"])] if row["node"] in row["map"]["nodes"] else np.nan
         lines += [
             "",
-            f"over the inclusion that is {row['times_as_stiff']:g} times as stiff, node {row['node']}:",
+            f"above the inclusion with {row['times_as_stiff']:g} times the stiffness, node {row['node']}:",
             *aligned(table),
         ]
         if len(stiffness):
             lines.append(
-                f"map of {len(stiffness)} places around, {1e3 * MAP_DEPTH:g} mm deep: {stiffness.min():.0f} to"
-                f" {stiffness.max():.0f} N/m, median {np.median(stiffness):.0f}, over the inclusion {here:.0f}"
+                f"map of {len(stiffness)} points around it, {1e3 * MAP_DEPTH:g} mm deep: {stiffness.min():.0f} to"
+                f" {stiffness.max():.0f} N/m, median {np.median(stiffness):.0f}, above the inclusion {here:.0f}"
             )
     return "\n".join([*lines, "", *bound_lines(found["bounds"])])

@@ -46,7 +46,7 @@ def flat_places(organ: Organ, count: int) -> list[list[Spot]]:
     chosen = np.flatnonzero(clear > CLEAR * edge)
     if not len(chosen):
         raise UserError(
-            f"organ '{organ.name}' has no place {1e3 * CLEAR * edge:.0f} mm from its clamp; use more points"
+            f"organ '{organ.name}' has no point {1e3 * CLEAR * edge:.0f} mm from its clamp; use more points"
         )
     near = cKDTree(surface.positions).query_ball_point(middle[chosen], AROUND * edge)
     flat = np.array([(-surface.normal[nodes] @ way[one]).min() for one, nodes in zip(chosen, near, strict=True)])

@@ -40,7 +40,7 @@ def drawn(organ: Organ, felt: Felt, around: Map) -> Any:
         (felt.plain, "finite elements, without", "k:"),
     ):
         left.plot(depths, np.concatenate([[0.0], force]), style, label=name)
-    left.set(xlabel="depth, mm", ylabel="force, N", title="over the inclusion")
+    left.set(xlabel="depth, mm", ylabel="force, N", title="above the inclusion")
     left.legend()
     across = np.linalg.svd(felt.press.way[None])[2][1:]
     middle = organ.surface_positions[felt.press.node]
@@ -50,7 +50,7 @@ def drawn(organ: Organ, felt: Felt, around: Map) -> Any:
     outline = 1e3 * (felt.inclusion.positions - middle) @ across.T
     hull = outline[ConvexHull(outline).vertices]
     right.plot(*np.concatenate([hull, hull[:1]]).T, "r-", label="inclusion")
-    right.set(xlabel="mm", ylabel="mm", title=f"stiffness felt at {1e3 * MAP_DEPTH:g} mm", aspect="equal")
+    right.set(xlabel="mm", ylabel="mm", title=f"stiffness at a depth of {1e3 * MAP_DEPTH:g} mm", aspect="equal")
     right.legend(loc="upper right")
     figure.colorbar(painted, ax=right, label="N/m")
     return figure

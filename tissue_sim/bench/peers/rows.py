@@ -110,10 +110,10 @@ class _Shared:
         return compliance_table(self.quadratic.body)
 
     def linear(self) -> tuple[Engine, str]:
-        return LinearTetrahedra(self.organ, self.mesh), f"{len(self.mesh.nodes)} nodes, factored beforehand"
+        return LinearTetrahedra(self.organ, self.mesh), f"{len(self.mesh.nodes)} nodes, factored in advance"
 
     def quadratic_tetrahedra(self) -> tuple[Engine, str]:
-        return self.quadratic, f"{self.quadratic.body.n_nodes} nodes, factored beforehand"
+        return self.quadratic, f"{self.quadratic.body.n_nodes} nodes, factored in advance"
 
     def compliance(self, one_patch: bool) -> tuple[Engine, str]:
         engine = Compliance(self.organ, self.table, one_patch=one_patch)
@@ -130,4 +130,4 @@ class _Shared:
 
     def chainmail(self) -> tuple[Engine, str]:
         engine = ChainMail(self.organ, self.mesh.nodes, self.mesh.edges)
-        return engine, "knows no forces: moved at the loaded nodes to where the reference is"
+        return engine, "has no forces: the loaded nodes are moved to the reference's positions"

@@ -97,7 +97,7 @@ def axes_named(names: str) -> list[str]:
     for name in names.split(","):
         found = [axis for axis in AXES if name in (axis, axis.split("_")[0], "all")]
         if not found:
-            raise UserError(f"--axes: no axis '{name}'; choose of {', '.join(AXES)}, force, all")
+            raise UserError(f"--axes: unknown axis '{name}'; choose from {', '.join(AXES)}, force, all")
         chosen += [axis for axis in found if axis not in chosen]
     return chosen
 

@@ -66,7 +66,7 @@ def draw_map(records: Sequence[Record], title: str, path: Path) -> None:
             *(Patch(facecolor=colour, label=outcome) for outcome, colour in COLOURS.items()),
             Patch(facecolor="white", edgecolor="#303030", hatch=_RECOVERED, label="recovered from a false rest shape"),
             Line2D([], [], linestyle="", marker="x", color="black", label="diverged with default settings"),
-            Line2D([], [], linestyle="", marker=".", color="#303030", label="not run until it rests"),
+            Line2D([], [], linestyle="", marker=".", color="#303030", label="not run until rest"),
         ],
         loc="outside lower center",
         ncols=2,

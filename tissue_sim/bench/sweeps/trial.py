@@ -377,15 +377,15 @@ def problems_of(
         return ["not finite"]
     problems = []
     if energy_gain > 0.0:
-        problems.append(f"energy gained from nothing ({100.0 * energy_gain:.3g} %)")
+        problems.append(f"energy gained without work ({100.0 * energy_gain:.3g} %)")
     if not enough:
         return problems
     quiet = asleep or speed <= QUIET_SPEED
     if not left <= LEFT:
-        where = "asleep off its rest shape" if asleep else "false rest shape" if quiet else "not back at rest"
-        problems.append(f"{where} ({100.0 * left:.3g} % of the peak left)")
+        where = "asleep away from its rest shape" if asleep else "false rest shape" if quiet else "not back at rest"
+        problems.append(f"{where} ({100.0 * left:.3g} % of the peak remains)")
     elif not quiet:
-        problems.append(f"not quiet ({1e3 * speed:.3g} mm/s)")
+        problems.append(f"still moving ({1e3 * speed:.3g} mm/s)")
     if turned.cells or turned.folds or turned.volume <= 0.0:
-        problems.append(f"turned over ({turned.cells} cells, {turned.folds} folds)")
+        problems.append(f"inverted ({turned.cells} cells, {turned.folds} folds)")
     return problems

@@ -86,17 +86,19 @@ def read_stack(folder: Path, series: str | None = None) -> Stack:
         if header is not None:
             _sort_in(found.setdefault(header.series, []), header)
     if not found:
-        raise UserError(f"folder {folder} holds no DICOM series; name the folder that holds the slices{_below(folder)}")
+        raise UserError(
+            f"folder {folder} contains no DICOM series; name the folder that contains the slices{_below(folder)}"
+        )
     for stacks in found.values():
         stacks.sort(key=len, reverse=True)
     uid, notes = _choose_series(folder, found, series)
     slices, more = _choose_stack(folder, found[uid])
     notes += more
     if slices[0].components != 1:
-        raise UserError(f"DICOM folder {folder} holds colour pictures, not a CT")
+        raise UserError(f"DICOM folder {folder} contains colour pictures, not a CT")
     frames = slices[0].size[2] if len(slices[0].size) > 2 else 1
     if len(slices) == 1 and frames < 2:
-        raise UserError(f"DICOM folder {folder} holds a single slice, a 3-D volume is needed")
+        raise UserError(f"DICOM folder {folder} contains a single slice, but a 3-D volume is needed")
     if frames > 1:
         if len(slices) > 1:
             raise UserError(f"DICOM folder {folder} is 4-D: {len(slices)} files of {frames} slices; keep one of them")
@@ -171,14 +173,14 @@ def _choose_series(folder: Path, found: dict[str, list[list[_Slice]]], series: s
             return uids[int(series) - 1], []
         if series in found:
             return series, []
-        raise UserError(f"folder {folder} has no series {series}; it holds {listed}")
+        raise UserError(f"folder {folder} has no series {series}; it contains {listed}")
     if len(uids) == 1:
         return uids[0], []
     whole = [uid for uid in uids if not _is_scrap(found[uid][0])]
     if len(whole) == 1:
         others = len(uids) - 1
-        return whole[0], [f"left out {others} other series of the folder: localizers or fewer than {_FEW} slices"]
-    raise UserError(f"folder {folder} holds {len(uids)} series: {listed}; choose one with --series UID")
+        return whole[0], [f"omitted {others} other series of the folder: localizers or fewer than {_FEW} slices"]
+    raise UserError(f"folder {folder} contains {len(uids)} series: {listed}; choose one with --series UID")
 
 
 def _series_line(uid: str, stacks: list[list[_Slice]]) -> str:
@@ -194,9 +196,9 @@ def _choose_stack(folder: Path, stacks: list[list[_Slice]]) -> tuple[list[_Slice
         return stacks[0], []
     if len(whole) > 1:
         sizes = ", ".join(f"{len(stack)} slices of {stack[0].size[0]} x {stack[0].size[1]}" for stack in whole)
-        raise UserError(f"DICOM folder {folder}: one series holds stacks of different geometry ({sizes}); keep one")
+        raise UserError(f"DICOM folder {folder}: one series contains stacks of different geometry ({sizes}); keep one")
     others = sum(len(stack) for stack in stacks) - len(whole[0])
-    return whole[0], [f"left out {others} pictures of another geometry from the series (localizers)"]
+    return whole[0], [f"omitted {others} pictures of another geometry from the series (localizers)"]
 
 
 def _without_copies(slices: list[_Slice]) -> tuple[list[_Slice], list[str]]:
@@ -206,14 +208,14 @@ def _without_copies(slices: list[_Slice]) -> tuple[list[_Slice], list[str]]:
         place = b"" if one.position is None else one.position.tobytes()
         seen.setdefault((one.instance or str(k), place), one)
     copies = len(slices) - len(seen)
-    return list(seen.values()), [f"left out {copies} copies of slices"] if copies else []
+    return list(seen.values()), [f"omitted {copies} copies of slices"] if copies else []
 
 
 def _read_slices(folder: Path, slices: Sequence[_Slice], notes: tuple[str, ...]) -> Stack:
     first = slices[0]
     if first.axes is None or first.pixel is None or any(one.position is None for one in slices):
         raise UserError(
-            f"DICOM folder {folder}: slices lack their position, orientation or pixel spacing; export the CT itself,"
+            f"DICOM folder {folder}: slices have no position, orientation or pixel spacing; export the CT itself,"
             " not pictures of it"
         )
     row, column = first.axes
@@ -241,18 +243,20 @@ def _checked_step(folder: Path, position: Floats, normal: Floats, pixel: float) 
     if doubled:
         times = len(depth) / (len(depth) - doubled)
         what = f"is 4-D, {times:.0f} slices at each position" if times.is_integer() else "mixes several series"
-        raise UserError(f"DICOM folder {folder} holds slices at the same position: it {what}; keep one volume")
+        raise UserError(f"DICOM folder {folder} contains slices at the same position: it {what}; keep one volume")
     usual = float(np.median(step))
     odd = np.flatnonzero(np.abs(step - usual) > _GAP * usual)
     if len(odd):
         where = ", ".join(f"{depth[i]:.1f} and {depth[i + 1]:.1f}" for i in odd[:3])
-        raise UserError(f"DICOM folder {folder} misses slices: spacing is {usual:.2f} mm, but not between {where} mm")
+        raise UserError(
+            f"DICOM folder {folder} lacks slices: the spacing is {usual:.2f} mm, but not between {where} mm"
+        )
     across = position - np.outer(depth, normal)
     drift = float(np.linalg.norm(across - across[0], axis=1).max())
     if drift > _TILT * pixel:
         raise UserError(
             f"DICOM folder {folder}: slices shift sideways by {drift:.1f} mm over the stack (tilted gantry);"
-            " resample it into an upright one first (dcm2niix does)"
+            " resample it into an upright one first (for example with dcm2niix)"
         )
     return float(depth[-1] - depth[0]) / len(step)
 
@@ -338,13 +342,13 @@ def read_frame_grid(file: Path, *, whole: bool) -> FrameGrid:
             rescales = {_rescale(image, frame) for frame in range(count)}
     except Exception as error:  # highdicom and pydicom raise anything on damaged files
         raise UserError(
-            f"DICOM file {file} doesn't say where its frames lie ({shown(str(error) or type(error).__name__)});"
-            " export it again"
+            f"DICOM file {file} doesn't state the positions of its frames"
+            f" ({shown(str(error) or type(error).__name__)}); export it again"
         ) from None
     if geometry is None:
         raise UserError(
-            f"DICOM file {file} has frames that are no regular stack: some are missing, tilted, or at one position;"
-            " resample it first"
+            f"DICOM file {file} has frames that don't form a regular stack: some are missing, tilted, or at the"
+            " same position; resample it first"
         )
     matrix = geometry.affine[:, [2, 1, 0, 3]]  # highdicom counts slices, rows, columns
     nz, ny, nx = geometry.spatial_shape
@@ -376,9 +380,11 @@ def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
     if header is None:
         raise UserError(f"DICOM file {file} can't be read as an image; export it again, uncompressed")
     if header.components != 1:
-        raise UserError(f"DICOM file {file} holds colour pictures, not a CT")
+        raise UserError(f"DICOM file {file} contains colour pictures, not a CT")
     if len(header.size) < 3 or header.size[2] < 2:
-        raise UserError(f"{file} is a single slice, a 3-D volume is needed; name the folder that holds the series")
+        raise UserError(
+            f"{file} is a single slice, but a 3-D volume is needed; name the folder that contains the series"
+        )
     if header.storage in SEGMENTATIONS:
         raise UserError(f"DICOM file {file} is a segmentation, not a CT; give it to --mask")
     grid = read_frame_grid(file, whole=True)
@@ -386,7 +392,7 @@ def read_frames(file: Path, notes: tuple[str, ...] = ()) -> Stack:
         raise UserError(f"DICOM file {file} has frames of several rescale slopes or intercepts; export them as slices")
     frames = sitk.GetArrayFromImage(_decoded(str(file), math.prod(header.size)))
     if frames.shape[::-1] != grid.size:
-        raise UserError(f"DICOM file {file} is damaged: it holds {len(frames)} frames for {grid.size[2]} slices")
+        raise UserError(f"DICOM file {file} is damaged: it contains {len(frames)} frames for {grid.size[2]} slices")
     array = np.empty_like(frames)
     array[grid.place] = frames
     return Stack(array, grid.spacing, grid.origin, grid.direction, notes)

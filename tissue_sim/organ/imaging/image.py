@@ -167,7 +167,7 @@ def read_image(path: str | Path, series: str | None = None) -> Volume:
             bad += int(np.count_nonzero(wrong))
             layer[wrong] = AIR
     if bad == volume.array.size:
-        raise UserError(f"image {source} holds no finite values")
+        raise UserError(f"image {source} has no finite values")
     note = f"read {bad} voxels without a value (NaN or infinite) as air"
     return replace(volume, notes=(*volume.notes, note)) if bad else volume
 
@@ -184,7 +184,7 @@ def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[st
     the file when it can't be read, isn't 3-D, or has axes that are not at right angles, to within a thousandth.
     """
     if path.suffix.lower() in _UNSCALED:
-        raise UserError(f"{path} is a TIFF, which doesn't say how far its slices lie apart; save it as NRRD or MHA")
+        raise UserError(f"{path} is a TIFF, which doesn't state the distance of its slices; save it as NRRD or MHA")
     header = _header(path)
     if header is not None and header.affine is not None:
         _check_axes(path, header.affine[:3, :3])  # ITK finds no direction in some that are not at right angles
@@ -201,13 +201,13 @@ def read_file(path: Path, *, layers: bool = False) -> tuple[sitk.Image, tuple[st
         reason = "a length that is more than it can hold" if isinstance(error, MemoryError) else _reason(error)
         raise UserError(f"{path} can't be read as an image ({reason}); name a {FORMATS}") from None
     if components != 1 and not layers:
-        raise UserError(f"{path} has {components} values a voxel; a CT or mask has one")
+        raise UserError(f"{path} has {components} values per voxel; a CT or mask has one")
     if dimension > 3 and any(n != 1 for n in size[3:]):
         shape = " x ".join(str(n) for n in size)
         raise UserError(f"{path} is {dimension}-D ({shape}); extract one 3-D volume first")
     if dimension < 3 or min(size[:3]) < 2:
         shape = " x ".join(str(n) for n in size)
-        raise UserError(f"{path} is a single slice ({shape}), a 3-D volume is needed")
+        raise UserError(f"{path} is a single slice ({shape}), but a 3-D volume is needed")
     if header is None:
         check_count(path, size)
     else:
@@ -237,7 +237,7 @@ def _place(path: Path, image: sitk.Image, header: Header) -> None:
 def _check_axes(path: Path, axes: Floats) -> Floats:
     """The lengths (3,) of the columns of axes (3, 3); raises UserError where they are huge, or not at right angles."""
     if not np.all(np.abs(axes) <= _LARGEST_AXIS):
-        raise UserError(f"{path} has a damaged header: its axes hold numbers that are not finite, or huge")
+        raise UserError(f"{path} has a damaged header: its axes contain numbers that are not finite, or too large")
     length = np.linalg.norm(axes, axis=0)
     unit = axes / np.maximum(length, 1e-300)
     if length.min() <= 0.0 or np.abs(np.triu(unit.T @ unit, 1)).max() > _LARGEST_SKEW:

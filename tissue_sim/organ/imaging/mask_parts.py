@@ -30,27 +30,27 @@ def one_part(mask: Volume, part: int | None = None, *, merge: bool = False) -> V
     labels, count = ndimage.label(mask.array, structure=np.ones((3, 3, 3)))
     if count < 2 and not merge:
         if part not in (None, 1):
-            raise UserError(f"mask {mask.name} has no part {part}: it is in one")
+            raise UserError(f"mask {mask.name} has no part {part}: it has a single part")
         return mask
     voxels = np.bincount(labels.ravel())[1:]
     order = np.argsort(-voxels, kind="stable")
     volumes = voxels[order] * mask.voxel_volume
     listed = _listed(volumes)
     if part is not None and not 1 <= part <= count:
-        raise UserError(f"mask {mask.name} has no part {part}; it holds {listed}")
+        raise UserError(f"mask {mask.name} has no part {part}; it contains {listed}")
     if merge:
         joined, told = joined_parts(mask)
         if joined is None:
-            raise UserError(f"mask {mask.name} {told}; build each with --part N, and put them into a scene")
+            raise UserError(f"mask {mask.name} {told}; build each with --part N, and join them in a scene")
         return replace(mask, array=joined, notes=(*mask.notes, *told))
     if part is None and volumes[0] < DOMINANT * volumes.sum():
         raise UserError(
-            f"mask {mask.name} has {count} separate parts: {listed}; take one with --part N (1 is the largest), or join"
-            " all with --merge-parts"
+            f"mask {mask.name} has {count} separate parts: {listed}; select one with --part N (1 is the largest),"
+            " or join all with --merge-parts"
         )
     taken = (part or 1) - 1
     aside = float(volumes.sum() - volumes[taken])
-    note = f"left out {_count(count - 1)} of {aside:.3g} mL beside {volumes[taken]:.3g} mL"
+    note = f"omitted {_count(count - 1)} of {aside:.3g} mL next to {volumes[taken]:.3g} mL"
     return replace(mask, array=labels == order[taken] + 1, notes=(*mask.notes, note))
 
 
@@ -78,12 +78,12 @@ def joined_parts(mask: Volume) -> tuple[Mask, list[str]] | tuple[None, str]:
         float(np.count_nonzero(part)) * mask.voxel_volume for part in (solid, joined & ~solid, mask.array & ~solid)
     )
     if filled > _MOST_FILLED * before or ndimage.label(joined)[1] > 1:
-        return None, f"has parts {gap:.3g} mm apart, too far to be one organ"
+        return None, f"has parts {gap:.3g} mm apart, too far for one organ"
     told = []
     if len(large) > 1:
         told.append(f"joined {_count(len(large))} across gaps of up to {gap:.3g} mm: {filled:.3g} mL filled between")
     if aside > 0.0:
-        told.append(f"left out {_count(count - len(large))} of {aside:.3g} mL beside {before:.3g} mL")
+        told.append(f"omitted {_count(count - len(large))} of {aside:.3g} mL next to {before:.3g} mL")
     return joined, told
 
 

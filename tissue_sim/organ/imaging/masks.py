@@ -56,11 +56,11 @@ def read_masks(path: str | Path, label: int | str | None, parts: Sequence[int | 
         raise UserError(f"mask {source} does not exist; name a {FORMATS}")
     grid, labels = _read_labels(source)
     if not labels:
-        raise UserError(f"mask {source} is empty: it holds no value other than 0")
+        raise UserError(f"mask {source} is empty: it has no value other than 0")
     further = [_find(source, labels, wanted) for wanted in parts]
     own = [one for one in labels if one not in further] if label is None else [_find(source, labels, label)]
     if len(own) != 1:
-        raise UserError(f"mask {source} holds several labels ({_listed(labels)}); choose one with --label")
+        raise UserError(f"mask {source} has several labels ({_listed(labels)}); choose one with --label")
     masks = [grid.with_array(one.voxels()) for one in (*own, *further)]
     for one, mask in zip((*own, *further), masks, strict=True):
         if not mask.array.any():
@@ -84,7 +84,7 @@ def _find(source: Path, labels: Sequence[Label], wanted: int | str) -> Label:
         if found:
             keys = " or ".join(one.key for one in found)
             raise UserError(f"mask {source} has several labels {shown(text)} ({_listed(found)}); name {keys}")
-    raise UserError(f"mask {source} has no label {shown(text)}; it holds {_listed(labels)}")
+    raise UserError(f"mask {source} has no label {shown(text)}; it has {_listed(labels)}")
 
 
 def _listed(labels: Sequence[Label]) -> str:
@@ -134,7 +134,7 @@ def _values(array: NDArray[Any], prefix: str, names: dict[float, str], source: s
         found.update(float(value) for value in np.unique(layer) if value != 0 and np.isfinite(value))
         if len(found) > _MOST_LABELS:
             raise UserError(
-                f"mask {source} holds over {_MOST_LABELS} different values; it looks like an image, not a mask"
+                f"mask {source} has more than {_MOST_LABELS} different values; it looks like an image, not a mask"
             )
     for value in sorted(found):
         yield Label(f"{prefix}{value:g}", value, names.get(value, ""), partial(np.equal, array, value))

@@ -51,7 +51,7 @@ def read_meta_header(path: Path) -> Header:
             files = () if value in _LOCAL else _beside(path, value)
             held = sum(one.stat().st_size for one in (path, *files))
             if packed and not _is_within(packed, held):
-                raise _damaged(path, "CompressedDataSize", packed, f"at most the {held} bytes that there are")
+                raise _damaged(path, "CompressedDataSize", packed, f"at most the {held} bytes of the file")
             return Header(files, unit, notes=() if scaled else (unscaled(path),))
     raise UserError(f"{path} has a damaged header: it has no ElementDataFile")
 
@@ -62,7 +62,7 @@ def _beside(path: Path, name: str) -> tuple[Path, ...]:
 
 
 def _damaged(path: Path, key: str, value: str, wanted: str) -> UserError:
-    return UserError(f"{path} has a damaged header: {key} = {shown(value)}, wanted {wanted}")
+    return UserError(f"{path} has a damaged header: {key} = {shown(value)}, expected {wanted}")
 
 
 def _is_size(words: list[str]) -> bool:

@@ -41,14 +41,16 @@ def _placed(path: Path, header: Nifti1Header) -> Header:
     for form, fields in _FORMS.items():
         numbers = np.concatenate([np.ravel(header[field]) for field in fields])
         if header[f"{form}_code"] > 0 and not np.all(np.abs(numbers) <= _LARGEST):
-            raise UserError(f"{path} has a damaged header: its {form} holds numbers that are not finite, or huge")
+            raise UserError(
+                f"{path} has a damaged header: its {form} contains numbers that are not finite, or too large"
+            )
     try:
         sform, qform = header.get_sform(coded=True)[0], header.get_qform(coded=True)[0]
         unit = millimetres(path, [header.get_xyzt_units()[0]], "xyzt_units")
     except (HeaderDataError, KeyError, ValueError) as error:
         raise UserError(f"{path} has a damaged header ({error})") from None
     if sform is None and qform is None:
-        note = f"warning: {path.name} has neither a qform nor a sform, so which side is left is not known"
+        note = f"warning: {path.name} has neither a qform nor an sform, so it is unknown which side is left"
         return Header(unit=unit, notes=(note,))
     if sform is not None and qform is not None:
         _check_agreement(path, header, sform, qform)
@@ -67,8 +69,8 @@ def _check_agreement(path: Path, header: Nifti1Header, sform: Floats, qform: Flo
         return
     sizes = [" x ".join(f"{value:.3g}" for value in one) for one in spacing]
     raise UserError(
-        f"{path} has a sform and a qform that place its corners up to {apart:.3g} mm apart (voxels of {sizes[0]} and of"
-        f" {sizes[1]}): it isn't clear which is meant; write the right one into both, with nibabel"
+        f"{path} has an sform and a qform that place its corners up to {apart:.3g} mm apart (voxels of {sizes[0]}"
+        f" and of {sizes[1]}): it isn't clear which is correct; write the correct one into both, with nibabel"
         " image.set_qform(image.get_sform()) or image.set_sform(image.get_qform()), and save it"
     )
 

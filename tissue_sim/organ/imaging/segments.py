@@ -32,7 +32,7 @@ def segmentation_in(source: Path) -> Path | None:
     found = [file for file in files if is_dicom(file) and _class_of(file) in SEGMENTATIONS]
     if len(found) > 1:
         names = ", ".join(file.name for file in found[:5])
-        raise UserError(f"folder {source} holds {len(found)} segmentations ({names}); name the file of one")
+        raise UserError(f"folder {source} contains {len(found)} segmentations ({names}); name the file of one")
     return found[0] if found else None
 
 

@@ -44,15 +44,15 @@ def millimetres(path: Path, units: Sequence[str], field: str) -> float:
     (length, *others) = lengths
     if length is None or others:
         raise UserError(
-            f"{path} has {field} {shown(', '.join(sorted(said)))}, no unit of length that all axes share; write one of"
-            f" {', '.join(UNITS)} there"
+            f"{path} has {field} {shown(', '.join(sorted(said)))}, which is not one length unit for all axes; write"
+            f" one of {', '.join(UNITS)} there"
         )
     return length * 1e3
 
 
 def unscaled(path: Path) -> str:
     """Return the note on an image whose header gives no size of its voxels."""
-    return f"warning: {path.name} doesn't say how large its voxels are: 1 mm was taken, so write their size into it"
+    return f"warning: {path.name} doesn't state the size of its voxels: 1 mm was assumed; write their size into it"
 
 
 def data_file(path: Path, name: str) -> Path:
@@ -62,12 +62,12 @@ def data_file(path: Path, name: str) -> Path:
     inside = os.path.normpath(name)
     if not name or name == "-" or os.path.isabs(inside) or inside.split(os.sep)[0] == os.pardir:
         raise UserError(
-            f"{path} has its voxels in '{shown(name)}', which is not in its folder; put that file beside it, and its"
-            " name alone into the header"
+            f"{path} has its voxels in '{shown(name)}', which is not in its folder; put that file next to it, and"
+            " only its name into the header"
         )
     found = path.parent / inside
     if found.exists() and not found.is_file():
-        raise UserError(f"{path} has its voxels in '{shown(name)}', which is no file")
+        raise UserError(f"{path} has its voxels in '{shown(name)}', which is not a file")
     return found
 
 
@@ -81,7 +81,8 @@ def check_room(path: Path, beside: Sequence[Path], size: Sequence[int], voxel: i
     held = sum(os.path.getsize(file) for file in (path, *beside) if file.is_file())
     if math.prod(size) * voxel > _SPARE + held * _DEFLATE:
         raise UserError(
-            f"{path} is damaged: its header says {_axes(size)} voxels, which its {held} bytes can't hold, packed or not"
+            f"{path} is damaged: its header states {_axes(size)} voxels, which its {held} bytes can't contain,"
+            " compressed or not"
         )
 
 

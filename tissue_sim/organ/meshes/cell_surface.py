@@ -37,7 +37,7 @@ def surface_of(positions: Floats, cells: Mapping[str, Longs]) -> tuple[Floats, L
     notes = (_CURVED,) if is_curved else ()
     if len(tetras):
         boundary = _boundary(positions, tetras)
-        return *_used(positions, boundary), (*notes, f"took the surface of {len(tetras)} tetrahedra")
+        return *_used(positions, boundary), (*notes, f"used the surface of {len(tetras)} tetrahedra")
     faces = np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     if not len(faces):
         raise ValueError("no triangles and no tetrahedra")
@@ -48,7 +48,7 @@ def surface_of(positions: Floats, cells: Mapping[str, Longs]) -> tuple[Floats, L
 def checked(index: Longs, count: int) -> Longs:
     """Return indices as they are. Raises ValueError where one names none of so many points."""
     if index.size and (index.min() < 0 or index.max() >= count):
-        raise ValueError("a triangle names a point that isn't there")
+        raise ValueError("a triangle names a point that doesn't exist")
     return index
 
 

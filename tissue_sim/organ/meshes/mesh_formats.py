@@ -86,7 +86,7 @@ def _pieces(loaded: Any, suffix: str) -> MeshFile:
     if suffix not in (".glb", ".gltf"):
         return MeshFile(tuple(pieces))
     turned = tuple(Piece(p.name, p.positions @ GLTF_TO_LPS.T, p.triangles) for p in pieces)
-    return MeshFile(turned, ("glTF is y up, z to the front: turned into the patient frame (z to the head)",))
+    return MeshFile(turned, ("glTF has y up and z to the front: rotated into the patient frame (z to the head)",))
 
 
 def _piece(mesh: Any, name: str, transform: Floats) -> Piece:
@@ -161,7 +161,7 @@ def _cast(values: Floats, kind: str) -> NDArray[Any]:
     if np.dtype(kind).kind in "iu":
         limits = np.iinfo(kind)
         if not np.all((values >= float(limits.min)) & (values < float(limits.max) + 1.0)):
-            raise ValueError("a number that can't be, where counts and indices are")
+            raise ValueError("an invalid number among counts and indices")
     with np.errstate(over="ignore"):
         return values.astype(kind)
 
@@ -210,7 +210,7 @@ def _read_gmsh(source: Path) -> MeshFile:
             with silenced(), np.errstate(all="ignore"), limited(_ROOM + _ROOM_PER_BYTE * len(text)):
                 mesh = gmsh.read(source)
         except MemoryError:
-            raise ValueError("a count that is more than the file can hold") from None
+            raise ValueError("a count larger than the file can contain") from None
         positions, cells = np.asarray(mesh.points, dtype=np.float64), mesh.cells_dict
     return _surface_of_cells(positions, cells)
 
@@ -230,7 +230,7 @@ def _gmsh_1(text: bytes) -> tuple[Floats, dict[str, Longs]]:
         kind, count = _GMSH_KINDS.get(numbers[at + 1], ""), numbers[at + 4]
         nodes = numbers[at + 5 : at + 5 + count]
         if not all(node in place for node in nodes):
-            raise ValueError("an element names a node that isn't there")
+            raise ValueError("an element names a node that doesn't exist")
         found.setdefault(kind, []).append([place[node] for node in nodes])
         at += 5 + count
     return table[:, 1:], {kind: np.array(rows, dtype=np.int64) for kind, rows in found.items() if kind}
@@ -265,7 +265,7 @@ def _read_vtk(source: Path) -> MeshFile:
     """Legacy VTK, text or binary, versions 1 to 5.1: polygons and strips of POLYDATA or cells of UNSTRUCTURED_GRID."""
     words = _Words(source.read_bytes())
     if "vtk datafile" not in words.line().lower():
-        raise ValueError("no VTK file")
+        raise ValueError("not a VTK file")
     title = words.line()
     words.binary = words.word().upper() == "BINARY"
     positions, kinds = np.empty((0, 3)), None
@@ -273,7 +273,7 @@ def _read_vtk(source: Path) -> MeshFile:
     while word := words.word().upper():
         if word == "DATASET":
             if (dataset := words.word().upper()) not in ("POLYDATA", "UNSTRUCTURED_GRID"):
-                raise ValueError(f"a VTK {dataset}, no surface")
+                raise ValueError(f"a VTK {dataset}, not a surface")
         elif word == "POINTS":
             count = words.count()
             positions = words.numbers(3 * count, _vtk_type(words.word())).reshape(count, 3).astype("f8")
@@ -340,7 +340,7 @@ def _vtk_surface(
         if not faces:
             raise ValueError("no polygons")
         found = MeshFile((Piece("", positions, cell_surface.checked(np.concatenate(faces), len(positions))),))
-    return MeshFile(found.pieces, (*found.notes, "turned from RAS to LPS")) if is_ras else found
+    return MeshFile(found.pieces, (*found.notes, "converted from RAS to LPS")) if is_ras else found
 
 
 def _vtk_type(word: str) -> str:
@@ -360,7 +360,7 @@ def _vtk_cells(words: _Words) -> tuple[Longs, Longs]:
         return offsets, words.numbers(second, _vtk_type(words.word())).astype(np.int64)
     words.at = start
     if first > second:
-        raise ValueError("more polygons than numbers that describe them")
+        raise ValueError("more polygons than numbers to describe them")
     flat = words.numbers(second, "i4").astype(np.int64)
     offsets = np.zeros(first + 1, dtype=np.int64)
     marks = np.zeros(first, dtype=np.int64)

@@ -122,11 +122,11 @@ def _closed(
         assert longest is not None
         side = longest_side(np.concatenate([piece.positions for piece in found.pieces]))
         if side < _SHORTEST:
-            raise UserError(f"surface {name} holds no triangles with an area")
+            raise UserError(f"surface {name} has no triangles with an area")
         scale = longest / side
     parts = split(found.pieces, scale)
     if not parts:
-        raise UserError(f"surface {name} holds no triangles with an area")
+        raise UserError(f"surface {name} has no triangles with an area")
     if merge_parts and part is not None:
         raise UserError("--part and --merge-parts were given; choose one")
     chosen = merged(parts, name) if merge_parts else closed_part(choose(parts, name, part), name)
@@ -134,7 +134,7 @@ def _closed(
     volume = capped_volume(chosen.positions, triangles, ())
     if volume < 0.0:
         triangles = triangles[:, ::-1]
-        repairs = (*repairs, "turned inward triangles outward")
+        repairs = (*repairs, "flipped inward triangles")
     size = longest_side(chosen.positions)
     if abs(volume) <= 1e-9 * size**3:
         raise UserError(f"surface {name} encloses no volume; it must be closed around the organ")
@@ -148,7 +148,9 @@ def _closed(
     surface = SurfaceMesh(positions, np.ascontiguousarray(triangles, dtype=np.int32), repairs)
     if surface.genus:
         handles = f"{surface.genus} handle{'s' if surface.genus > 1 else ''}"
-        notes.append(f"the surface has {handles} (genus {surface.genus}); kept points keep them, the wall closes them")
+        notes.append(
+            f"the surface has {handles} (genus {surface.genus}); kept points preserve them, the wall closes them"
+        )
     return replace(surface, notes=tuple(notes))
 
 
@@ -170,13 +172,13 @@ def _check_source(source: Path, unit: str | None, longest: float | None) -> None
 def _factor(unit: str | None, longest: float | None) -> float | None:
     """Return the metres in a unit, m by default; None where the longest side is given instead."""
     if unit is not None and unit not in UNITS:
-        raise UserError(f"unit {unit} is not known; use one of {', '.join(UNITS)}")
+        raise UserError(f"unit {unit} is unknown; use one of {', '.join(UNITS)}")
     if longest is None:
         return UNITS[unit or "m"]
     if unit is not None:
         raise UserError("--unit and --length were given; choose one")
     if not is_organ(longest):
-        raise UserError(f"--length {longest:g} m is no organ's longest side; give metres, 0.005 to 1")
+        raise UserError(f"--length {longest:g} m is not a plausible longest side; give metres, 0.005 to 1")
     return None
 
 
@@ -194,14 +196,14 @@ def _load(source: Path) -> MeshFile:
 
 def _checked(found: MeshFile, source: Path) -> MeshFile:
     if not any(len(piece.triangles) for piece in found.pieces):
-        raise UserError(f"surface {source} holds no triangles")
+        raise UserError(f"surface {source} has no triangles")
     for piece in found.pieces:
         if piece.positions.shape[1:] != (3,):
             raise UserError(f"surface {source} is damaged: its points don't have three coordinates")
         if not np.all(np.abs(piece.positions) <= _FARTHEST):
             raise UserError(f"surface {source} has points that are not finite, or beyond {_FARTHEST:g}")
         if piece.triangles.size and not 0 <= piece.triangles.min() <= piece.triangles.max() < len(piece.positions):
-            raise UserError(f"surface {source} is damaged: a triangle names a point that isn't there")
+            raise UserError(f"surface {source} is damaged: a triangle names a point that doesn't exist")
     return found
 
 
@@ -215,7 +217,7 @@ def _check_size(name: str, size: float, unit: str | None) -> None:
     fits = [other for other, scale in UNITS.items() if is_organ(size / UNITS[unit or "m"] * scale)]
     units = f"--unit {' or '.join(fits)}, or " if fits else ""
     raise UserError(
-        f"surface {name} is {size:.3g} m long{f' with --unit {unit}' if unit else ''}, an organ is 5 mm to 1 m;"
+        f"surface {name} is {size:.3g} m long{f' with --unit {unit}' if unit else ''}, but an organ is 5 mm to 1 m;"
         f" give {units}its longest side with --length METRES"
     )
 
@@ -236,15 +238,16 @@ def voxelize(surface: SurfaceMesh, name: str, longest_axis: int = _LONGEST_AXIS)
     found = float(solid.sum()) * pitch**3
     if abs(found - exact) > _THIN * exact:
         raise UserError(
-            f"surface {name} is too thin, or folds through itself: {found * 1e-3:.1f} mL of voxels for"
+            f"surface {name} is too thin, or intersects itself: {found * 1e-3:.1f} mL of voxels for"
             f" {exact * 1e-3:.1f} mL of solid"
         )
     area = area_of(points, surface.triangles.astype(np.int64))
     thickness, edge = _wall_thickness(solid) * pitch, float(np.sqrt(area / _FEW_TRIANGLES * 4.0 / np.sqrt(3.0)))
     if thickness < edge:
         raise UserError(
-            f"surface {name} is a thin shell: walls of {thickness:.2g} mm in the mean, {area * 1e-2:.3g} cm2 in all,"
-            f" whose points lie {edge:.2g} mm apart when there are 1000; an organ is solid here: fill its hollow first"
+            f"surface {name} is a thin shell: its walls have a mean thickness of {thickness:.2g} mm and a total"
+            f" area of {area * 1e-2:.3g} cm2, whose points would be {edge:.2g} mm apart with 1000 points; an organ"
+            " must be solid: fill its cavity first"
         )
     return Volume(solid, np.full(3, pitch), origin, np.eye(3), name)
 

@@ -63,12 +63,12 @@ def split(pieces: Sequence[Piece], scale: float) -> list[Part]:
         closed, told = close_seams(positions, triangles, across=False)
     closed, doubles = without_doubles(closed)
     if doubles:
-        told = (*told, f"left out {doubles} doubled triangles")
+        told = (*told, f"omitted {doubles} duplicate triangles")
     if not len(closed):
         return []
     unused = len(positions) - len(np.unique(closed))
     if unused and not told:
-        told = (f"dropped {unused} points that no triangle uses",)
+        told = (f"removed {unused} points that no triangle uses",)
     crowd = crowded_edges(closed)
     groups = components(closed)
     parts = []
@@ -124,12 +124,12 @@ def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
         wanted = int(wanted)
     if isinstance(wanted, int):
         if not 1 <= wanted <= len(parts):
-            raise UserError(f"surface {name} has no part {wanted}; it holds {_listed(parts)}")
+            raise UserError(f"surface {name} has no part {wanted}; it contains {_listed(parts)}")
         return parts[wanted - 1]
     if wanted is not None:
         named = [part for part in parts if part.name == wanted]
         if not named:
-            raise UserError(f"surface {name} has no part '{wanted}'; it holds {_listed(parts)}")
+            raise UserError(f"surface {name} has no part '{wanted}'; it contains {_listed(parts)}")
         parts = named
     main, others = parts[0], parts[1:]
     if not others or main.flaw:
@@ -146,12 +146,12 @@ def choose(parts: Sequence[Part], name: str, wanted: int | str | None) -> Part:
     empty = sum(other.volume for other in cavities)
     if empty > _HOLLOW * main.volume:
         raise UserError(
-            f"surface {name} is a hollow shell: inner walls take {100.0 * empty / main.volume:.0f} % of its volume;"
-            f" an organ is solid here: give --part {main.number} to fill it"
+            f"surface {name} is a hollow shell: the cavity is {100.0 * empty / main.volume:.0f} % of its volume,"
+            f" but an organ must be solid: give --part {main.number} to fill it"
         )
     told = list(main.repairs)
     if beside:
-        told.append(f"left out {_count(beside, 'separate part')} of {_volume(aside)} beside {_volume(main.volume)}")
+        told.append(f"omitted {_count(beside, 'separate part')} of {_volume(aside)} next to {_volume(main.volume)}")
     if cavities:
         told.append(f"filled {_count(cavities, 'cavity', 'cavities')} of {_volume(empty)}")
     return replace(main, repairs=tuple(told))
@@ -191,8 +191,8 @@ def closed_part(part: Part, name: str) -> Part:
     widest = part.gaps[0].width
     if widest > WIDEST_HOLE * size:
         raise UserError(
-            f"surface {name} is open: {_holes(part)}, the widest {widest * 1e3:.3g} mm; up to a tenth of its longest"
-            f" side ({WIDEST_HOLE * size * 1e3:.3g} mm) is filled, close wider ones first"
+            f"surface {name} is open: {_holes(part)}, the widest {widest * 1e3:.3g} mm; holes up to a tenth of its"
+            f" longest side ({WIDEST_HOLE * size * 1e3:.3g} mm) are filled, close wider ones first"
         )
     filled = fill(part.positions, part.triangles, part.gaps)
     if filled is None or len(once_used_edges(filled)) or crowded_edges(filled):

@@ -53,8 +53,8 @@ def merged(parts: Sequence[Part], name: str) -> Part:
     if skipped and sum(part.volume for part in skipped) >= (1.0 - DOMINANT) * sum(part.volume for part in parts):
         flaw = skipped[0].flaw or "has a hole that is too long to fill"
         raise UserError(
-            f"surface {name} can't be joined: its part {skipped[0].number} {flaw}; separate its solids there, or make"
-            " it one closed surface (in Blender: Remesh, Voxel)"
+            f"surface {name} can't be joined: its part {skipped[0].number} {flaw}; separate its solids there, or"
+            " make it a single closed surface (in Blender: Remesh, Voxel)"
         )
     sealed = without_chambers(union, _SEAL * _AXIS)
     opened = _opened(sealed, _SPUR)
@@ -65,17 +65,17 @@ def merged(parts: Sequence[Part], name: str) -> Part:
     if np.count_nonzero(solid) < DOMINANT * np.count_nonzero(opened):
         bridged, how = joined_parts(Volume(opened, np.full(3, pitch / MM), origin, np.eye(3), name))
         if bridged is None:
-            raise UserError(f"surface {name} {how}; build each with --part N, and put them into a scene")
+            raise UserError(f"surface {name} {how}; build each with --part N, and join them in a scene")
         solid = bridged
         told += how
     if capped:
         told.append(f"capped {capped} holes of the parts")
-    changes = {"filled chambers": sealed & ~union, "left out sheets and loose pieces": union & ~solid}
+    changes = {"filled chambers": sealed & ~union, "omitted sheets and loose pieces": union & ~solid}
     for what, changed in changes.items():
         if changed.any():
             told.append(f"{what} of {np.count_nonzero(changed) * (pitch * 1e2) ** 3:.3g} mL")
     if skipped:
-        told.append(f"left out {len(skipped)} parts that can't be closed")
+        told.append(f"omitted {len(skipped)} parts that can't be closed")
     level = ndimage.gaussian_filter(solid.astype(np.float32), _SMOOTHING)
     corners, triangles, _, _ = marching_cubes(level, 0.5, allow_degenerate=False)
     positions = origin + corners[:, ::-1].astype(np.float64) * pitch

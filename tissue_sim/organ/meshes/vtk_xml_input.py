@@ -75,7 +75,7 @@ def _add(found: Grid, piece: ElementTree.Element, reader: _Reader) -> None:
         if np.any(np.diff(ends, prepend=0) < 0) or (ends[-1] if len(ends) else 0) != len(corners):
             raise ValueError("offsets that don't fit the corners of its cells")
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(positions):
-            raise ValueError("a triangle names a point that isn't there")
+            raise ValueError("a triangle names a point that doesn't exist")
         old = found.faces.get(name, Faces(np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int64)))
         found.faces[name] = Faces(
             np.concatenate([old.offsets, ends + old.offsets[-1]]), np.concatenate([old.corners, corners + before])

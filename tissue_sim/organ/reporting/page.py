@@ -175,7 +175,7 @@ def _segmentation_part(record: BuildRecord, organ: Organ, surfaces: Surfaces) ->
     if wall is not None:
         rows += [
             ("grid of the wall", f"{shown(wall.spacing)} mm"),
-            ("separate fragments left out", str(wall.fragments)),
+            ("separate fragments omitted", str(wall.fragments)),
             ("cavities and handles filled", f"{wall.filled:.2f} mL"),
             ("handles cut", f"{wall.cut:.2f} mL"),
         ]
@@ -209,7 +209,7 @@ def _surfaces_part(organ: Organ, surfaces: Surfaces, record: BuildRecord) -> Ite
             ["mean distance", f"{c.mean:.3f}", f"{c.mean / voxel:.3f}"],
         ],
     )
-    yield _pairs([("volume against it", f"{100.0 * (c.volume_ratio - 1.0):+.2f} %")])
+    yield _pairs([("volume difference", f"{100.0 * (c.volume_ratio - 1.0):+.2f} %")])
     sets = [
         ("marching cubes", pictures.CUBES, *_edges_and_angles(surfaces.cubes)),
         (name, pictures.BALLOON, *_edges_and_angles(surfaces.organ)),
@@ -225,14 +225,14 @@ def _comparison_rows(surfaces: Surfaces) -> list[list[str]]:
     rows: list[list[str]] = [
         ["points", *(str(r.points) for r in reports), str(points)],
         ["triangles", *(str(r.triangles) for r in reports), str(triangles)],
-        ["fragments beside it", *(str(r.islands) for r in reports), "0"],
-        ["hollows inside it", *(str(r.hollows) for r in reports), "0"],
+        ["fragments outside", *(str(r.islands) for r in reports), "0"],
+        ["cavities inside", *(str(r.hollows) for r in reports), "0"],
         ["handles", *(str(r.handles) for r in reports), str(1 - organ.euler // 2)],
     ]
     for words, value in (
         ("mean edge (mm)", lambda q: f"{q.edge_mean:.2f}"),
         ("edge variation", lambda q: f"{q.edge_variation:.3f}"),
-        ("least angle (degrees)", lambda q: f"{q.least_angle:.1f}"),
+        ("smallest angle (degrees)", lambda q: f"{q.least_angle:.1f}"),
         ("self-intersections", lambda q: str(q.self_intersections)),
         ("volume (mL)", lambda q: f"{q.volume * 1e-3:.2f}"),
     ):
@@ -247,7 +247,7 @@ def _skeleton_part(organ: Organ, surfaces: Surfaces, figures: Mapping[str, Any])
     spoken = "Skeleton and spokes." if organ.n_interior == 0 else "Skeleton, interior atoms, spokes."
     shots = [
         (pictures.skeleton_picture(first, surfaces.organ, atoms, links), "The skeleton inside the surface."),
-        (pictures.skeleton_picture(second, surfaces.organ, atoms, links), "From another side."),
+        (pictures.skeleton_picture(second, surfaces.organ, atoms, links), "From another direction."),
         (pictures.spokes_picture(first, organ.rest_positions * 1e3, organ.n_surface, atoms, links, spokes), spoken),
     ]
     yield "<h2>The skeleton</h2>"
@@ -268,7 +268,7 @@ def _springs_part(figures: Mapping[str, Any]) -> Iterable[str]:
     masses = [(f"mass, {label(key)} (g)", shown(value)) for key, value in figures["mass_g"].items()]
     sizes = [
         ("extent (mm)", shown(figures["extent_mm"])),
-        ("held points", str(figures["surface"]["held_points"])),
+        ("fixed points", str(figures["surface"]["held_points"])),
         ("interior points", str(figures["interior_points"])),
     ]
     yield f'<div class="columns">{_pairs(masses)}{_pairs([*tissue, *sizes])}</div>'
@@ -285,7 +285,7 @@ def _provenance_part(record: BuildRecord, organ: Organ, figures: Mapping[str, An
     total = sum(record.seconds.values())
     rows.append(f'<tr><td class="k">together</td><td class="n">{total:.2f} s</td><td></td></tr>')
     yield f"<table>{''.join(rows)}</table>"
-    yield "<h2>What was told</h2>"
+    yield "<h2>Messages</h2>"
     yield f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in record.lines)}</ul>"
     yield "<h2>Provenance</h2>"
     yield _pairs(

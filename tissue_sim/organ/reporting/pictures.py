@@ -285,7 +285,7 @@ def histograms(sets: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
                 axis.hist(values, histtype="step", linewidth=1.3, label=label, **options)
         left.set_xlabel("edge length (mm)")
         right.set_xlabel("angle of a triangle (degrees)")
-        left.set_ylabel("share (%)")
+        left.set_ylabel("fraction (%)")
         right.set_xticks(range(0, 181, 30))
         left.legend(frameon=False)
         return _png(figure)

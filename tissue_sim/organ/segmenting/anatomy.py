@@ -77,7 +77,7 @@ def anatomy_of(organ: str | None) -> Anatomy:
     if organ is None or organ == ANY_NAME:
         return ANY
     if organ not in ORGANS:
-        raise UserError(f"--organ {organ} is not known; choose one of {', '.join(ORGANS)}, {ANY_NAME}")
+        raise UserError(f"--organ {organ} is unknown; choose one of {', '.join(ORGANS)}, {ANY_NAME}")
     return ORGANS[organ]
 
 
@@ -124,7 +124,7 @@ def misfits(mask: Volume, mean: float, organ: str | None) -> tuple[str, ...]:
         found.append(f"{shape.solidity:.2f} of its convex hull filled (at least {bounds.solidity:g})")
     neck = narrowest(mask)
     if neck > 0.0:
-        found.append(f"two bodies that hang together by a neck {2.0 * neck:.0f} mm wide")
+        found.append(f"two bodies that are connected by a neck {2.0 * neck:.0f} mm wide")
     return tuple(found)
 
 

@@ -21,28 +21,36 @@ class SegmentationParameters:
     """
 
     smoothing: float | None = _option(
-        None, "mm", "standard deviation of the Gaussian before intensities are compared; by default 2.5 or 3,"
-        " until the tissue at the seed is calm", (0.1, 10.0),
+        None, "mm", "standard deviation of the Gaussian filter of the compared intensities; by default 2.5 or 3,"
+            " until the tissue at the seed is homogeneous", (0.1, 10.0),
     )  # fmt: skip
-    wall_smoothing: float = _option(0.6, "mm", "the same before the wall is located", (0.1, 10.0))
+    wall_smoothing: float = _option(
+        0.6, "mm", "standard deviation of the Gaussian filter before the wall is located", (0.1, 10.0)
+    )
     window: float | None = _option(
-        None, "SD", "half-width of the intensity window, in deviations of the tissue at the seed; by default the one"
-        " of several whose region has the clearest wall and shape", (0.5, 50.0),
+        None, "SD", "half-width of the intensity window, in deviations of the tissue at the seed; by default that of"
+            " several whose region has the clearest wall and shape", (0.5, 50.0),
     )  # fmt: skip
-    least_deviation: float = _option(3.0, "HU", "a calm tissue's deviation is taken as no less", (0.1, 100.0))
-    seed_radius: float = _option(7.0, "mm", "radius of the ball whose intensities start the window", (1.0, 50.0))
+    least_deviation: float = _option(3.0, "HU", "lower bound of the tissue's standard deviation", (0.1, 100.0))
+    seed_radius: float = _option(
+        7.0, "mm", "radius of the ball whose intensities define the initial window", (1.0, 50.0)
+    )
     erosion: float | None = _option(None, "mm", "erosion depth; by default until the organ is separate", (0.01, 100.0))
-    neck: float = _option(0.6, "share", "a neck under this share of the smaller lobe's depth parts organs", (0.0, 1.0))
-    stop: float = _option(0.5, "share", "of the eroded region, after which the front stops", (0.01, 1.0))
+    neck: float = _option(
+        0.6, "share", "a neck below this fraction of the smaller lobe's depth separates organs", (0.0, 1.0)
+    )
+    stop: float = _option(0.5, "share", "fraction of the eroded region after which the front stops", (0.01, 1.0))
     dilation: float | None = _option(
         None,
         "mm",
-        "how far the eroded organ may dilate back; by default the erosion and three smoothings",
+        "largest dilation of the eroded organ; by default the erosion plus three smoothings",
         (0.0, 100.0),
     )
-    stiffness: float = _option(0.5, "share", "weight of the image against a small wall while it dilates", (0.01, 100.0))
-    spur: float = _option(3.0, "mm", "vessels and spurs of less than this radius are left out", (0.0, 50.0))
-    closing: float = _option(6.0, "mm", "hollows of less than this radius are filled, except with fat", (0.0, 50.0))
+    stiffness: float = _option(
+        0.5, "share", "weight of the image relative to a small wall area during dilation", (0.01, 100.0)
+    )
+    spur: float = _option(3.0, "mm", "vessels and spurs below this radius are removed", (0.0, 50.0))
+    closing: float = _option(6.0, "mm", "cavities below this radius are filled, except those of fat", (0.0, 50.0))
     grid: float | None = _option(
         None, "mm", "spacing of the working grid; by default half the image's coarsest, 1 to 1.5", (0.3, 10.0)
     )

@@ -74,7 +74,7 @@ def segment(
     bounds = anatomy_of(organ)
     point = np.asarray(seed, dtype=np.float64)
     check_seed(ct, point)
-    tell("looking around the seed", 0.0)
+    tell("examining the seed's surroundings", 0.0)
     p, mean, deviation = _at_seed(ct, point, p)
     # An organ that isn't named may be small: its neighbourhood is looked at closely first.
     reaches = (min(bounds.longest[1], _SURVEY_REACH),) if organ else (_CLOSE_REACH, _SURVEY_REACH)
@@ -127,7 +127,7 @@ def _surveys(
     tried: list[_Survey] = []
     windows = (p.window,) if p.window else WINDOWS
     for k, window in enumerate(windows):
-        tell("surveying the organ", 0.1 + 0.4 * k / len(windows))
+        tell("measuring the organ", 0.1 + 0.4 * k / len(windows))
         try:
             found = segment_crop(crop, inside, start, replace(p, window=window), smoothed, most)
         except UserError:
@@ -162,21 +162,21 @@ def _checked(
     result = replace(result, at_edge=bool(np.any(result.mask.array & ~clear)))
     if _ran_out(result.mask, clear):
         warnings.append(
-            f"the region around seed {point_text(point)} mm runs out of the {name}'s surroundings, it leaks into a"
+            f"the region around seed {point_text(point)} mm leaves the {name}'s surroundings, so it leaks into a"
             " neighbour; move the seed to the organ's middle, lower --window or set --erosion deeper"
         )
     if result.at_edge:
-        warnings.append(f"the {name} reaches the image's border, so a part of it is missing; use a larger image")
+        warnings.append(f"the {name} reaches the image's border, so part of it is missing; use a larger image")
     wrong = misfits(result.mask, result.mean, organ)
     if wrong:
         small = all("at least" in line and "hull" not in line for line in wrong)
         hint = "raise --window" if small else "lower --window or set --erosion deeper"
         warnings.append(
-            f"what is found around seed {point_text(point)} mm is no {name}: it has {' and '.join(wrong)};"
-            f" move the seed to the organ's middle, {hint}, or name another --organ"
+            f"the region found around seed {point_text(point)} mm does not fit the anatomy of the {name}: it has"
+            f" {' and '.join(wrong)}; move the seed to the organ's middle, {hint}, or name another --organ"
         )
     if warnings and not accept:
-        raise UserError(f"{warnings[-1]}; --accept takes it as it is")
+        raise UserError(f"{warnings[-1]}; --accept accepts it as it is")
     return replace(result, warnings=tuple(warnings))
 
 
@@ -210,7 +210,7 @@ def check_seed(ct: Volume, point: NDArray[np.float64]) -> None:
     if np.all(point >= 0) and np.all(point <= np.array(ct.size) - 1) and np.all(point == np.round(point)):
         hint = "; if these are voxel indices, use --seed-voxel"
     name = ct.name or "the image"
-    raise UserError(f"seed {point_text(point)} mm lies outside {name}, which spans {ranges} mm (LPS){hint}")
+    raise UserError(f"seed {point_text(point)} mm is outside {name}, which spans {ranges} mm (LPS){hint}")
 
 
 def _at_seed(

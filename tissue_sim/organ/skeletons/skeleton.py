@@ -82,7 +82,7 @@ def extract(wall: Wall, atoms: int, branches: str = "auto") -> Skeleton:
     """
     check_atoms(atoms)
     if branches not in BRANCHES:
-        raise UserError(f"--branches {branches} is not known; use {' or '.join(BRANCHES)}")
+        raise UserError(f"--branches {branches} is unknown; use {' or '.join(BRANCHES)}")
     wall, corner = _cropped(wall)
     inside = wall.level < 0.0
     depth = distance_transform_edt(inside) - 0.5

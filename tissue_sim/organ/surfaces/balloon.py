@@ -110,7 +110,7 @@ def inflate(
     if best is not None:
         return Balloon(best.positions, best.triangles, best.missed, expanded, best.warnings)
     raise UserError(
-        f"the balloon of {points} points folds over itself on this organ; try more --points, or a smoother mask"
+        f"the balloon of {points} points intersects itself on this organ; try more --points, or a smoother mask"
     )
 
 

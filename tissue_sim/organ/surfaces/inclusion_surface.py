@@ -30,7 +30,7 @@ def surround(mask: Volume, stiffness: float) -> tuple[list[Inclusion], int]:
     order = np.argsort(-sizes, kind="stable")
     large = [int(part) + 1 for part in order if sizes[part] >= LEAST_VOXELS]
     if not large:
-        raise UserError(f"{mask.name}: an inclusion needs {LEAST_VOXELS} voxels together; use a finer image")
+        raise UserError(f"{mask.name}: an inclusion needs at least {LEAST_VOXELS} connected voxels; use a finer image")
     return [_surface(replace(mask, array=labels == part), stiffness) for part in large], count - len(large)
 
 

@@ -47,9 +47,9 @@ def as_ball(solid: Mask, name: str) -> Mask:
     if euler_number(ball, connectivity=1) == 1:
         return ball
     raise UserError(
-        f"{name or 'the mask'} has a hole through it (like a ring) that is too wide to fill and whose rim is too thick"
-        " to cut; the balloon needs a solid without one: fill the hole or cut the ring in the mask or mesh, or build"
-        " the parts of a mesh each with --part N"
+        f"{name or 'the mask'} has a through hole (like a ring) that is too wide to fill and whose rim is too thick"
+        " to cut; the balloon surface needs a solid without one: fill the hole or cut the ring in the mask or mesh, or"
+        " build each part of a mesh with --part N"
     )
 
 

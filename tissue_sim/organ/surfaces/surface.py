@@ -140,7 +140,7 @@ def make_wall(mask: Volume, spacing: float | None = None) -> Wall:
     name = mask.name or "the mask"
     thinnest = min(s.stop - s.start for s in box)
     if volumes[largest - 1] < 50:
-        raise UserError(f"{name} holds {volumes[largest - 1]} voxels only; an organ needs more")
+        raise UserError(f"{name} has only {volumes[largest - 1]} voxels; an organ needs more")
     if thinnest < 3:
         raise UserError(f"{name} is {thinnest} voxels thick, too thin for an organ; use a finer image")
     first = np.array([s.start for s in box[::-1]]) - _MARGIN

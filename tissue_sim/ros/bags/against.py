@@ -22,8 +22,8 @@ class Alignment:
     def line(self) -> str:
         """What a user is told."""
         return (
-            f"inputs: {self.poses} of {self.first_poses} poses are in both bags, the other {self.later} ticks later,"
-            f" and {self.most_apart} ticks off that at the most"
+            f"inputs: {self.poses} of {self.first_poses} poses are in both bags, {self.later} ticks later in the"
+            f" other one, with a difference of at most {self.most_apart} ticks"
         )
 
 
@@ -35,17 +35,19 @@ def align(first: Recording, second: Recording) -> Alignment:
     """
     if first.config["tools"] != second.config["tools"]:
         tools = (", ".join(one.config["tools"]) for one in (first, second))
-        raise UserError(f"the bags have other tools: {' against '.join(tools)}")
+        raise UserError(f"the bags have different tools: {' against '.join(tools)}")
     if len(first.organs) != len(second.organs):
         raise UserError(f"the bags have {len(first.organs)} and {len(second.organs)} organs")
     for pair in zip(first.organs, second.organs, strict=True):
         sizes = {len(one.surfaces[0]) for one in pair if one.surfaces}
         if len(sizes) > 1:
-            raise UserError(f"the bags' surfaces have {' and '.join(map(str, sorted(sizes)))} points: other organs")
+            raise UserError(
+                f"the bags' surfaces have {' and '.join(map(str, sorted(sizes)))} points: they are of different organs"
+            )
     before, after = taken_up(first), taken_up(second)
     both = [key for key in before if key in after]
     if not both:
-        raise UserError("the bags have no pose in common: --against takes another recording of the same inputs")
+        raise UserError("the bags have no pose in common: --against needs another recording of the same inputs")
     apart = np.array([after[key] - before[key] for key in both])
     later = int(np.median(apart))
     return Alignment(later, len(both), int(np.abs(apart - later).max()), len(before))

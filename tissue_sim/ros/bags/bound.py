@@ -21,7 +21,7 @@ class Bound:
             raise UserError(f"record_folder {folder!r} can't be used: {error}") from None
         if not wanted.is_relative_to(bound):
             raise UserError(
-                f"record_folder {str(wanted)!r} is outside {str(bound)!r}, which the node was started with: bags are"
-                " made there or below; start it again with another"
+                f"record_folder {str(wanted)!r} is outside {str(bound)!r}, with which the node was started: bags"
+                " are written there or below; restart the node with another one"
             )
         return wanted

@@ -16,7 +16,7 @@ def read_config(text: str) -> dict[str, Any]:
     """A bag's configuration from its JSON, as far as every format has it; raises ValueError."""
     config = json.loads(text)
     if not isinstance(config, dict):
-        raise ValueError("its configuration is no object")
+        raise ValueError("its configuration is not an object")
     _check(config, "", {"format": _is_whole, "package_version": _is_name})
     return config
 
@@ -52,7 +52,7 @@ def organs_of(config: Mapping[str, Any]) -> dict[str, Any]:
 def _check(values: Mapping[str, Any], where: str, wanted: Mapping[str, Fits]) -> None:
     for name, fits in wanted.items():
         if name not in values:
-            raise ValueError(f"its configuration lacks '{where}{name}'")
+            raise ValueError(f"its configuration has no '{where}{name}'")
         if not fits(values[name]):
             raise ValueError(f"its configuration's '{where}{name}' is of another type")
 

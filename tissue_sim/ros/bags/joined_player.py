@@ -24,7 +24,7 @@ class JoinedPlayer:
         self._taken_at = {int(row["tick"]): row for row in rows["joined"]}
         before = [tick for tick in self._taken_at if tick <= first]
         if not before:
-            raise UserError("the bag doesn't tell what its state had taken up; its recording lost messages")
+            raise UserError("the bag doesn't record which inputs its state had used; its recording lost messages")
         self._newest = self._taken_at[max(before)]
         self._shares = dict(
             zip(rows["respiration"]["respiration"].tolist(), rows["respiration"]["share"].tolist(), strict=True)
@@ -54,7 +54,7 @@ class JoinedPlayer:
 
     def _share(self, sequence: int) -> float:
         if sequence not in self._shares:
-            raise UserError(f"the bag lacks respiration number {sequence}; its recording lost messages")
+            raise UserError(f"the bag has no respiration number {sequence}; its recording lost messages")
         return float(self._shares[sequence])
 
     def _pair_set(self, sequence: int) -> PairSet:
@@ -63,7 +63,7 @@ class JoinedPlayer:
             return whole
         ticks = self._found_from.get(sequence)
         if ticks is None or any(tick not in kept for tick, kept in zip(ticks, self._kept, strict=True)):
-            raise UserError(f"the bag lacks pairs number {sequence}; its recording lost messages")
+            raise UserError(f"the bag has no organ contacts number {sequence}; its recording lost messages")
         for tick, kept in zip(ticks, self._kept, strict=True):
             for old in [one for one in kept if one < tick]:  # sets come in the order of their surfaces
                 del kept[old]

@@ -46,7 +46,9 @@ class JoinedRecording:
             name: [bag.unpack(parse_octets(raw)) for raw in messages[f"{below}/{name}"]] for name in bag.SCENE_TOPICS
         }
         if not unpacked["joined"] or not unpacked["journal"]:
-            raise ValueError("it does not tell what joins its organs: the recording was too short or broken off")
+            raise ValueError(
+                "it does not contain the ligaments of its organs: the recording was too short or interrupted"
+            )
         journal = {
             kind: np.concatenate([rows[kind] for rows in unpacked["journal"]]) for kind in (*_ROWS, "pair_ticks")
         }
@@ -85,25 +87,25 @@ def _pairs_of(words: np.ndarray, sizes: Sequence[int]) -> PairSet:
     """Pairs from the words of a set; raises ValueError for one that names what isn't there."""
     made = pair_set()
     if words.ndim != 1 or words.dtype != np.int64 or not 1 <= len(words) <= len(made.words):
-        raise ValueError("its pairs of organs are no words")
+        raise ValueError("its organ contacts are not whole words")
     count = int(words[0])
     if not 0 <= count <= MOST_PAIRS or len(words) != 1 + count * ((len(made.words) - 1) // MOST_PAIRS):
-        raise ValueError(f"it counts {count} pairs of organs, and holds others")
+        raise ValueError(f"it counts {count} organ contacts, but contains another number")
     made.words[: len(words)] = words
     _check_ends(made.organ[:count], made.node[:count, :1], made.node[:count, 1:], sizes)
     if count and not np.abs(made.weight[:count]).max() <= 2.0:
-        raise ValueError("its pairs of organs have weights that are none")
+        raise ValueError("its organ contacts have invalid weights")
     return made
 
 
 def _check_ends(organ: Longs, near: Longs, far: Longs, sizes: Sequence[int]) -> None:
     """Raise ValueError where nodes of two organs, (p, 2), aren't there: near (p, a) of the first, far (p, b)."""
     if organ.size and (organ.min() < 0 or organ.max() >= len(sizes)):
-        raise ValueError("it joins an organ that isn't there")
+        raise ValueError("it joins an organ that doesn't exist")
     count = np.array(sizes)
     for nodes, own in ((near, organ[:, 0]), (far, organ[:, 1])):
         if nodes.size and (nodes.min() < 0 or np.any(nodes >= count[own][:, None])):
-            raise ValueError("it joins a node that isn't there")
+            raise ValueError("it joins a node that doesn't exist")
 
 
 def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[int]) -> None:
@@ -118,10 +120,10 @@ def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[int]) -> Non
     for name, wanted in like.items():
         found = fields[name]
         if found.shape != wanted.shape or found.dtype != wanted.dtype:
-            raise ValueError(f"its '{name}' is of shape {found.shape}, wanted {wanted.shape}")
+            raise ValueError(f"its '{name}' has shape {found.shape}, expected {wanted.shape}")
         parts = [found] if found.dtype.names is None else [found[part] for part in found.dtype.names]
         if any(part.dtype.kind == "f" and part.size and not np.abs(part).max() <= MOST for part in parts):
-            raise ValueError(f"its '{name}' holds numbers that are not finite, or beyond {MOST:g}")
+            raise ValueError(f"its '{name}' contains numbers that are not finite, or beyond {MOST:g}")
     organ, node = fields["links.organ"], fields["links.node"]
     ends = organ.copy()
     ends[:, 1] = np.where(organ[:, 1] == POINT, organ[:, 0], organ[:, 1])
@@ -132,9 +134,9 @@ def _check_fields(fields: Mapping[str, np.ndarray], sizes: Sequence[int]) -> Non
 def _check_journal(journal: Mapping[str, np.ndarray], n_organs: int) -> None:
     for kind, record in _ROWS.items():
         if journal[kind].dtype != record.dtype or journal[kind].ndim != 1:
-            raise ValueError(f"its journal's {kind} are of another kind")
+            raise ValueError(f"its journal's {kind} have another type")
     if not np.all(np.abs(journal["respiration"]["share"]) <= MOST):
-        raise ValueError("its journal tells of a breath that is not finite")
+        raise ValueError("its journal contains a breathing displacement that is not finite")
     ticks = journal["pair_ticks"]
     if ticks.shape != (len(journal["pairs"]), n_organs) or ticks.dtype != np.int64:
-        raise ValueError("its journal's pair_ticks are of another kind")
+        raise ValueError("its journal's pair_ticks have another type")

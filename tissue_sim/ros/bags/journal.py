@@ -41,11 +41,11 @@ def check_journal(rows: Mapping[str, NDArray[Any]], n_bodies: int, first_tick: i
     told = [rows[kind]["tick"].astype(np.int64) for kind in SHOWING]
     ticks = np.unique(np.concatenate([np.array([first_tick]), *told]))
     if ticks[0] < -1 or ticks[-1] > MOST_TICKS:
-        raise ValueError(f"its journal tells of tick {ticks[0] if ticks[0] < -1 else ticks[-1]}")
+        raise ValueError(f"its journal contains tick {ticks[0] if ticks[0] < -1 else ticks[-1]}")
     ticks = ticks[ticks >= first_tick]
     still = np.diff(ticks).max(initial=0) / rate
     if not still <= LONGEST_STILL:
-        raise ValueError(f"its journal tells of nothing for {still / 3600.0:.3g} hours")
+        raise ValueError(f"its journal contains no event for {still / 3600.0:.3g} hours")
 
 
 def _check_rows(rows: Mapping[str, NDArray[Any]], kind: str, record: type[Record], shape: tuple[int, ...]) -> None:
@@ -53,10 +53,10 @@ def _check_rows(rows: Mapping[str, NDArray[Any]], kind: str, record: type[Record
     if found is None:
         raise ValueError(f"its journal has no {kind}")
     if found.shape != shape:
-        raise ValueError(f"its journal's {kind} are of shape {found.shape}, wanted {shape}")
+        raise ValueError(f"its journal's {kind} have shape {found.shape}, expected {shape}")
     for name in record.dtype.names or ():
         if name not in (found.dtype.names or ()):
-            raise ValueError(f"its journal's {kind} lack the field '{name}'")
+            raise ValueError(f"its journal's {kind} have no field '{name}'")
         values, wanted = found[name], record.dtype[name].kind
         if values.shape != shape or values.dtype.kind not in ("fiub" if wanted == "f" else "iub"):
             raise ValueError(f"its journal's {kind} have a field '{name}' of another type")

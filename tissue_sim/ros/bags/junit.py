@@ -42,7 +42,7 @@ def _add(suite: ElementTree.Element, outcome: Outcome, case: Deviation, failed: 
     if outcome.comparison.holds_nothing:
         text = NOTHING
     elif failed:
-        text = f"beyond {case.tolerance:g} {case.unit} from tick {case.first_beyond} on; {text}"
+        text = f"deviation above {case.tolerance:g} {case.unit} from tick {case.first_beyond} on; {text}"
     if failed:
         ElementTree.SubElement(shown, "failure", message=text, type="deviation").text = text
     else:

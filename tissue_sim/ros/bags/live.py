@@ -41,7 +41,7 @@ def play_live(recording: Recording, target: str) -> tuple[list[str], Shown]:
     Raises UserError where the node is not there, does not follow /clock, or has other tools.
     """
     if recording.is_scene:
-        raise UserError("--live goes with the bag of one organ alone, and this one holds a scene")
+        raise UserError("--live needs the bag of a single organ, and this one contains a scene")
     with client.client_node("replay", target) as node:
         return _Live(node, recording, target).play()
 
@@ -95,24 +95,26 @@ class _Live:
             if link is None:
                 raise UserError(f"/{target} has no tool '{tool.name}', which the bag has")
             if link.topics.wrench_type != "WrenchStamped" or link.topics.turns_wrench or not link.to_organ.is_identity:
-                raise UserError(f"--live needs tool '{tool.name}' with WrenchStamped, and both ways the organ's frame")
+                raise UserError(
+                    f"--live needs tool '{tool.name}' with WrenchStamped, and poses and wrenches in the organ's frame"
+                )
             self._tools.append(ScriptedTool(self._node, link, tool.shape == "gripper"))
             self._frames.append(link.topics.frame_id)
             name = link.topics.names
             self._wrenches.append(client.Inbox(self._node, WrenchStamped, name["servo_cf"], KEEP, raw=True))
             self._felt.append({})
             self._forces.append(self._force_publisher(tool.name, name["external_cf"]))
-        self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not hear the poses")
-        self._wait(self._is_followed, f"/{target} tells nothing on /diagnostics")
+        self._wait(lambda: all(tool.heard for tool in self._tools) or None, "the node does not receive the poses")
+        self._wait(self._is_followed, f"/{target} sends nothing on /diagnostics")
         reset = self._node.create_client(Trigger, f"/{target}/reset")
         self._wait(lambda: reset.service_is_ready() or None, f"no service /{target}/reset")
         reset.call_async(Trigger.Request())
         time.sleep(5 * ANSWERED)
         if not self._recording.organs[0].state["status"]["asleep"].item():
-            notes.append("the recording begins with the organ in motion, the node's is at rest")
+            notes.append("the recording begins with the organ in motion, but the node's organ is at rest")
         rows = recording.organs[0].journal["inputs"]
         if len(np.unique(rows["settings"])) > 1 or len(np.unique(rows["resets"])) > 1:
-            notes.append("the recording has changes of parameters or resets, which the node is not sent")
+            notes.append("the recording has changes of parameters or resets, which are not sent to the node")
         return notes
 
     def _force_publisher(self, tool: str, topic: str) -> Publisher | None:

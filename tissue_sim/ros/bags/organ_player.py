@@ -56,8 +56,8 @@ class OrganPlayer:
         nodes = len(recording.state["position"])
         if nodes != organ.n_nodes:
             raise UserError(
-                f"the bag was recorded with an organ of {nodes} nodes, '{organ.name}' has {organ.n_nodes}: replay it"
-                " with one of the same nodes, such as another calibration of the recorded organ"
+                f"the bag was recorded with an organ of {nodes} nodes, '{organ.name}' has {organ.n_nodes}: replay"
+                " it with an organ of the same nodes, such as another calibration of the recorded organ"
             )
         self.recording, self.n_surface, self._tool_inputs = recording, organ.n_surface, tool_inputs
         self.simulation = Simulation(
@@ -90,7 +90,7 @@ class OrganPlayer:
         # Only what is new in a row is taken up again.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
         if before is None:
-            raise UserError("the bag doesn't tell what its state had taken up; its recording lost messages")
+            raise UserError("the bag doesn't record which inputs its state had used; its recording lost messages")
         self._taken = self.inputs[before]
 
     def begin(self, take_settings: Callable[[Settings], None]) -> None:
@@ -141,7 +141,7 @@ class OrganPlayer:
 
     def _settings(self, sequence: int) -> Settings:
         if sequence not in self.recording.settings:
-            raise UserError(f"the bag lacks settings number {sequence}; its recording lost messages")
+            raise UserError(f"the bag has no settings number {sequence}; its recording lost messages")
         return self.recording.settings[sequence]
 
     def _contact_set(self, sequence: int) -> ContactSet:
@@ -150,7 +150,7 @@ class OrganPlayer:
             return whole
         surface, tools, bodies = self.found_from.get(sequence, (-1, -1, None))
         if bodies is None or surface not in self._surfaces or tools not in self._tools:
-            raise UserError(f"the bag lacks contact set number {sequence}; its recording lost messages")
+            raise UserError(f"the bag has no contact set number {sequence}; its recording lost messages")
         _forget_before(self._surfaces, surface)  # sets come in the order of what they were found from
         _forget_before(self._tools, tools)
         engaged, pushing = (bodies[name].astype(np.int64) for name in ("engaged", "pushing"))
@@ -166,5 +166,5 @@ def _forget_before(kept: dict[int, Any], tick: int) -> None:
 
 def _input(values: dict[int, Floats], sequence: int, what: str) -> Floats:
     if sequence not in values:
-        raise UserError(f"the bag lacks {what} number {sequence}; its recording lost messages")
+        raise UserError(f"the bag has no {what} number {sequence}; its recording lost messages")
     return values[sequence]

@@ -39,9 +39,9 @@ class OrganRecording:
         }
         for name, lack in (("state", "state to start from"), ("settings", "settings")):
             if not octets[name]:
-                raise UserError(f"bag {path} holds no {lack}: the recording was too short or broken off")
+                raise UserError(f"bag {path} has no {lack}: the recording was too short or interrupted")
         if not octets["journal"]:
-            raise UserError(f"bag {path} holds nothing that happened: the recording was too short or broken off")
+            raise UserError(f"bag {path} has no events: the recording was too short or interrupted")
         rows = [bag.unpack(values) for values in octets["journal"]]
         state = bag.unpack(octets["state"][0])
         n_nodes = len(state["position"])
@@ -76,9 +76,7 @@ def settings_of(path: Path, recorded: np.ndarray) -> Settings:
     """Settings from a record of them; raises UserError naming a field that one of both lacks."""
     names, wanted = recorded.dtype.names or (), Settings.dtype.names or ()
     if differing := sorted(set(names) ^ set(wanted)):
-        raise UserError(
-            f"bag {path}: setting '{differing[0]}' is not in both, the bag and this version; record it again"
-        )
+        raise UserError(f"bag {path}: setting '{differing[0]}' is in the bag or in this version only; record it again")
     settings = Settings.new()
     for name in names:
         setattr(settings, name, recorded[name][()])

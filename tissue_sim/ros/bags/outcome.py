@@ -14,7 +14,7 @@ from tissue_sim.ros.bags.differing import Described, differences
 from tissue_sim.ros.bags.player import Replayed, replay
 from tissue_sim.ros.bags.recording import Recording
 
-NOTHING = "the bag holds nothing to compare"
+NOTHING = "the bag has nothing to compare"
 
 
 @dataclass(frozen=True)

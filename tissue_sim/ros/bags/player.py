@@ -37,7 +37,7 @@ def replay(recording: Recording, organ: Organ | None = None, wanted: Shown | Non
     organ: instead of the recorded one. Raises UserError for a scene that another organ is given for.
     """
     if organ is not None and recording.is_scene:
-        raise UserError("another organ goes with the bag of one organ alone, and this one holds a scene")
+        raise UserError("another organ can replace only the one of a single-organ bag, and this one contains a scene")
     organs = [organ] if organ is not None else [one.organ() for one in recording.organs]
     return Player(recording, organs).run(recording.shown() if wanted is None else wanted)
 
@@ -81,7 +81,8 @@ class Player:
         for one, surfaces in zip(self.organs, wanted.surfaces, strict=True):
             if len(surfaces) and surfaces.shape[1] != one.n_surface:
                 raise UserError(
-                    f"the bag's surfaces have {surfaces.shape[1]} points, the organ has {one.n_surface}: another organ"
+                    f"the bag's surfaces have {surfaces.shape[1]} points, but the organ has {one.n_surface}: it is"
+                    " another organ"
                 )
         result = Replayed(wanted, shown)
         for one, take_settings in zip(self.organs, self._take_settings, strict=True):

@@ -64,4 +64,4 @@ def _deviation(axis: Any, rate: float, found: Deviation) -> None:
     finite = np.where(np.isfinite(found.values), found.values, np.nan)
     axis.semilogy(found.ticks / rate, np.maximum(finite, LEAST), ".", markersize=3.0, color=REPLAYED)
     axis.axhline(found.tolerance, color=RECORDED, linestyle="--", linewidth=1.0)
-    axis.set_ylabel(f"{found.what} off ({found.unit})")
+    axis.set_ylabel(f"deviation of {found.what} ({found.unit})")

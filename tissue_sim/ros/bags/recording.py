@@ -77,7 +77,8 @@ class Recording:
         if config["format"] not in bag.READ:
             raise UserError(
                 f"bag {path} has format {config['format']} (tissue_sim {shown(config['package_version'])}), this"
-                f" package reads {' and '.join(map(str, bag.READ))}: replay it with that version, or record it again"
+                f" package reads format {' and '.join(map(str, bag.READ))}: replay it with that version, or record"
+                " it again"
             )
         check_config(config)
         n_bodies = sum(tool.n_bodies for tool in tools_of(config))
@@ -198,7 +199,7 @@ def _force_of(values: Sequence[float]) -> Floats:
 
 def _finite(value: float) -> float:
     if not math.isfinite(value):
-        raise ValueError("it holds a jaws' angle that is not finite")
+        raise ValueError("it contains a jaw angle that is not finite")
     return value
 
 

@@ -46,7 +46,7 @@ def rubbish_told(folder: Path) -> Iterator[None]:
     except UserError:
         raise
     except MemoryError:
-        raise UserError(f"bag {folder} can't be read: a length in it goes beyond its file") from None
+        raise UserError(f"bag {folder} can't be read: a length in it exceeds its file") from None
     except KeyError as error:
         raise UserError(f"bag {folder} can't be read: {shown(str(error), 200)} is missing or unknown") from None
     except OF_RUBBISH as error:
@@ -63,8 +63,8 @@ def listed(folder: Path) -> list[Path]:
     packed = str(said.get("compression_mode") or "none").lower()
     if said["storage_identifier"] != "mcap" or packed != "none":
         raise UserError(
-            f"bag {folder} is of storage {shown(str(said['storage_identifier']))}, compression {shown(packed)}; wanted:"
-            " mcap, none. `ros2 bag convert` makes one"
+            f"bag {folder} has storage {shown(str(said['storage_identifier']))} and compression {shown(packed)};"
+            " expected: mcap and none. `ros2 bag convert` converts it"
         )
     files = [folder / PurePath(str(name)).name for name in said["relative_file_paths"]]
     return [file for file in files if file.is_file()]  # rosbags tells those that are missing
@@ -89,8 +89,8 @@ def complete(folder: Path) -> str:
         try:
             duration = _complete(folder)
         except OSError as error:
-            return f"bag {folder} was broken off; it is read as far as it goes, but not completed: {error.strerror}"
-    return f"bag {folder} was broken off: {1e-9 * duration:.1f} s of it are recovered"
+            return f"bag {folder} was interrupted; it is read as far as possible, but not completed: {error.strerror}"
+    return f"bag {folder} was interrupted: {1e-9 * duration:.1f} s of it are recovered"
 
 
 def _complete(folder: Path) -> int:
@@ -148,10 +148,10 @@ def _opened(folder: Path) -> Iterator[list[McapReader]]:
                     readers.append(reader)
                 break
         if not readers:
-            raise UserError(f"bag {folder} was broken off before anything was in it")
+            raise UserError(f"bag {folder} was interrupted before it had any content")
         if not any(topic.topic.endswith("/config") for topic in readers[0].connections):
             raise UserError(
-                f"bag {folder} was broken off, and not recorded by a tissue_sim node: `ros2 bag reindex` it"
+                f"bag {folder} was interrupted, and not recorded by a tissue_sim node: use `ros2 bag reindex`"
             )
         yield sorted(readers, key=lambda reader: reader.statistics.start_time if reader.statistics else 0)
 
@@ -214,7 +214,7 @@ def _records(bio: BinaryIO) -> Iterator[tuple[int, int, int]]:
     """
     bio.seek(0)
     if bio.read(len(MAGIC)) != MAGIC:
-        raise ReaderError("no MCAP file")
+        raise ReaderError("not an MCAP file")
     at = len(MAGIC)
     while len(head := bio.read(9)) == 9:
         opcode, length = struct.unpack("<BQ", head)
@@ -236,5 +236,5 @@ def _check_chunk(chunk: bytes) -> None:
         unpacker = _UNPACKERS[compression]()
         packed = unpacker.decompress(packed, max_length=length + 1)
         if not unpacker.eof or unpacker.unused_data:
-            raise ReaderError(f"a chunk that doesn't unpack to the {length} bytes that it says")
+            raise ReaderError(f"a chunk that doesn't unpack to its stated {length} bytes")
     decompress(packed, "", length, crc)

@@ -19,13 +19,13 @@ from tissue_sim.ros.shared import client
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument(
-        "bags", metavar="BAG", nargs="+", help="folder of a recorded bag; of several a table is printed"
+        "bags", metavar="BAG", nargs="+", help="folder of a recorded bag; several bags are printed as a table"
     )
     parser.add_argument("--organ", metavar="ORGAN", help="replay with this organ instead of the recorded one")
     parser.add_argument(
         "--against",
         metavar="BAG2",
-        help="compare with what another recording of the same inputs shows, at the same ticks after the same pose",
+        help="compare with another recording of the same inputs, at the same ticks after the same pose",
     )
     parser.add_argument("--force-tolerance", type=float, default=1e-6, help="largest deviation of a wrench, N and N m")
     parser.add_argument("--position-tolerance", type=float, default=1e-6, help="largest deviation of a position, m")
@@ -33,29 +33,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot",
         metavar="FILE|FOLDER",
-        help="write a picture (.png): each tool's force, and how far force and position are off, over time",
+        help="write a picture (.png): each tool's force, and the deviations of force and position, over time",
     )
     live = parser.add_argument_group("a running node")
     live.add_argument(
         "--live",
         action="store_true",
-        help="also send the inputs to a running node, over DDS with /clock, and compare what it shows with the replay;"
+        help="also send the inputs to a running node, over DDS with /clock, and compare its output with the replay;"
         " start it with use_sim_time:=true",
     )
     live.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
-    live.add_argument("--live-force-tolerance", type=float, default=0.1, help="the same for the node, N and N m")
-    live.add_argument("--live-position-tolerance", type=float, default=1e-4, help="the same for the node, m")
+    live.add_argument("--live-force-tolerance", type=float, default=0.1, help="force tolerance of the node, N and N m")
+    live.add_argument("--live-position-tolerance", type=float, default=1e-4, help="position tolerance of the node, m")
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay bags; returns 0 when all repeat within the tolerances, else 1."""
     paths = [Path(given) for given in args.bags]
     if len(paths) > 1 and args.against:
-        raise UserError("--against goes with one BAG")
+        raise UserError("--against needs exactly one BAG")
     if len(paths) > 1 and args.live:
-        raise UserError("--live goes with one BAG")
+        raise UserError("--live needs exactly one BAG")
     if len(paths) > 1 and args.plot and args.plot.lower().endswith(".png"):
-        raise UserError("--plot takes a folder where there are several bags")
+        raise UserError("--plot must be a folder for several bags")
     for path in [*paths, *([Path(args.against)] if args.against else [])]:
         if recovery.is_broken_off(path):
             print(recovery.complete(path), flush=True)
@@ -102,7 +102,7 @@ def verdict(found: Comparison, rate: float) -> str:
         return "repeats"
     first = found.first_beyond
     what = ", ".join(f"{one.what} {one.tolerance:g} {one.unit}" for one in found.quantities if one.first_beyond >= 0)
-    return f"FAILED: beyond {what}, from tick {first} on ({first / rate:.3f} s)"
+    return f"FAILED: deviation above {what}, from tick {first} on ({first / rate:.3f} s)"
 
 
 class Columns:

@@ -82,7 +82,7 @@ class Spool:
             if self._waiting + size > self._most.get(name, MOST_WAITING):
                 self.lost += 1
                 if name not in self._most:
-                    self._fail(f"the disk can't keep up, {1e-6 * self._waiting:.0f} MB wait")
+                    self._fail(f"the disk is too slow, {1e-6 * self._waiting:.0f} MB are waiting")
                 return False
             if not self._blocks or not self._blocks[-1].has_room(len(raw)):
                 self._blocks.append(_Block(max(BLOCK, size)))

@@ -102,7 +102,7 @@ class Surface:
             # A line that leaves the organ, or steps over an edge, is no stroke.
             if len(touches) == len(line) and jumps.max() < 2.0 * length / (len(line) - 1):
                 return touches
-        raise UserError("found no line on the organ's front to stroke; leave 'stroke' out of the script")
+        raise UserError("found no path on the organ's front to stroke; leave 'stroke' out of the script")
 
     def poke_place(self) -> Touch:
         """A touch square to the front, a little above the middle."""
@@ -111,7 +111,7 @@ class Surface:
             square = seen and self.touch(seen.place, -self.normal(seen))
             if seen and square and np.linalg.norm(square.place - seen.place) < self._radius:
                 return square
-        raise UserError("found no place on the organ's front to poke; leave 'poke' out of the script")
+        raise UserError("found no point on the organ's front to poke; leave 'poke' out of the script")
 
     def nip_places(self) -> list[Touch]:
         """Two touches that face each other across little tissue, near the upper pole."""
@@ -137,7 +137,7 @@ class Surface:
                 if (cost := gap / NIP_THICKNESS + 10.0 * slope + 0.5 * deep / height) < least:
                     best, least = [near, far], cost
         if not best:
-            raise UserError("found no place on the organ for two jaws; leave 'nip' out of the script")
+            raise UserError("found no fold on the organ for two tools; leave 'nip' out of the script")
         return best
 
     def grasp(self, jaws: Jaws) -> Grasp:
@@ -145,4 +145,4 @@ class Surface:
         try:
             return at_lower_pole(self._vertices, self._triangles, jaws, self.scale)
         except ValueError as error:
-            raise UserError(f"the organ has no place for a gripper: {error}; give it longer jaws") from None
+            raise UserError(f"no part of the organ fits the gripper: {error}; give it longer jaws") from None

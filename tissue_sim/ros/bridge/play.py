@@ -17,29 +17,29 @@ MATCHING = 3.0  # s, at most, for DDS to bring the tools' topics together
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    parser.add_argument("--rate", type=client.number(1.0, 2000.0, "Hz"), default=500.0, help="poses a second, Hz")
+    parser.add_argument("--rate", type=client.number(1.0, 2000.0, "Hz"), default=500.0, help="poses per second, Hz")
     parser.add_argument(
-        "--seconds", type=client.number(0.01, 1e9, "s"), help="end after this time; without it, go on until Ctrl-C"
+        "--seconds", type=client.number(0.01, 1e9, "s"), help="end after this time; without it, run until Ctrl-C"
     )
     parser.add_argument(
         "--tools",
         type=client.names,
-        help="names of the tools; a nip takes the first two, a grip the first gripper (default: the node's)",
+        help="names of the tools; nip uses the first two, grip the first gripper (default: the node's)",
     )
     parser.add_argument("--node", type=client.node_name, default="tissue_sim", help="name of the node")
     parser.add_argument(
         "--radius",
         type=client.number(1e-4, 0.1, "m"),
-        help="of the tools, m: how far from the organ they begin to touch it (default: the node's largest)",
+        help="radius of the tools, m, at which they begin to touch the organ (default: the node's largest)",
     )
-    parser.add_argument("--organ", metavar="NAME", help="which of a scene's organs (default: the first one)")
+    parser.add_argument("--organ", metavar="NAME", help="organ of a scene (default: the first one)")
     parser.add_argument(
         "--script",
         type=lambda text: tuple(word.strip() for word in text.split(",")),
-        help=f"what to do, in this order, of {','.join(ACTIONS)}; all but the grip unless given",
+        help=f"actions in this order, of {','.join(ACTIONS)} (default: all but grip)",
     )
     parser.add_argument(
-        "--wait", type=client.number(0.0, 3600.0, "s"), default=30.0, help="how long to wait for the node, s"
+        "--wait", type=client.number(0.0, 3600.0, "s"), default=30.0, help="longest wait for the node, s"
     )
 
 
@@ -85,8 +85,8 @@ def run(args: argparse.Namespace) -> int:
             vertices, triangles = organ
             path = plan(vertices, triangles, radius, [tool.name for tool in tools], script, jaws, args.rate)
             print(
-                f"organ of {len(vertices)} nodes: {', '.join(script)} in {path.duration:.1f} s, again and again,"
-                f" at {args.rate:g} Hz",
+                f"organ of {len(vertices)} nodes: {', '.join(script)} in {path.duration:.1f} s, repeatedly, at"
+                f" {args.rate:g} Hz",
                 flush=True,
             )
             progress.tell_by(None)  # nothing of it runs beside the poses
@@ -112,5 +112,5 @@ def _organ_of(values: Mapping[str, Any], args: argparse.Namespace) -> str:
 
 
 def _not_there(args: argparse.Namespace, what: str) -> int:
-    write_error(f"tissue_sim bridge: no {what} in {args.wait:g} s; start tissue_node, or name yours with --node\n")
+    write_error(f"tissue_sim bridge: no {what} within {args.wait:g} s; start tissue_node, or name yours with --node\n")
     return 1

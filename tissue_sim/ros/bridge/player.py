@@ -98,7 +98,7 @@ class Player:
         for tool in self._tools:
             if tool.name not in self._told and tool.rivals() > 0:
                 self._told.add(tool.name)
-                what = f"{tool.topic} has another publisher: {tool.name} jumps between both"
+                what = f"{tool.topic} has another publisher: {tool.name} jumps between the two"
                 sys.stderr.write(f"tissue_sim bridge: {what}\n")
 
     def _send(self, poses: Floats, angles: Floats, deadline: float) -> None:

@@ -12,7 +12,7 @@ def check(script: Sequence[str], tools: Sequence[str] | None) -> None:
     """Raise UserError for an action that is unknown, or that these tools, where they are known, are too few for."""
     for action in script:
         if action not in ACTIONS:
-            raise UserError(f"'{action}' is unknown in a script; choose from {', '.join(ACTIONS)}")
+            raise UserError(f"action '{action}' is unknown; choose from {', '.join(ACTIONS)}")
     if not script:
         raise UserError(f"the script is empty; choose from {', '.join(ACTIONS)}")
     if tools is None:
@@ -20,4 +20,4 @@ def check(script: Sequence[str], tools: Sequence[str] | None) -> None:
     if not tools or len(set(tools)) != len(tools):
         raise UserError("name at least one tool, each once")
     if "nip" in script and len(tools) < 2:
-        raise UserError("a nip needs two tools: name two with --tools, or leave it out of --script")
+        raise UserError("action nip needs two tools: name two with --tools, or leave it out of --script")

@@ -42,7 +42,7 @@ def plan(
     check(script, tools)
     holders = [(index, grippers[tool]) for index, tool in enumerate(tools) if grippers and tool in grippers]
     if "grip" in script and not holders:
-        raise UserError(f"a grip needs a gripper, and {', '.join(tools)} has no jaws; name one that has")
+        raise UserError(f"a grip needs a gripper, but {', '.join(tools)} has no jaws; name a tool with jaws")
     planner = _Planner(Surface(vertices, triangles, radius), radius, len(tools), holders[:1], rate)
     for action in script:
         getattr(planner, action)()

@@ -55,7 +55,8 @@ class Backlog:
         report.values |= {"executor_behind_ms": 1e3 * self.behind, "executor_most_behind_ms": 1e3 * self.longest}
         if self.pause > SHORTEST:  # at more than one look
             report.warnings.append(
-                f"poses and forces come faster than they can be handled: of each topic one in {1e3 * self.pause:.1f} ms"
+                "poses and forces arrive faster than they can be handled: one per topic is handled every"
+                f" {1e3 * self.pause:.1f} ms"
             )
 
 

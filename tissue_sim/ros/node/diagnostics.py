@@ -43,7 +43,7 @@ class Diagnostics:
         grown = [name for name, count in report.problems.items() if count > last.get(name, 0)]
         status = DiagnosticStatus(name=f"{self._node}: {called}", hardware_id=self._hardware_id)
         status.level, status.message = DiagnosticStatus.OK, report.state
-        lines = [*report.warnings, *(["new since last second: " + ", ".join(grown)] if grown else [])]
+        lines = [*report.warnings, *(["new in the last second: " + ", ".join(grown)] if grown else [])]
         if lines:
             status.level, status.message = DiagnosticStatus.WARN, "; ".join(lines)
         if report.failures:

@@ -61,7 +61,7 @@ class Entities:
             return Placed(base_id or self._values["frame_id"], self._organ_pose())
         port = self._tools[name]
         if port.input.poses == 0:
-            raise UserError(f"tool '{name}' has had no pose")
+            raise UserError(f"tool '{name}' has not received a pose")
         return Placed(self._values["frame_id"], tuple(port.newest.pose.tolist()))
 
     def place(self, name: str, placed: Placed) -> None:
@@ -102,11 +102,11 @@ class Entities:
 
     def _place_organ(self, name: str, placed: Placed) -> None:
         if len(self._organs) > 1:
-            raise UserError("organs of a scene are placed together, by the parameter organ_pose")
+            raise UserError("the organs of a scene are placed together, with the parameter organ_pose")
         if not self._values["base_frame"]:
-            raise UserError(f"the frame of organ '{name}' is the world, as the parameter base_frame names no other")
+            raise UserError(f"the frame of organ '{name}' is the world, since the parameter base_frame is not set")
         if placed.frame_id != self._world:
-            raise UserError(f"organ '{name}' is placed in '{self._world}' only, not in '{placed.frame_id}'")
+            raise UserError(f"organ '{name}' can be placed in '{self._world}' only, not in '{placed.frame_id}'")
         Transform.of_pose(placed.pose)
         result = self._node.set_parameters([Parameter("organ_pose", value=list(placed.pose))])[0]
         if not result.successful:

@@ -87,10 +87,10 @@ class GuardedNode(Node):
         remedy = self.remedies.get(name, "")
         if policy != "reliability":
             mine, theirs, remedy = f"one {policy}", "another", ""
-        line = f"this node offers {mine}, and {who} asks for {theirs}: it hears nothing"
+        line = f"this node offers {mine}, but {who} requests {theirs}: it receives nothing"
         if not publishes:
-            line = f"this node asks for {mine}, and {who} offers {theirs}: it is not heard"
-        remedy = remedy or "let the other have the QoS that this node has"
+            line = f"this node requests {mine}, but {who} offers {theirs}: its messages are not received"
+        remedy = remedy or "set the other one to the QoS of this node"
         self.get_logger().warning(f"the QoS on {name} does not match: {line}; {remedy}")
 
     def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **named: Any) -> Any:
@@ -115,7 +115,7 @@ def failed(response: Any, request: Any, line: str) -> Any:
     if hasattr(response, "success"):
         response.success, response.message = False, line
     elif hasattr(response, "results") and hasattr(request, "parameters"):  # one for each parameter
-        reason = f"{line}; parameters may have been set all the same"
+        reason = f"{line}; parameters may have been set nevertheless"
         response.results = [SetParametersResult(successful=False, reason=reason) for _ in request.parameters]
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = SetParametersResult(successful=False, reason=line)

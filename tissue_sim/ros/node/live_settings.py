@@ -110,7 +110,7 @@ class LiveSettings:
             words.append("a modal region under any load")
         if degrade.halvings(self.level):
             words.append(f"{1.0 / float(self._first.settings.tick_time):g} Hz")
-        return ", ".join(words) or "nothing is given up"
+        return ", ".join(words) or "nothing is reduced"
 
     def report(self, report: Report) -> None:
         """Add what is given up, and a coupling that is softer than asked for."""
@@ -136,7 +136,7 @@ class LiveSettings:
             f"coupling_stiffness is {self.coupling_stiffness:.0f} instead of"
             f" {self._parameters['coupling_stiffness']:g} N/m: with {tool}.device_damping"
             f" {self._parameters[f'{tool}.device_damping']:g} N s/m, poses at {1.0 / poses.period:.0f} Hz and"
-            f" {1e3 * poses.delay:.1f} ms old, more may not be stable"
+            f" {1e3 * poses.delay:.1f} ms old, a larger value may not be stable"
         )
 
     @property

@@ -21,10 +21,10 @@ class Namesakes:
         count = max(0, node.get_node_names_and_namespaces().count(own) - 1)
         if count > self.count:
             node.get_logger().warning(
-                f"another node is called {node.get_fully_qualified_name()} too: topics and services of both mix;"
-                " start one of them with -r __node:=NAME or -r __ns:=/NAMESPACE"
+                f"another node has the name {node.get_fully_qualified_name()}, too: their topics and services"
+                " interfere; start one of them with -r __node:=NAME or -r __ns:=/NAMESPACE"
             )
         self.count = count
         report.values["same_name_nodes"] = count
         if count:
-            report.warnings.append(f"another node is called {node.get_fully_qualified_name()} too")
+            report.warnings.append(f"another node has the name {node.get_fully_qualified_name()}, too")

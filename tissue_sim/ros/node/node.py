@@ -236,8 +236,9 @@ class TissueNode(GuardedNode):
             prefer(below(priority))
         except OSError as error:
             self.get_logger().warning(
-                f"realtime_priority {priority} is refused ({error.strerror}): the loop is a thread like others;"
-                " allow it with a line like '@haptics - rtprio 99' in /etc/security/limits.conf, and log in again"
+                f"realtime_priority {priority} is refused ({error.strerror}): the loop runs without a real-time"
+                " priority; allow it with a line like '@haptics - rtprio 99' in /etc/security/limits.conf, and log"
+                " in again"
             )
 
     # wiring ------------------------------------------------------------------------------------
@@ -247,9 +248,7 @@ class TissueNode(GuardedNode):
         tool = ServedTool(index, name, tools, topics, frames, self.frame_id)
         other = "false" if topics.reliable else "true"
         for topic in filter(None, topics.names.values()):
-            self.remedies[self.resolve_topic_name(topic)] = (
-                f"{name}.reliable:={other} makes it match, or another QoS there"
-            )
+            self.remedies[self.resolve_topic_name(topic)] = f"set {name}.reliable:={other}, or another QoS there"
         port = ToolPort(self, tool, self.organs, self.recorder, self.sim_clock, self.backlog, self._woken)
         port.output.device = DevicePort(
             port.pose_freshness,
@@ -279,7 +278,7 @@ class TissueNode(GuardedNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.loop.reset()
         response.success = True
-        response.message = NEXT_TICK if self.pausing.paused else "the organ is back at rest"
+        response.message = NEXT_TICK if self.pausing.paused else "the organ was reset to rest"
         return response
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -131,7 +131,9 @@ class Outlet:
             # Not here: factoring the implicit matrix takes a while, and fading wrenches must go on.
             threading.Thread(target=self._degrade, args=(ladder.level, look.words), daemon=True).start()
         elif ladder.stuck and not was_stuck:
-            self._logger.warning("the machine is too slow, and there is nothing left to give up: time is lost")
+            self._logger.warning(
+                "the machine is too slow, and the work can't be reduced further: simulated time falls behind"
+            )
 
     def _degrade(self, level: int, why: str) -> None:
         """Go to another level of degradation, and say so."""
@@ -142,4 +144,4 @@ class Outlet:
             if worse:
                 self._logger.warning(f"the machine is too slow: {line}")
             else:
-                self._logger.info(f"the machine keeps up again: {line}")
+                self._logger.info(f"the machine is fast enough again: {line}")

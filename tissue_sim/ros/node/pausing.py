@@ -15,8 +15,8 @@ from tissue_sim.ros.node.sim_clock import SimClock
 from tissue_sim.ros.shared.loop import Loop
 from tissue_sim.ros.shared.report import Report
 
-BY_CLOCK = "use_sim_time is set: ticks follow /clock, and whoever publishes that pauses and steps it"
-NEXT_TICK = "the organs are back at rest with the next tick: the node is paused"
+BY_CLOCK = "use_sim_time is set: ticks follow /clock, so pause and step at its publisher"
+NEXT_TICK = "the node is paused: the organs return to rest with the next tick"
 PAUSED = "paused: no ticks and no forces until ~/pause is called with data: false"
 
 
@@ -79,9 +79,11 @@ class Pausing:
         if not self.possible:
             raise UserError(BY_CLOCK)
         if not self.paused:
-            raise UserError("the node is not paused, and only a paused one is stepped: call ~/pause with data: true")
+            raise UserError(
+                "the node is not paused, but only a paused node can be stepped: call ~/pause with data: true"
+            )
         if not self._stepping.acquire(blocking=False):
-            raise UserError("another step is being taken; wait for its answer")
+            raise UserError("another step is in progress; wait for its answer")
         self.stopped = False
         self._cancelled.clear()
 
@@ -123,7 +125,7 @@ class Pausing:
                 self.pause()
             else:
                 self.resume()
-            response.success, response.message = True, "paused" if self.paused else "ticks go on"
+            response.success, response.message = True, "paused" if self.paused else "ticks continue"
         except (UserError, TimeoutError) as error:
             response.success, response.message = False, str(error)
         return response

@@ -45,7 +45,7 @@ class RespirationInput:
             self.refused[name] += 1
             if time.monotonic() - self._warned > WARN_EVERY:
                 self._warned = time.monotonic()
-                self._log.warning(f"a message on ~/respiration is refused: {line}")
+                self._log.warning(f"a message on ~/respiration was refused: {line}")
             return
         self._stamp, self._came = stamp, self._clock.now()
         self.share, self.taken = float(message.position[0]), self.taken + 1
@@ -56,12 +56,12 @@ class RespirationInput:
     def _wrong(self, message: JointState, stamp: int) -> tuple[str, str] | None:
         """A short name and a line for what can't be used."""
         if not message.position:
-            return "no_position", "it holds no position"
+            return "no_position", "it contains no position"
         share = message.position[0]
         if not math.isfinite(share) or not 0.0 <= share <= 1.0:
-            return "no_share", f"its position is {share:g}; wanted: 0, breathed out, to 1, breathed in"
+            return "no_share", f"its position is {share:g}; expected: 0, exhaled, to 1, inhaled"
         if stamp == 0:
-            return "no_stamp", "its stamp is 0, which marks invalid data; let header.stamp say when it was measured"
+            return "no_stamp", "its stamp is 0, which marks invalid data; set header.stamp to the time of measurement"
         if self._clock.now() - self._came < PAUSE and stamp < self._stamp:
             return "backward_stamp", f"its stamp is {1e-9 * (self._stamp - stamp):.3f} s before the last one"
         return None

@@ -113,7 +113,7 @@ def usage() -> str:
             "       tissue_node [--ros-args -p PARAMETER:=VALUE ... --params-file FILE -r OLD:=NEW ...]",
             "",
             "Serves a deformable organ at a fixed rate: tool poses in, wrenches and the deformed mesh out.",
-            "Parameters (defaults: the kidney that ships, 1000 Hz, spherical tools 'left' and 'right' of 5 mm):",
+            "Parameters (by default: the kidney of this package, 1000 Hz, spherical tools 'left' and 'right' of 5 mm):",
             *(line("", spec) for spec in NODE_SPECS),
             "  tools (default ['left', 'right']): names of the tools",
             *(line("<tool>.", spec) for spec in TOOL_SPECS),
@@ -129,9 +129,9 @@ def _check_own(arguments: list[str]) -> None:
     if own[0] in ROS_OPTIONS or ":=" in own[0]:
         meant = " ".join(own if own[0] in ROS_OPTIONS else ["-p", *own])
         raise UserError(
-            f"'{shown(own[0])}' is for ROS, which wants --ros-args: {PROGRAM} --ros-args {shown(meant, 200)}"
+            f"'{shown(own[0])}' is an argument of ROS, which needs --ros-args: {PROGRAM} --ros-args {shown(meant, 200)}"
         )
-    raise UserError(f"argument '{shown(own[0])}' is unknown; '{PROGRAM} --help' lists what there is")
+    raise UserError(f"argument '{shown(own[0])}' is unknown; '{PROGRAM} --help' lists all arguments")
 
 
 def _start_rclpy(arguments: list[str]) -> None:

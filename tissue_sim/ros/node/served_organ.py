@@ -65,7 +65,7 @@ class ServedScene:
         """What a node's parameters say, for tools of these shapes. Raises UserError for what can't be used."""
         scene_file, organ_file = values["scene_file"], values["organ_file"]
         if scene_file and organ_file:
-            raise UserError("organ_file and scene_file are both given; a scene names its organs itself")
+            raise UserError("organ_file and scene_file are both set; choose one, since a scene names its own organs")
         said = SceneFile.read(Path(scene_file)) if scene_file else None
         if said is not None:
             values.prefer("gravity", list(said.gravity))

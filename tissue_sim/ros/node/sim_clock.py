@@ -53,7 +53,7 @@ class SimClock:
         """Say once when the clock stands, and when it goes on; call it often."""
         stands = self.active and not self._waiting and self._loop.clock_stands
         if stands and not self._stood:
-            self._log.info("/clock stands: no ticks, and no forces until it goes on")
+            self._log.info("/clock stands still: no ticks and no forces until it continues")
         self._stood = stands
 
     def _on_jump(self, jump: TimeJump) -> None:
@@ -67,7 +67,7 @@ class SimClock:
             self._log.info("ticks follow /clock")
         elif jump.delta.nanoseconds < 0:
             self._log.warning(
-                f"/clock jumped back by {-1e-9 * jump.delta.nanoseconds:.3f} s: the organ is back at rest"
+                f"/clock jumped back by {-1e-9 * jump.delta.nanoseconds:.3f} s: the organ was reset to rest"
             )
             self._begin_anew()
             self._loop.reset()

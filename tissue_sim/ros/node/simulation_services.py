@@ -40,8 +40,8 @@ SERVICES = (
 )
 INFO = (
     f"tissue_sim {__version__}: a step is a tick. Entities are the organs and the tools; twist and"
-    " acceleration are always zero. A tool is placed as by a pose of its bridge, and so lets go after stale_time. A"
-    " reset brings the organs back to rest."
+    " acceleration are always zero. Setting a tool's state acts like a pose of its bridge, which becomes stale"
+    " after stale_time. A reset returns the organs to rest."
 )
 
 
@@ -78,8 +78,8 @@ class SimulationServices:
 
     def _reset(self, request: Any, response: Any) -> Any:
         if request.scope != ResetSimulation.Request.SCOPE_STATE:
-            scopes = f"scope {request.scope} asks for more than SCOPE_STATE ({ResetSimulation.Request.SCOPE_STATE})"
-            why = "the time of ticks is the machine's or that of /clock, and nothing is ever spawned"
+            scopes = f"scope {request.scope} includes more than SCOPE_STATE ({ResetSimulation.Request.SCOPE_STATE})"
+            why = "ticks follow the machine's time or /clock, and no entity is ever spawned"
             return _answered(response, Result.RESULT_FEATURE_UNSUPPORTED, f"{scopes}: {why}")
         self._loop.reset()
         return _answered(response, Result.RESULT_OK, NEXT_TICK if self._pausing.paused else "")
@@ -120,7 +120,9 @@ class SimulationServices:
             return None
         try:
             if self._pausing.stopped:
-                raise UserError("the simulation is stopped, and only a paused one is stepped: set STATE_PAUSED first")
+                raise UserError(
+                    "the simulation is stopped, but only a paused one can be stepped: set STATE_PAUSED first"
+                )
             self._pausing.begin_step()
         except UserError as error:
             _answered(response, Result.RESULT_OPERATION_FAILED, str(error))
@@ -139,12 +141,12 @@ class SimulationServices:
             if asked:
                 return _answered(response, Result.RESULT_FEATURE_UNSUPPORTED, f"entities have no {what}")
         if filters.bounds.type not in (Bounds.TYPE_EMPTY, Bounds.TYPE_SPHERE):
-            line = f"bounds of type {filters.bounds.type} are not known: a sphere is"
+            line = f"bounds of type {filters.bounds.type} are not supported: only a sphere is"
             return _answered(response, Result.RESULT_FEATURE_UNSUPPORTED, line)
         try:
             pattern, sphere = re.compile(filters.filter), _sphere_of(filters.bounds)
         except re.error as error:
-            line = f"the filter '{shown(filters.filter)}' is no regular expression: {error}"
+            line = f"the filter '{shown(filters.filter)}' is not a regular expression: {error}"
             return _answered(response, Result.RESULT_OPERATION_FAILED, line)
         except ValueError as error:
             return _answered(response, Result.RESULT_OPERATION_FAILED, str(error))
@@ -174,7 +176,7 @@ class SimulationServices:
             (request.set_acceleration, state.acceleration, "acceleration"),
         ):
             if is_set and any((*_numbers(motion.linear), *_numbers(motion.angular))):
-                line = f"'{name}' is moved by poses alone: its {what} can't be set"
+                line = f"'{name}' is moved by poses only: its {what} can't be set"
                 return _answered(response, Result.RESULT_OPERATION_FAILED, line)
         if not request.set_pose:
             return _answered(response, Result.RESULT_OK)
@@ -192,7 +194,7 @@ class SimulationServices:
         return _answered(response, Result.RESULT_OK)
 
     def _unknown(self, response: Any, name: str) -> Any:
-        line = f"no entity is called '{shown(name)}'; there are {', '.join(self._entities.names)}"
+        line = f"there is no entity '{shown(name)}'; choose one of {', '.join(self._entities.names)}"
         return _answered(response, Result.RESULT_NOT_FOUND, line)
 
 
@@ -210,5 +212,5 @@ def _sphere_of(bounds: Any) -> Sphere | None:
     if bounds.type == Bounds.TYPE_EMPTY:
         return None
     if len(bounds.points) != 2 or not bounds.points[1].x >= 0.0:
-        raise ValueError("a sphere has two points: its centre, and one whose x is its radius in m")
+        raise ValueError("a sphere needs two points: its centre, and one whose x is the radius in m")
     return Sphere(_numbers(bounds.points[0]), bounds.points[1].x)

@@ -48,9 +48,7 @@ class TfLookup:
         try:
             found = self._buffer.lookup_transform(self.target, frame_id, Time()).transform
         except tf2_ros.TransformException as error:
-            raise UnknownFrame(
-                f"tf leads from none of that name to '{self.target}' ({shown(str(error), 200)})"
-            ) from None
+            raise UnknownFrame(f"tf has no transform from it to '{self.target}' ({shown(str(error), 200)})") from None
         offset, turn = found.translation, found.rotation
         try:
             answer = Transform.of_pose((offset.x, offset.y, offset.z, turn.x, turn.y, turn.z, turn.w))

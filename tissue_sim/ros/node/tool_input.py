@@ -123,7 +123,7 @@ class ToolInput:
             The frame that it was given in, and the transform from that.
         """
         if not all(map(math.isfinite, values)):
-            raise Refused("nan_pose", "it holds a value that is not finite")
+            raise Refused("nan_pose", "it contains a value that is not finite")
         self._take(Stamped(UNSTAMPED, "", values), frame_id, to_organ, b"")
 
     def move_newest(self, pose: Floats, to_organ: Transform) -> None:
@@ -146,7 +146,7 @@ class ToolInput:
         """A clutch: while it is false, poses and forces are passed over, and the tool lets go as if these stopped."""
         if message.data != self.enabled:
             self.enabled = bool(message.data)
-            name, now = self._tool.name, "enabled" if self.enabled else "disabled: its poses are passed over"
+            name, now = self._tool.name, "enabled" if self.enabled else "disabled: its poses are ignored"
             self._log.info(f"tool '{name}' is {now} (~/{name}/enable)")
 
     def _on_pose(self, raw: bytes) -> None:
@@ -187,9 +187,9 @@ class ToolInput:
         """The jaws open and close with the next pose: an angle alone must not keep a stale tool in touch."""
         with self._refusing("angle"):
             if not message.position:
-                raise Refused("no_angle", "it holds no position")
+                raise Refused("no_angle", "it contains no position")
             if not math.isfinite(message.position[0]):
-                raise Refused("nan_angle", "it holds a value that is not finite")
+                raise Refused("nan_angle", "it contains a value that is not finite")
             self._angle = float(message.position[0])
 
     def _on_force(self, raw: bytes) -> None:
@@ -217,7 +217,7 @@ class ToolInput:
         with self._as("malformed"):
             message = kind.parse(raw, n_values)
         if not all(map(math.isfinite, message.values)):
-            raise Refused(f"nan_{what}", "it holds a value that is not finite")
+            raise Refused(f"nan_{what}", "it contains a value that is not finite")
         if message.stamp == UNSTAMPED:  # nor has it a frame; what arrives later is newer
             return message, usual, tool.frames.to_organ(usual)
         try:
@@ -225,7 +225,7 @@ class ToolInput:
             frame_id = usual if unnamed else message.frame_id
             to_organ = tool.frames.to_organ(frame_id)
         except UnknownFrame as error:
-            remedy = "frame_id names another" if message.frame_id else "allow_empty_frame takes it for that"
+            remedy = "frame_id sets another one" if message.frame_id else "allow_empty_frame accepts it"
             raise Refused(
                 "unknown_frame",
                 f"its frame is '{shown(message.frame_id)}', expected '{usual}'"
@@ -234,7 +234,7 @@ class ToolInput:
         if message.stamp == 0 and tool.topics.allow_zero_stamp:
             return message._replace(stamp=UNSTAMPED), frame_id, to_organ
         if message.stamp == 0:
-            remedy = f"parameter {tool.name}.allow_zero_stamp takes the time of its arrival"
+            remedy = f"parameter {tool.name}.allow_zero_stamp uses the time of arrival instead"
             raise Refused("no_stamp", f"its stamp is 0, which marks invalid data ({remedy})")
         if (before := freshness.last_stamp - message.stamp) > 0:
             raise Refused("backward_stamp", f"its stamp is {1e-9 * before:.3f} s before the last one")

@@ -150,8 +150,9 @@ class ToolPort:
             self._said, self._unsaid = now, []
         times = f" ({len(organs)} times since the last such line)" if len(organs) > 1 else ""
         self._log.warning(
-            f"tool '{self.name}' is held off: it appeared inside {organs[-1]} and feels nothing until it has been"
-            f" outside; send a pose outside first, the next within stale_time ({self._organs.stale_time:g} s){times}"
+            f"tool '{self.name}' is inactive (held_off): it appeared inside {organs[-1]} and exerts no force until"
+            " it has been outside; send a pose outside first, and the next one within stale_time"
+            f" ({self._organs.stale_time:g} s){times}"
         )
 
     def _too_slow(self) -> str:
@@ -161,9 +162,9 @@ class ToolPort:
         if gap == 0.0:
             return ""
         line = (
-            f"tool '{self.name}': poses come {1.0 / gap:.0f} times a second, and each counts for stale_time,"
-            f" {self._organs.stale_time:g} s: its force fades in between, and inside the organ it is held off;"
-            f" send more, or set stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
+            f"tool '{self.name}': poses arrive {1.0 / gap:.0f} times a second, but each is stale after stale_time,"
+            f" {self._organs.stale_time:g} s: the force fades in between, and inside the organ the tool becomes"
+            f" inactive (held_off); send poses more often, or set stale_time to {math.ceil(20.0 * gap) / 10.0:g}"
         )
         if not was_slow:
             self._log.warning(line)
@@ -175,7 +176,10 @@ class ToolPort:
         own = report.part(f"tool {self.name}", f"{self.name}.")
         own.state = self.state()
         if own.state == "held_off":
-            own.warnings.append(f"tool '{self.name}' is held off: it is inside, and feels nothing until it was outside")
+            own.warnings.append(
+                f"tool '{self.name}' is inactive (held_off): it is inside the organ, and exerts no force until it"
+                " has been outside"
+            )
         if line := self._too_slow():
             own.warnings.append(line)
         own.values |= {

@@ -140,7 +140,7 @@ class Hostile:
         usual = [Parameter(name, value=spec.default).to_parameter_msg() for name, spec in LIVE.items()]
         answer = self.call("set_parameters", SetParameters.Request(parameters=usual))
         if refused := [result.reason for result in answer.results if not result.successful]:
-            raise Fault(f"the usual settings are refused: {refused[0]}")
+            raise Fault(f"the default settings are refused: {refused[0]}")
         self.look()
         self._faded()
         self._answers()
@@ -186,7 +186,7 @@ class Hostile:
                 raise Fault(f"wrenches {PATIENCE:g} s after the last pose")
             time.sleep(0.01)
         if standing := [tool for tool, size in last.items() if size > 0.0]:
-            raise Fault(f"a force of {last[standing[0]]:.3g} N stands for '{standing[0]}', whose poses have stopped")
+            raise Fault(f"a force of {last[standing[0]]:.3g} N remains for '{standing[0]}', whose poses have stopped")
 
     def _answers(self) -> None:
         """A pose far away is answered, by nothing; a node that stood still may have to answer earlier ones first."""
@@ -199,7 +199,7 @@ class Hostile:
                     return
                 first = first or time.monotonic()
                 if time.monotonic() - first > STARVED_QUIET:
-                    raise Fault("a tool a metre away feels a force")
+                    raise Fault("there is a force on a tool a metre away")
         raise Fault(f"no pose was answered for {PATIENCE:g} s")
 
     def _told(self) -> dict[str, str]:
@@ -210,7 +210,7 @@ class Hostile:
         end = time.monotonic() + PATIENCE
         while self._hear_reports():
             if time.monotonic() > end:
-                raise Fault(f"it tells a failure for {PATIENCE:g} s: {STARVED}")
+                raise Fault(f"it reports a failure for {PATIENCE:g} s: {STARVED}")
             time.sleep(0.05)
         return self._report
 
@@ -225,11 +225,11 @@ class Hostile:
                 self.starved += 1
                 continue
             if status.level == b"\x02":
-                raise Fault(f"it tells a failure: {status.message}")
+                raise Fault(f"it reports a failure: {status.message}")
             values = {item.key: item.value for item in status.values}
             failures = [key for key, value in values.items() if "_failures" in key and value not in ("0", "")]
             if failures:
-                raise Fault(f"it tells {failures[-1]}: {values[failures[-1]]}")
+                raise Fault(f"it reports {failures[-1]}: {values[failures[-1]]}")
             self._report = values
         return self._stands
 

@@ -114,7 +114,7 @@ class Presser(Hand):
             if pending.done():
                 return
             self._reset.remove_pending_request(pending)
-        raise UserError("the node answers no request for a reset")
+        raise UserError("the node doesn't answer the reset request")
 
 
 def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:

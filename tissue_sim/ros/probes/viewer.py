@@ -68,7 +68,7 @@ class Viewer:
             self._take()
             return len(self.newest) == len(self._topics)
 
-        first_within(came, 40.0, f"not every one of {', '.join(self._topics)} came")
+        first_within(came, 40.0, f"not all of {', '.join(self._topics)} arrived")
         return time.monotonic() - began
 
     def _take(self) -> None:

@@ -51,7 +51,7 @@ def parse_moving(raw: bytes, n_values: int) -> Stamped:
     stamp, frame_id, end = _header(raw)
     child = _aligned(end, 4)
     if child + 4 > len(raw):
-        raise ValueError("the message is cut short")
+        raise ValueError("the message is truncated")
     return Stamped(stamp, frame_id, _doubles(raw, child + 4 + struct.unpack_from("<I", raw, child)[0], n_values))
 
 
@@ -100,13 +100,13 @@ def _counted(raw: bytes, at: int, size: int = 1) -> int:
     _check_encoding(raw, at + 4)
     count = int(struct.unpack_from("<I", raw, at)[0])
     if at + 4 + size * count > len(raw):
-        raise ValueError("the message is cut short")
+        raise ValueError("the message is truncated")
     return count
 
 
 def _check_encoding(raw: bytes, least: int) -> None:
     if len(raw) < least or raw[1] != 1:
-        raise ValueError("no little-endian CDR message")
+        raise ValueError("the message is not little-endian CDR")
 
 
 def _header(raw: bytes) -> tuple[int, str, int]:
@@ -128,20 +128,20 @@ def _aligned(at: int, size: int) -> int:
 def _doubles(raw: bytes, at: int, count: int) -> tuple[float, ...]:
     body = _aligned(at, 8)
     if body + 8 * count > len(raw):
-        raise ValueError("the message is cut short")
+        raise ValueError("the message is truncated")
     return struct.unpack_from(f"<{count}d", raw, body)
 
 
 def check_position(position: NDArray[np.float64]) -> None:
     """Raise ValueError for a position (3,) m that is in another unit, or none."""
     if not (farthest := float(np.abs(position).max())) <= FARTHEST:
-        raise ValueError(f"it lies {farthest:.3g} m away; positions are in metres")
+        raise ValueError(f"its position is {farthest:.3g} m away; positions are in metres")
 
 
 def check_force(force: NDArray[np.float64]) -> None:
     """Raise ValueError for a force (3,) N that is in another unit, or none."""
     if not (hardest := float(np.abs(force).max())) <= HARDEST:
-        raise ValueError(f"it is {hardest:.3g} N; forces are in newtons")
+        raise ValueError(f"its force is {hardest:.3g} N; forces are in newtons")
 
 
 def unit_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:

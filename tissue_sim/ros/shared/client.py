@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
     from rclpy.subscription import Subscription
 
-WANTED = "wanted: letters, digits and _, not beginning with a digit"
+WANTED = "expected letters, digits and _, not beginning with a digit"
 
 
 # arguments -------------------------------------------------------------------------------------
@@ -30,7 +30,7 @@ def number(low: float, high: float, unit: str) -> Callable[[str], float]:
         try:
             value = float(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"'{text}' is no number ({unit})") from None
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number ({unit})") from None
         if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"{text} is outside {low:g}..{high:g} {unit}")
         return value
@@ -41,7 +41,7 @@ def number(low: float, high: float, unit: str) -> Callable[[str], float]:
 def port_number(text: str) -> int:
     """An argparse type: a TCP port."""
     if not text.isdecimal() or not 1 <= int(text) <= 65535:
-        raise argparse.ArgumentTypeError(f"'{text}' is no port; choose one in 1..65535")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a port; choose one in 1..65535")
     return int(text)
 
 
@@ -50,7 +50,7 @@ def names(text: str) -> tuple[str, ...]:
     found = tuple(word.strip() for word in text.split(","))
     for name in found:
         if not (name.isidentifier() and name.isascii()) or found.count(name) > 1:
-            raise argparse.ArgumentTypeError(f"'{name}' in '{text}' is no name of its own ({WANTED})")
+            raise argparse.ArgumentTypeError(f"'{name}' in '{text}' is not a valid or unique name ({WANTED})")
     return found
 
 
@@ -58,7 +58,7 @@ def node_name(text: str) -> str:
     """An argparse type: a node's name, with its namespace if it has one."""
     for part in text.strip("/").split("/"):
         if not (part.isidentifier() and part.isascii()):
-            raise argparse.ArgumentTypeError(f"'{text}' is no name of a node ({WANTED})")
+            raise argparse.ArgumentTypeError(f"'{text}' is not a node name ({WANTED})")
     return text.strip("/")
 
 

@@ -37,8 +37,8 @@ def check_domain(environment: Mapping[str, str] = os.environ) -> None:
     given = environment.get(DOMAIN, "").strip()
     if given and not (given.isascii() and given.isdecimal() and int(given) <= LAST_DOMAIN):
         raise UserError(
-            f"{DOMAIN} is '{shown(given)}'; wanted: a number from 0 to {LAST_DOMAIN}, or best one up to"
-            f" {LAST_OWN_DOMAIN}, beyond which Linux gives ports to other programs"
+            f"{DOMAIN} is '{shown(given)}'; expected: a number from 0 to {LAST_DOMAIN}, preferably up to"
+            f" {LAST_OWN_DOMAIN}, above which Linux assigns the ports to other programs"
         )
 
 
@@ -73,14 +73,14 @@ def told_reach(environment: Mapping[str, str] = os.environ) -> str:
     """How far a program with this environment is heard, for a log."""
     reach = environment.get(REACH) or "SUBNET"  # that of ROS
     if is_local(environment):
-        return f"heard on this machine only; {REACH}=SUBNET lets others in"
+        return f"discoverable on this machine only; {REACH}=SUBNET extends that to the subnet"
     if environment.get(SERVER):
-        return f"heard by way of {SERVER}"
+        return f"discoverable through {SERVER}"
     places = {
         "LOCALHOST": "on this machine",
         "SUBNET": "in the whole subnet",
-        "OFF": "by nobody else",
-        "SYSTEM_DEFAULT": "as the middleware is set up",
+        "OFF": "by no other program",
+        "SYSTEM_DEFAULT": "as the middleware is configured",
     }
     peers = f" and by {PEERS}" if environment.get(PEERS) and reach in ("LOCALHOST", "SUBNET") else ""
-    return f"heard {places.get(reach, 'as it says')}{peers} ({REACH}: {reach})"
+    return f"discoverable {places.get(reach, 'as set')}{peers} ({REACH}: {reach})"

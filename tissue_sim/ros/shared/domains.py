@@ -34,4 +34,4 @@ def claim_domain() -> tuple[int, socket.socket]:
             claim.close()
             continue
         return domain, claim
-    raise UserError("every ROS domain from 1 to 101 is in use on this machine; name one with ROS_DOMAIN_ID")
+    raise UserError("every ROS domain from 1 to 101 is in use on this machine; choose one with ROS_DOMAIN_ID")

@@ -84,7 +84,7 @@ class Ending:
         if self._starting:
             _leave(0, "ended while starting")
         time.sleep(GRACE)
-        _leave(1, f"could not close in {GRACE:g} s")
+        _leave(1, f"could not shut down within {GRACE:g} s")
 
 
 def _is_compiling(frame: FrameType | None) -> bool:

@@ -9,7 +9,9 @@ try:
 except ImportError:  # rclpy before 7.1.4, an apt installation that was not upgraded since
     EventsExecutor = None  # type: ignore[assignment]
 
-OLD_RCLPY = "rclpy is older than 7.1.4 and has no EventsExecutor: poses take longer to answer; upgrade ros-jazzy-rclpy"
+OLD_RCLPY = (
+    "rclpy is older than 7.1.4 and has no EventsExecutor, so answering a pose takes longer; upgrade ros-jazzy-rclpy"
+)
 
 
 def make_executor() -> Executor:

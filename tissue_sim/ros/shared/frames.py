@@ -43,7 +43,7 @@ class Transform(NamedTuple):
         Raises ValueError when it isn't seven finite numbers with a quaternion that isn't zero.
         """
         if len(pose) != 7 or not all(map(math.isfinite, pose)):
-            raise ValueError("takes seven finite numbers: x, y, z (m) and a quaternion x, y, z, w")
+            raise ValueError("must be seven finite numbers: x, y, z (m) and a quaternion x, y, z, w")
         x, y, z = (float(value) for value in pose[:3])
         return cls((x, y, z), unit_quaternion(pose[3:]))
 
@@ -107,5 +107,5 @@ class Frames:
         if transform is not None:
             return transform
         if self._lookup is None:
-            raise UnknownFrame("tf2_ros, which could look up another one, isn't installed")
+            raise UnknownFrame("tf2_ros, which could look up other frames, isn't installed")
         return self._lookup(frame_id).scaled(self._scale)

@@ -56,61 +56,73 @@ def _check_gravity(value: Any) -> None:
 
 
 NODE_SPECS = (
-    Spec("organ_file", "", "organ file (.npz); empty for the kidney that ships"),
-    Spec("scene_file", "", "scene (.yaml) of several organs, instead of organ_file; empty: an organ alone"),
+    Spec("organ_file", "", "organ file (.npz); empty for the default kidney"),
+    Spec("scene_file", "", "scene file (.yaml) of several organs, instead of organ_file; empty for a single organ"),
     Spec("frame_id", "organ", "frame of the organ and of everything published"),
-    Spec("base_frame", "", "frame that organ_pose and each <tool>.base_pose are in; empty for the organ's"),
+    Spec("base_frame", "", "reference frame of organ_pose and of each <tool>.base_pose; empty for the organ's frame"),
     Spec(
         "organ_pose",
         list(IDENTITY),
-        "organ in base_frame, its registration: x, y, z (m), quaternion x, y, z, w",
+        "pose of the organ in base_frame, its registration: x, y, z (m), quaternion x, y, z, w",
         live=True,
         check=_check_pose,
     ),
-    Spec("broadcast_tf", True, "tell tf where organ, tools' frames and tips are; needs tf2_ros"),
-    Spec("rate", 1000.0, "ticks a second, Hz", 50.0, 4000.0, live=True),
+    Spec("broadcast_tf", True, "publish the frames of organ, tools and tips to tf; needs tf2_ros"),
+    Spec("rate", 1000.0, "ticks per second, Hz", 50.0, 4000.0, live=True),
     Spec(
         "realtime_priority",
         0,
-        "of the loop's thread, SCHED_FIFO, one less for those that take and answer poses; 0: as every thread",
+        "SCHED_FIFO priority of the loop's thread, and one less for the threads that receive and answer poses; 0: none",
         0,
         HIGHEST,
     ),
-    Spec("marker_rate", 60.0, "markers and surfaces a second, Hz", 1.0, 240.0, live=True),
-    Spec("marker_colour", "none", "what colours the markers", live=True, choices=MARKER_COLOURS),
-    Spec("contact_rate", 250.0, "contact sets found a second, Hz", 20.0, 1000.0, live=True),
-    Spec("model", "auto", "model variant; auto: cells where the organ has them, or else hybrid", choices=MODEL_NAMES),
-    Spec("integrator", "symplectic", "how nodes are stepped", choices=INTEGRATORS),
-    Spec("return_target", "rest", "where return springs pull to", choices=RETURN_TARGETS),
-    Spec("local_region", "off", "what moves under a small load", choices=LOCAL_REGIONS),
-    Spec("region_force", 0.3, "N above which the local region is skipped", 0.0, 100.0, True, setting="region_force"),
+    Spec("marker_rate", 60.0, "markers and surfaces published per second, Hz", 1.0, 240.0, live=True),
+    Spec("marker_colour", "none", "quantity that the markers' colours show", live=True, choices=MARKER_COLOURS),
+    Spec("contact_rate", 250.0, "contact sets found per second, Hz", 20.0, 1000.0, live=True),
+    Spec("model", "auto", "model variant; auto: cells if the organ has them, otherwise hybrid", choices=MODEL_NAMES),
+    Spec("integrator", "symplectic", "time integration of the nodes", choices=INTEGRATORS),
+    Spec("return_target", "rest", "target of the return springs", choices=RETURN_TARGETS),
+    Spec("local_region", "off", "part of the organ that moves under a small load", choices=LOCAL_REGIONS),
+    Spec("region_force", 0.3, "N, load above which the whole organ moves", 0.0, 100.0, True, setting="region_force"),
     Spec("friction", 0.6, "Coulomb coefficient between tools and tissue", 0.0, 5.0, True, setting="friction"),
-    Spec("force_clamp", 10.0, "N, largest force that is ever published", 0.0, 100.0, True, setting="force_clamp"),
+    Spec("force_clamp", 10.0, "N, largest published force", 0.0, 100.0, True, setting="force_clamp"),
     Spec("force_slew", 1000.0, "N/s, fastest change of a published force", 1.0, 1e6, True, setting="force_slew"),
     Spec(
         "coupling_stiffness",
         0.0,
-        "N/m between hand and tool, no more than each device_damping bears; 0: the tool is where the hand is",
+        "N/m between the device's pose and the tool, limited to what is passive with device_damping; 0: rigid",
         0.0,
         2e4,
         True,
         setting="coupling_stiffness",
     ),
-    Spec("coupling_damping", 1.0, "N s/m on a coupled tool", 0.1, 100.0, True, setting="coupling_damping"),
-    Spec("stale_time", 0.05, "s without input after which it is stale", 0.005, 5.0, True, setting="stale_time"),
-    Spec("ramp_time", 0.02, "s in which a stale force goes to zero", 0.001, 1.0, True, setting="ramp_time"),
+    Spec("coupling_damping", 1.0, "N s/m, damping of a coupled tool", 0.1, 100.0, True, setting="coupling_damping"),
+    Spec("stale_time", 0.05, "s after which a pose or force is stale", 0.005, 5.0, True, setting="stale_time"),
+    Spec("ramp_time", 0.02, "s in which a stale force decreases to zero", 0.001, 1.0, True, setting="ramp_time"),
     Spec("stiffness_scale", 1.0, "factor on the tissue's stiffness", 0.01, 100.0, True, setting="stiffness_scale"),
     Spec("damping_scale", 1.0, "factor on the tissue's damping", 0.0, 100.0, True, setting="damping_scale"),
-    Spec("gravity", [0.0, 0.0, 0.0], "m/s^2 in the organ's frame", live=True, check=_check_gravity),
-    Spec("shape_is_unloaded", False, "the organ file's shape is the one without gravity, not the one under it"),
+    Spec("gravity", [0.0, 0.0, 0.0], "gravity in the organ's frame, m/s^2", live=True, check=_check_gravity),
+    Spec("shape_is_unloaded", False, "the shape in the organ file is the one without gravity, not the one under it"),
     Spec("step_ticks", 1, "ticks that ~/step takes while the node is paused", 1, 100_000, live=True),
     Spec("record", False, "record a bag from the start"),
-    Spec("record_folder", "recordings", "folder in which bags are made; while the node runs, one below it", live=True),
-    Spec("record_markers", False, "put the markers into the bag too (9 to 14 MB a second)", live=True),
+    Spec("record_folder", "recordings", "folder for bags; while the node runs, only a folder below it", live=True),
+    Spec("record_markers", False, "record the markers, too (9 to 14 MB per second)", live=True),
     Spec(
-        "record_split_size", 0.0, "MB after which the next bag goes on in another file; 0: never", 0.0, 1e6, live=True
+        "record_split_size",
+        0.0,
+        "MB after which the next bag continues in another file; 0: never",
+        0.0,
+        1e6,
+        live=True,
     ),
-    Spec("record_split_duration", 0.0, "s after which it does; 0: never", 0.0, 86400.0, live=True),
+    Spec(
+        "record_split_duration",
+        0.0,
+        "s after which the next bag continues in another file; 0: never",
+        0.0,
+        86400.0,
+        live=True,
+    ),
 )
 
 TOOL_SPECS = (
@@ -119,35 +131,26 @@ TOOL_SPECS = (
     Spec("length", 0.05, "m, from a capsule's tip along -z; from a gripper's tips to its hinge", 0.0, 2.0),
     Spec("mesh", "", "mesh file of the tool, or of a gripper's jaw, in metres; closed where it is not convex"),
     Spec("smoothing", 1.0, "fraction of the time between two poses in which the tool moves to the newer one", 0.0, 1.0),
-    Spec("device_damping", 0.0, "N s/m of the haptic device, which bounds the coupling; 0: unknown", 0.0, 100.0, True),
-    Spec(
-        "passivity_damping",
-        0.0,
-        "N s/m, at most, that a passivity observer adds to the force; 0: none",
-        0.0,
-        100.0,
-        True,
-    ),
-    Spec("frame_id", "", "frame that its poses come in; empty for the organ's"),
-    Spec("allow_empty_frame", False, "take what comes without a frame_id as given in frame_id"),
-    Spec(
-        "allow_zero_stamp", False, "take what comes with a stamp of 0, which marks invalid data, as of when it arrived"
-    ),
+    Spec("device_damping", 0.0, "N s/m of the device, which limits the coupling; 0: unknown", 0.0, 100.0, True),
+    Spec("passivity_damping", 0.0, "N s/m, most that a passivity observer adds; 0: none", 0.0, 100.0, True),
+    Spec("frame_id", "", "frame of its poses; empty for the organ's frame"),
+    Spec("allow_empty_frame", False, "accept messages without a frame_id, as expressed in frame_id"),
+    Spec("allow_zero_stamp", False, "accept messages with a stamp of 0, which marks invalid data, as of their arrival"),
     Spec("measured_cp", "", "topic of its poses; empty for <tool>/measured_cp"),
     Spec("measured_js", "", "topic of a gripper's opening angle, rad; empty for <tool>/gripper/measured_js"),
-    Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty: none are taken"),
-    Spec("servo_cf", "", "topic of what the hand should feel; empty for <tool>/servo_cf"),
+    Spec("external_cf", "", "topic of external forces on the tissue at its tip; empty for none"),
+    Spec("servo_cf", "", "topic of the wrench for the device; empty for <tool>/servo_cf"),
     Spec("pose_type", "PoseStamped", "message type of measured_cp", choices=tuple(POSE_TYPES)),
     Spec("force_type", "WrenchStamped", "message type of external_cf", choices=tuple(FORCE_TYPES)),
     Spec("wrench_type", "WrenchStamped", "message type of servo_cf", choices=tuple(WRENCH_TYPES)),
     Spec("array_length", 3, "numbers in a Float64MultiArray: 3 forces, then up to 3 torques, then a zero", 3, 7),
-    Spec("base_pose", list(IDENTITY), "its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
-    Spec("motion_scale", 1.0, "m of the tool for one m of the hand; forces are not scaled", 0.01, 1.0),
-    Spec("wrench_frame", "base", "axes of servo_cf: those of its poses' frame, or its own", choices=WRENCH_FRAMES),
+    Spec("base_pose", list(IDENTITY), "pose of its frame_id in base_frame: x, y, z (m), quaternion", check=_check_pose),
+    Spec("motion_scale", 1.0, "displacement of the tool over that of the device; forces are not scaled", 0.01, 1.0),
+    Spec("wrench_frame", "base", "axes of servo_cf: the poses' frame or the tool's own", choices=WRENCH_FRAMES),
     Spec(
         "wrench_rotation",
         [0.0, 0.0, 0.0, 1.0],
-        "quaternion of the wrench's axes in wrench_frame, for a bridge that turns its poses",
+        "quaternion of the wrench's axes in wrench_frame, for a bridge that rotates its poses",
         check=unit_quaternion,
     ),
     Spec("reliable", False, "reliable instead of best effort for this tool's topics"),
@@ -220,7 +223,8 @@ def check_organ_pose(values: Values, pose: Sequence[float]) -> None:
     organ_id, base_id = _organ_and_base(values)
     if base_id == organ_id and not Transform.of_pose(pose).is_identity:
         raise UserError(
-            f"parameter 'organ_pose' is the pose of '{organ_id}' in base_frame, which names no other frame: name one"
+            f"parameter 'organ_pose' is the pose of '{organ_id}' in base_frame, which is that frame itself: set"
+            " base_frame to another one"
         )
 
 
@@ -234,15 +238,15 @@ def check_frames(values: Values, tools: Sequence[str]) -> None:
         if frame_id in (organ_id, base_id):
             if not pose.is_identity:
                 raise UserError(
-                    f"parameter '{tool}.base_pose' would move '{frame_id}', which has its place: let {tool}.frame_id"
-                    " name a frame of the tool's own"
+                    f"parameter '{tool}.base_pose' would move '{frame_id}', whose pose is already defined: set"
+                    f" {tool}.frame_id to a frame of the tool's own"
                 )
             continue
         first, other = placed.setdefault(frame_id, (tool, pose))
         if other != pose:
             raise UserError(
-                f"parameters '{first}.base_pose' and '{tool}.base_pose' place the frame '{frame_id}' differently: let"
-                f" {first}.frame_id and {tool}.frame_id name two frames"
+                f"parameters '{first}.base_pose' and '{tool}.base_pose' give the frame '{frame_id}' different"
+                f" poses: set {first}.frame_id and {tool}.frame_id to two frames"
             )
 
 
@@ -277,7 +281,7 @@ class Parameters:
         self.tools: list[str] = list(self["tools"])
         for tool in self.tools:
             if not tool.isidentifier() or self.tools.count(tool) > 1:
-                raise UserError(f"parameter 'tools': '{tool}' is no name of its own; use letters, digits and _")
+                raise UserError(f"parameter 'tools': '{tool}' is not a valid or unique name; use letters, digits and _")
             for spec in TOOL_SPECS:
                 self._declare(f"{tool}.{spec.name}", spec)
         check_frames(self, self.tools)
@@ -308,7 +312,7 @@ class Parameters:
 
     def tell_organs(self, names: Sequence[str]) -> None:
         """Say what a scene's organs are called; none for one alone. Nobody sets that."""
-        text = "names of a scene's organs, which their topics begin with; empty: an organ alone"
+        text = "names of a scene's organs, with which their topics begin; empty for a single organ"
         # Dynamic: rclpy takes an empty list for one of bytes.
         descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
         self._node.declare_parameter(TOLD, list(names), descriptor, ignore_override=True)
@@ -343,7 +347,7 @@ class Parameters:
             kind = type(spec.default).__name__
             if kind == "list":
                 kind = f"list like {spec.default}"
-            raise UserError(f"parameter '{name}' is of the wrong type; it takes a {kind}: {spec.text}") from None
+            raise UserError(f"parameter '{name}' has the wrong type; expected a {kind}: {spec.text}") from None
         except InvalidParameterValueException:
             value = given.value if given is not None else "its value"
             raise UserError(
@@ -361,12 +365,12 @@ class Parameters:
             if tool in self.tools and was in RENAMED:
                 now = f"{tool}.{RENAMED[was]}"
                 self._node.get_logger().warning(
-                    f"parameter '{name}' changes nothing: it is called '{now}' now, {self._specs[now].text}"
+                    f"parameter '{name}' has no effect: its name is now '{now}', {self._specs[now].text}"
                 )
                 continue
             nearest = difflib.get_close_matches(name, self._specs, 1)
             hint = f"did you mean '{nearest[0]}'?" if nearest else "'tissue_node --help' lists all"
-            self._node.get_logger().warning(f"parameter '{name}' is unknown and changes nothing; {hint}")
+            self._node.get_logger().warning(f"parameter '{name}' is unknown and has no effect; {hint}")
 
     def _as_meant(self, parameter: Parameter) -> Parameter:
         """A parameter whose choice YAML reads as its false, or whose decimals as whole numbers, as what was meant."""
@@ -392,9 +396,9 @@ class Parameters:
             return None
         if _plain(self._as_meant(parameter).value) == _plain(self[parameter.name]):
             return SetParametersResult(successful=True)
-        reason = f"'{parameter.name}' can't change while the node runs; start it again with the new value"
+        reason = f"'{parameter.name}' can't change while the node runs; restart the node with the new value"
         if parameter.name == TOLD:
-            reason = f"'{TOLD}' tells what the node serves, and can't be set"
+            reason = f"'{TOLD}' reports which organs the node serves, and can't be set"
         return SetParametersResult(successful=False, reason=reason)
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from tissue_sim.unexpected import place_of, told
 
 MOST_LINES = 8  # about one part's troubles, that are kept
-STARVED = "the physics loop hangs, or gets no time to run: no forces until it goes on"
+STARVED = "the physics loop hangs, or gets no processor time: no forces until it continues"
 
 
 @dataclass

@@ -45,7 +45,11 @@ class Guard:
         if self._token is not None:
             known = any(self._is_token(word) for word in (*self._in_address(request), *self._in_cookies(request)))
             return "" if known else "the address of this page ends with ?token=..., as 'tissue_sim view' prints it"
-        return "" if _is_loopback_name(host) else "this page is served at the names of this machine only, or by --token"
+        return (
+            ""
+            if _is_loopback_name(host)
+            else "this page is served under the names of this machine only, or with --token"
+        )
 
     def _is_token(self, word: str) -> bool:
         return secrets.compare_digest(word.encode(errors="replace"), (self._token or "").encode())
@@ -65,7 +69,7 @@ class Guard:
             try:
                 refused = self.refusal(request)
             except ValueError:  # of what is no address
-                refused = "this request makes no sense"
+                refused = "this request is invalid"
             if refused:
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refused}\n")
             response = answer(connection, request)
@@ -120,4 +124,4 @@ def guarding(guard: Guard) -> Iterator[None]:
     with patch.object(server, "serve", guarded_serve):
         yield
     if not made:
-        raise UserError("this version of viser can't be kept to those who may see it; install viser==1.1.1")
+        raise UserError("the access of this version of viser can't be restricted; install viser==1.1.1")

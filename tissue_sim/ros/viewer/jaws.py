@@ -41,7 +41,7 @@ class JawSlider:
         self.close()
         if link.tool.shape == "gripper":
             self._jaws = HeldJaws(self._node, link)
-            self._slider.hint = f"How far they are open. Moving it publishes {self._jaws.topic}"
+            self._slider.hint = f"Opening of the jaws. Moving the slider publishes {self._jaws.topic}"
         self._slider.visible = self._jaws is not None
 
     def update(self, now: float) -> None:

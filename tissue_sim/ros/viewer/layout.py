@@ -29,7 +29,7 @@ def fitted(
     """
     path = shipped_file(LAYOUTS[kind])
     if path is None:
-        raise UserError(f"{LAYOUTS[kind]} is not there; install tissue_sim anew")
+        raise UserError(f"{LAYOUTS[kind]} is missing; reinstall tissue_sim")
     text = path.read_text(encoding="utf-8").replace(f"/{NODE}/", f"/{node}/")
     surfaces = {organ: f"/{node}/{organ}/surface" for organ in organs}
     return (_rviz if kind == "rviz" else _foxglove)(text, frame_id, tools, f"/{node}/surface", surfaces)
@@ -42,7 +42,7 @@ def write(kind: str, node: str) -> int:
     values = told_by(node, "layout", WAIT)
     namespace = f"/{node}".rpartition("/")[0]
     if values is None:
-        sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are taken for its own\n")
+        sys.stderr.write(f"/{node} doesn't answer: frame {FRAME} and tools {', '.join(TOOLS)} are assumed\n")
         print(fitted(kind, node, tools={tool: namespace + topic for tool, topic in TOOLS.items()}), end="")
         return 0
     given = {tool: _told(values, tool, node) for tool in values["tools"]}

@@ -164,7 +164,7 @@ class Viewer:
         elif all(one.view is None for one in self.organs):
             self._panel.say(f"<b>Waiting for the mesh of /{self._target}.</b> Start tissue_node.", {})
         else:
-            self._panel.say(f"<b>/{self._target} is silent.</b> The picture shows where it stood.", {})
+            self._panel.say(f"<b>/{self._target} doesn't answer.</b> The picture shows its last state.", {})
 
     def _tell(self, text: str, good: bool) -> None:
         for watcher in self._server.get_clients().values():

@@ -118,10 +118,10 @@ class Panel:
         self._organs = gui.add_html("", visible=False)
         gui.add_html(legend_html())
         self.opacity: Any = gui.add_slider(
-            "Opacity", min=0.2, max=1.0, step=0.05, initial_value=TRANSLUCENT, hint="Of the tissue over what is within"
+            "Opacity", min=0.2, max=1.0, step=0.05, initial_value=TRANSLUCENT, hint="Of the tissue over its interior"
         )
-        self._reset = gui.add_button("Reset", hint="Back to the rest shape")
-        self._record = gui.add_button("Record", hint="Start or stop a bag")
+        self._reset = gui.add_button("Reset", hint="Return to the rest shape")
+        self._record = gui.add_button("Record", hint="Start or stop recording a bag")
         self._recording = False
         self._reset.disabled = self._record.disabled = True
         self._reset.on_click(lambda _: self.wishes.put(Wish.RESET))

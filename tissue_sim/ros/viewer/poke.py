@@ -75,7 +75,7 @@ class Poke:
         self._box.on_update(self._on_box)
 
     def _hint(self) -> str:
-        return f"Takes the tool in hand: drag it, or an arrow at it. Publishes {self._tool.topic}"
+        return f"Take control of the tool: drag it, or one of its arrows. Publishes {self._tool.topic}"
 
     def use(self, link: ToolLink | None) -> None:
         """Speak to the tool like this; None: as by default."""
@@ -110,8 +110,8 @@ class Poke:
             self._warning.visible = rivals + jaws > 0
             if rivals > 0:
                 self._warning.content = (
-                    f"**A bridge already moves `{self.name}`.** Stop it before you poke: the tool would jump"
-                    " between its hand and yours."
+                    f"**A bridge already moves `{self.name}`.** Stop it before you poke: otherwise the tool jumps"
+                    " between its poses and yours."
                 )
             elif jaws > 0:
                 self._warning.content = f"**A bridge already moves the jaws of `{self.name}`**, and closes them again."

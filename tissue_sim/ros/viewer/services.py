@@ -37,7 +37,7 @@ class Services:
             wish = wishes.get()
             client = self._reset if wish is Wish.RESET else self._record
             if not client.service_is_ready():
-                tell(f"{client.srv_name} is not there: {wish.value} was not asked for", False)
+                tell(f"service {client.srv_name} is not available: {wish.value} was not requested", False)
                 continue
             request = Trigger.Request() if wish is Wish.RESET else SetBool.Request(data=wish is Wish.RECORD)
             self._pending.append((client, client.call_async(request), wish, time.monotonic()))
@@ -50,7 +50,7 @@ class Services:
                 tell(future.result().message, future.result().success)
             elif time.monotonic() - asked > PATIENCE:
                 client.remove_pending_request(future)
-                tell(f"no answer to: {wish.value}", False)
+                tell(f"no answer to the request: {wish.value}", False)
             else:
                 waiting.append((client, future, wish, asked))
         self._pending = waiting

@@ -34,13 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout",
         choices=("rviz", "foxglove"),
-        help="print a layout for that viewer which fits the node, instead of serving a page",
+        help="print a layout of that viewer for the node, instead of serving a page",
     )
     parser.add_argument(
         "--patience",
         type=client.number(0.1, 3600.0, "s"),
         default=PATIENCE,
-        help="seconds after which a page that holds a tool and doesn't answer loses it (default %(default)s)",
+        help="seconds without an answer after which a page loses control of its tool (default %(default)s)",
     )
 
 
@@ -49,13 +49,13 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address that the page is served at; 0.0.0.0 lets other machines look, who need the token",
+        help="address at which the page is served; 0.0.0.0 serves it to other machines, which need the token",
     )
-    parser.add_argument("--port", type=client.port_number, default=8080, help="port that the page is served at")
+    parser.add_argument("--port", type=client.port_number, default=8080, help="port at which the page is served")
     parser.add_argument(
         "--token",
-        help=f"what the page's address must end with, so that it can be bookmarked (default: ${TOKEN_VARIABLE}; else"
-        " a new one at each start where --host reaches beyond this machine, and none where it doesn't)",
+        help=f"token at the end of the page's address, so that it can be bookmarked (default: ${TOKEN_VARIABLE};"
+        " otherwise a new one at each start if --host serves other machines, and none if it doesn't)",
     )
 
 
@@ -100,7 +100,9 @@ def check_port(host: str, port: int) -> None:
             probe.bind(address)
             probe.listen(1)
     except (socket.gaierror, UnicodeError):
-        raise UserError(f"'{host}' is no address; use --host 127.0.0.1, or 0.0.0.0 for all of this machine's") from None
+        raise UserError(
+            f"'{host}' is not an address; use --host 127.0.0.1, or 0.0.0.0 for all addresses of this machine"
+        ) from None
     except PermissionError:
         raise UserError(f"port {port} needs more rights; choose one above 1023 with --port") from None
     except OSError as error:

@@ -40,7 +40,7 @@ def prepare(case: Case, folder: Path) -> Input:
     what = way(rng, path)
     if rng.random() < 0.1 and (path / metadata.NAME).is_file():
         (path / metadata.NAME).unlink()
-        what = f"{what}; broken off"
+        what = f"{what}; interrupted"
     return Input(what, lambda: use(path))
 
 
@@ -226,10 +226,10 @@ def _disguised(rng: Rng, path: Path) -> str:
         return "folders in place of its files"
     if draw == 3:
         _put({f"bag_{k}.mcap": files[NAME] for k in range(3)}, path)
-        return "broken off, with its file thrice"
+        return "interrupted, with its file three times"
     cut = int(rng.integers(len(files[NAME])))
     _put({NAME: files[NAME][:cut]}, path)
-    return f"broken off after {cut} bytes"
+    return f"interrupted after {cut} bytes"
 
 
 # messages -----------------------------------------------------------------------------------------

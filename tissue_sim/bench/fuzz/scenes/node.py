@@ -88,8 +88,8 @@ class Served:
         elif memory > self._memory + MOST_GROWTH:
             raise Broken(f"{memory:.0f} MB after {self.cases} cases, {self._memory:.0f} MB after {WARM_CASES}")
         hostile = self.hostile
-        felt = f"{hostile.wrenches} wrenches, {hostile.felt:.3g} N at the most so far"
-        felt += f"; had no time to run {hostile.starved} times" if hostile.starved else ""
+        felt = f"{hostile.wrenches} wrenches, {hostile.felt:.3g} N at most so far"
+        felt += f"; got no processor time {hostile.starved} times" if hostile.starved else ""
         return f"{felt}; {memory:.0f} MB after {self.cases} cases; degraded: {report.get('degraded', 'unknown')}"
 
 

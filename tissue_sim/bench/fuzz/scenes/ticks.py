@@ -263,7 +263,7 @@ def look(scene: Scene, tick: int) -> None:
     """Everything is finite, and nobody feels more than the clamp. Raises Broken."""
     felt, settings = scene.wrenches, scene.simulation.settings
     if not (np.all(np.isfinite(felt)) and all(np.all(np.isfinite(one.positions)) for one in scene.simulations)):
-        raise Broken(f"what is not finite after tick {tick}")
+        raise Broken(f"a value that is not finite after tick {tick}")
     if (most := float(np.linalg.norm(felt[:, :3], axis=1).max())) > ROUNDING * settings.force_clamp:
         raise Broken(f"{most:.3g} N at tick {tick}, above the clamp of {settings.force_clamp:g} N")
     for one in scene.simulations:
@@ -283,7 +283,7 @@ def settle_down(scene: Scene, defaults: list[Settings]) -> None:
             look(scene, TICKS + tick)
         if tick >= SILENCE * scene.simulation.rate:
             if scene.wrenches.any():
-                raise Broken(f"a force is felt {tick} ticks after the last pose")
+                raise Broken(f"a force remains {tick} ticks after the last pose")
             if asleep:
                 return
     raise Broken(f"not asleep {MOST_AFTER} ticks after the last load, {1e3 * moved(scene):.3g} mm from rest")

@@ -1,4 +1,4 @@
-"""Makes the bags of the suite anew, all or those that are named, and sums them up; `make bags` runs it."""
+"""Record the bags of the suite again, all or the named ones, and summarise them; `make bags` runs it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,15 @@ def main(argv: list[str] | None = None) -> int:
     """Record scenes into a folder; returns the exit code."""
     names = [scene.name for scene in SCENES]
     parser = argparse.ArgumentParser(prog="python -m tissue_sim.ros.bags.suite", description=__doc__)
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"which of {', '.join(names)}; all unless given")
-    parser.add_argument("--folder", type=Path, default=Path("bags"), help="where they go (default: %(default)s)")
+    parser.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help=f"scenes to record, of {', '.join(names)} (default: all)"
+    )
+    parser.add_argument("--folder", type=Path, default=Path("bags"), help="folder of the bags (default: %(default)s)")
     parser.add_argument("--organ", type=Path, help="organ file to record with, instead of a small kidney")
     args = parser.parse_args(argv)
     for name in args.scenes:
         if name not in names:
-            parser.error(f"'{name}' is no scene; choose from {', '.join(names)}")
+            parser.error(f"'{name}' is not a scene; choose from {', '.join(names)}")
     try:
         _record_all(args.folder, args.scenes or names, args.organ)
     except (UserError, OSError) as error:

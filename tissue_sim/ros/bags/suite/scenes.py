@@ -203,20 +203,20 @@ def _sleep(organ: Organ, tools: Sequence[Tool]) -> Steps:
 
 _SHARED = tuple(f"point_{index}" for index in range(GLOBAL_POINTS))
 SCENES = (
-    Scene("stroke", "a tool drawn along the front", _scripted("stroke")),
+    Scene("stroke", "a tool moved along the front", _scripted("stroke")),
     Scene("poke", "a tool pressed in and held", _scripted("poke")),
     Scene(
         "nip",
-        "two tools nip, lift and release",
+        "two tools pinch, lift and release",
         _scripted("nip", every=3, faster=2),
         ("left", "right"),
         parameters={"marker_rate": "1.0"},
     ),
-    Scene("squeeze", "two large balls press all of the organ", _squeeze, ("left", "right"), radius=0.03),
-    Scene("local_force", "the paper's LF(100), by force alone", _pushed(LOCAL, 1), pushes=True),
+    Scene("squeeze", "two large spheres compress the whole organ", _squeeze, ("left", "right"), radius=0.03),
+    Scene("local_force", "the paper's LF(100), as a force without a tool", _pushed(LOCAL, 1), pushes=True),
     Scene(
         "global_force",
-        "the paper's GF(500) on ten points, by force alone",
+        "the paper's GF(500) on ten points, as a force without a tool",
         _pushed(GLOBAL, GLOBAL_POINTS),
         _SHARED,
         pushes=True,
@@ -228,7 +228,7 @@ SCENES = (
         shape="gripper",
         parameters={"friction": "1.0"},
     ),
-    Scene("fly_through", "a tool through all of the organ at 1.5 m/s", _fly),
+    Scene("fly_through", "a tool through the whole organ at 1.5 m/s", _fly),
     Scene("bad_input", "poses that are refused, and poses that stop coming", _bad_input),
     Scene("sleep", "touched, asleep, woken, asleep", _sleep),
 )
