@@ -100,9 +100,9 @@ def test_a_tool_that_is_disabled_lets_go_and_is_taken_up_again(client, node, pre
     enable = client.node.create_publisher(Bool, "/tissue_sim/left/enable", 10)
     assert client.spin_until(lambda: enable.get_subscription_count() > 0)
     assert client.set_parameter("stale_time", 0.05).successful
-    enable.publish(Bool(data=False))
 
     def has_let_go():
+        enable.publish(Bool(data=False))  # DDS matches both ends, not both at once: the first may be lost
         client.send_pose(pressed, quaternion=TURN.as_quat())
         client.spin(0.01)
         return client.hand_force() == 0.0 and client.diagnostics.get("left.state") == "disabled"
@@ -110,8 +110,13 @@ def test_a_tool_that_is_disabled_lets_go_and_is_taken_up_again(client, node, pre
     assert client.spin_until(has_let_go), client.diagnostics
     assert "tool 'left' is disabled: its poses are ignored (~/left/enable)" in node.text()
     poses = int(client.diagnostics["left.poses"])
-    enable.publish(Bool(data=True))
-    assert client.spin_until(lambda: ask(client, pressed) or int(client.diagnostics["left.poses"]) > poses)
+
+    def is_taken_up():
+        enable.publish(Bool(data=True))
+        ask(client, pressed)
+        return int(client.diagnostics["left.poses"]) > poses
+
+    assert client.spin_until(is_taken_up)
     assert client.diagnostics["left.state"] != "disabled"
 
 

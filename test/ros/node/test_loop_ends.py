@@ -4,7 +4,9 @@ import re
 
 from std_srvs.srv import Trigger
 
+from helpers.patience import LIMIT
 from helpers.ros.processes import press_until_felt, start_sabotaged
+from tissue_sim.ros.bags import recovery
 from tissue_sim.ros.bags.recording import Recording
 
 
@@ -16,9 +18,15 @@ def test_a_node_whose_loop_ends_zeroes_its_wrenches_closes_the_bag_and_says_wher
         client.spin(0.005)
 
     where = press_until_felt(client, move)
-    client.spin_until(lambda: bool(client.send_pose(where)), 0.5)  # the bag has its state
+    (bag,) = (tmp_path / "bags").iterdir()
+
+    def has_state():
+        move(where)
+        return any(one.topic.endswith("/state") for one, *_ in recovery.messages(bag))
+
+    assert client.spin_until(has_state)
     sabotage_loop = client.node.create_client(Trigger, "/tissue_sim/end_loop")
-    assert sabotage_loop.wait_for_service(10.0)
+    assert sabotage_loop.wait_for_service(LIMIT)
     sabotage_loop.call_async(Trigger.Request())
     assert client.spin_until(lambda: client.hand_force() == 0.0)
     assert process.wait() == 1
@@ -30,5 +38,4 @@ def test_a_node_whose_loop_ends_zeroes_its_wrenches_closes_the_bag_and_says_wher
     assert re.search(r"internal: the physics loop ended: ZeroDivisionError: .* \(tissue_sim/\S+:\d+\)", ends[0])
     assert "Traceback" not in text
     assert "bag closed" in text
-    (bag,) = (tmp_path / "bags").iterdir()
     assert len(Recording.read(bag).wrenches[0]) > 0
