@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -91,11 +92,13 @@ def test_normals_turn_with_the_surface():
     np.testing.assert_allclose(simulation.surface_normals, turn.apply(simulation.organ.surface_normals), atol=1e-6)
 
 
-def test_organs_of_a_scene_have_names_and_places():
-    scene = load_scene(ROOT / "config" / "scenes" / "abdomen.yaml", [Tool("left")])
-    assert scene.names == ["liver", "kidney_left", "kidney_right", "spleen"]
-    spleen = scene.simulations[3].organ
-    np.testing.assert_array_equal(scene.surface_positions("spleen"), spleen.surface_positions)
+def test_organs_of_a_scene_have_names_and_places(tmp_path):
+    ball(1).save(tmp_path / "ball.npz")
+    organs = ["{name: liver, file: ball.npz}", "{name: spleen, file: ball.npz, position: [0.1, 0.0, 0.0]}"]
+    (tmp_path / "two.yaml").write_text(f"format: 1\norgans: [{', '.join(organs)}]\n")
+    scene = load_scene(tmp_path / "two.yaml", [Tool("left")])
+    assert scene.names == ["liver", "spleen"]
+    np.testing.assert_allclose(scene.surface_positions("spleen"), ball(1).surface_positions + [0.1, 0.0, 0.0])
     np.testing.assert_array_equal(scene.surface_positions("spleen"), scene.surface_positions(-1))
     with pytest.raises(UserError, match=r"^no organ 'splen'; did you mean 'spleen'\?$"):
         scene.surface_normals("splen")
@@ -213,23 +216,38 @@ def egg() -> trimesh.Trimesh:
 
 @pytest.fixture(scope="module")
 def built():
-    """The egg with its own points, from arrays."""
+    """The egg with its own points, from arrays that are inside out; and what was warned of."""
     mesh = egg()
-    return build((mesh.vertices, mesh.faces), name="egg", keep_points=True, atoms=8, fixed=np.arange(10))
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always", UserWarning)
+        organ = build((mesh.vertices, mesh.faces[:, ::-1]), name="egg", keep_points=True, atoms=8, fixed=np.arange(10))
+    return organ, [str(one.message) for one in heard]
 
 
-def test_a_surface_is_built_from_arrays_a_mesh_or_a_file_alike(built, tmp_path):
-    assert built.name == "egg"
-    np.testing.assert_allclose(built.surface_positions, egg().vertices)
-    assert built.fixed.tolist() == list(range(10))
-    assert built.provenance["fixed"] == "10 nodes"
-    options = {"name": "egg", "keep_points": True, "atoms": 8, "fixed": np.arange(10)}
-    assert build(egg(), **options).digest() == built.digest()
-    in_mm = egg().apply_scale(1e3)
-    in_mm.export(tmp_path / "egg.off", digits=17)
-    from_file = build(tmp_path / "egg.off", unit="mm", **options)
-    np.testing.assert_allclose(from_file.surface_positions, built.surface_positions, atol=1e-9)
-    assert from_file.provenance["source"] == "egg.off"
+def test_a_surface_is_built_from_arrays_and_repairs_are_warned_of(built):
+    organ, heard = built
+    np.testing.assert_allclose(organ.surface_positions, egg().vertices)
+    assert organ.volume > 0.0
+    assert any("turned inward triangles outward" in line for line in heard)
+    assert organ.name == "egg"
+    assert organ.fixed.tolist() == list(range(10))
+    assert organ.provenance["fixed"] == "10 nodes"
+
+
+def test_arrays_a_mesh_and_a_file_are_the_same_surface(tmp_path, monkeypatch):
+    handed = []
+    monkeypatch.setattr("tissue_sim.organ.build.organ_from_mesh", lambda *given, **_: handed.append(given))
+    egg().apply_scale(1e3).export(tmp_path / "egg.off", digits=17)
+    build(tmp_path / "egg.off", unit="mm", points=300)
+    build(egg(), points=300)
+    build([egg().vertices, egg().faces], points=300)
+    for mesh, request, keep_points in handed:
+        np.testing.assert_allclose(mesh.positions, egg().vertices, atol=1e-9)
+        np.testing.assert_array_equal(mesh.triangles, egg().faces)
+        assert request.points == 300
+        assert not keep_points
+    assert [request.name for _, request, _ in handed] == ["egg", "organ", "organ"]
+    assert [request.provenance["source"] for _, request, _ in handed] == ["egg.off", "arrays", "arrays"]
 
 
 def test_a_mask_is_built_from_voxels():
@@ -246,12 +264,6 @@ def test_a_mask_is_built_from_voxels():
         build(labels, spacing=steps)
     with pytest.raises(UserError, match="voxels need a spacing"):
         build(labels, label=3)
-
-
-def test_what_was_repaired_is_warned_of(recwarn):
-    inside_out = egg()
-    build((inside_out.vertices, inside_out.faces[:, ::-1]), keep_points=True, atoms=8)
-    assert "turned inward triangles outward" in str(recwarn.pop(UserWarning).message)
 
 
 @pytest.mark.parametrize(
@@ -303,7 +315,8 @@ def test_what_calibrate_refuses_it_says_in_one_line(organ, options, message):
 @pytest.mark.extended
 def test_a_calibrated_organ_has_cells_and_its_figures(built):
     pytest.importorskip("netgen")
-    organ = calibrate(built, aim="fast", cases=60, evaluations=5, smooth=3, sharp=1)
+    before, _ = built
+    organ = calibrate(before, aim="fast", cases=60, evaluations=5, smooth=3, sharp=1)
     assert len(organ.cell_nodes)
-    assert not len(built.cell_nodes)
+    assert not len(before.cell_nodes)
     assert organ.provenance["calibration"]["held_out"]["smooth"]["cases"] == 3

@@ -48,6 +48,7 @@ def test_examples_use_public_names_alone():
         assert not re.findall(r"\._[a-z]", text), script.name
 
 
+@pytest.mark.extended  # the tutorial presses, too
 def test_a_press_pushes_the_hand_out(tmp_path):
     force = float(re.match(r"([\d.]+) N at 10 mm", run("press", tmp_path))[1])
     assert 0.4 < force < 1.2
