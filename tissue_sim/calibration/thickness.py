@@ -1,4 +1,4 @@
-"""Whether an organ's surface is fine enough for how thin the organ is."""
+"""Check whether an organ's surface is fine enough for the thickness of the organ."""
 
 from __future__ import annotations
 
@@ -9,14 +9,25 @@ import numpy as np
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
-THIN = 0.1  # the share of the medial atoms that may lie in thinner tissue
-# Mean edges of the surface over the medial radius there. Organs that calibrate well have up to 0.78; a colon of 1.2,
-# held out, was off by 4 % in the mean and 26 % at worst. A finer surface is asked for so that some room is left.
+THIN = 0.1  # fraction of the medial atoms that may lie in thinner tissue
+# Mean edges of the surface over the medial radius there. Organs that calibrate well have up to 0.78; a colon of 1.2
+# had held-out errors of 4 % on average and 26 % at worst. A finer surface is required so that some margin is left.
 MOST, ROOM = 1.0, 0.8
 
 
 def check_thickness(organ: Organ) -> None:
-    """Raise UserError, with the points that are needed, for an organ that is too thin for the triangles around it."""
+    """Raise UserError for an organ that is too thin for the triangles around it.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        Where it is too thin; the message gives the number of points that is needed.
+    """
     corner = organ.surface_positions[organ.surface_triangles]
     edge = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).mean())
     radius = float(np.quantile(organ.atom_radius, THIN)) if organ.n_atoms else math.inf

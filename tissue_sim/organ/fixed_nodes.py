@@ -1,4 +1,4 @@
-"""Which surface nodes of an organ are held, from a choice in words."""
+"""Selection of the surface nodes of an organ that are held."""
 
 from __future__ import annotations
 
@@ -14,9 +14,24 @@ _FIXED = re.compile(r"([xyz])\s*([<>])\s*([0-9]*\.?[0-9]+)")
 
 
 def select_fixed(choice: str, positions: Floats) -> Ints:
-    """Indices of the surface nodes that `choice` names: `none`, `z<0.1` or a .npy file of indices.
+    """Return the indices of the surface nodes that a choice names.
 
-    `z<0.1` is the lowest tenth of the extent along z; axes x, y, z, < or >. Raises UserError otherwise.
+    Parameters
+    ----------
+    choice : str
+        `none`, a .npy file of indices, or a part of the extent along an axis: `z<0.1` is the lowest tenth along z.
+    positions : Floats, shape (n, 3), m
+        Surface nodes.
+
+    Returns
+    -------
+    Ints, shape (k,)
+        Indices of the held nodes, ascending.
+
+    Raises
+    ------
+    UserError
+        Where the choice isn't understood, or its file doesn't hold indices of the nodes.
     """
     text = choice.strip()
     if text.lower() == "none":

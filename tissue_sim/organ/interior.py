@@ -1,8 +1,8 @@
 """Interior atoms: further nodes spread through the volume along the spokes.
 
-The centreline alone says little about the tissue between it and the boundary. The spokes of the M-rep reach
-all of it, so further atoms take their places there: each lies on the spoke from a medial atom to a boundary
-point, at a share of its length.
+The centreline alone says little about the tissue between it and the boundary. The spokes of the M-rep reach all of it,
+so further atoms are placed on them: each lies on the spoke from a medial atom to a boundary point, at a fraction of its
+length.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tissue_sim.organ.medial import nearest_atoms
 from tissue_sim.organ.surfaces.intersections import is_crossed
 from tissue_sim.organ.winding import inside
 
-_SHARES = np.linspace(0.1, 0.9, 17)  # of a spoke's length, from the medial atom
+_SHARES = np.linspace(0.1, 0.9, 17)  # fractions of a spoke's length, from the medial atom
 _WALL = 2.0  # atoms keep half as far from the boundary as from each other
 _LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, half of how thick it is, what is deeper
 
@@ -27,8 +27,14 @@ _LAYER, _THICK, _DEEP = 0.9, 0.2, 1.6  # mean edges: how deep the layer lies, ha
 class InteriorAtoms:
     """Interior atoms on spokes.
 
-    positions (m, 3) m; spoke (m, 2): medial atom and boundary point that each one's spoke joins;
-    share (m,): of the spoke's length, from the medial atom.
+    Attributes
+    ----------
+    positions : Floats, shape (m, 3), m
+        The atoms.
+    spoke : Ints, shape (m, 2)
+        Medial atom and boundary point that each atom's spoke joins.
+    share : Floats, shape (m,)
+        Fraction of the spoke's length, from the medial atom.
     """
 
     positions: Floats
@@ -45,13 +51,38 @@ def check_interior(count: int) -> None:
 def place_interior_atoms(
     surface: Floats, triangles: Ints, atoms: Floats, count: int, layer: float = 0.0
 ) -> InteriorAtoms:
-    """`count` interior atoms on the spokes of boundary points (n, 3) m and medial atoms (a, 3) m.
+    """Place interior atoms on the spokes between boundary points and medial atoms.
 
-    One after another each takes the place on a spoke that is farthest from all atoms so far and from the
-    boundary, whose distance counts double (farthest point sampling, Gonzalez 1985). Places whose
-    spoke leaves the organ on the way don't count. layer: the share of them that is spread a mean edge under the
-    boundary, where cells change most; the others lie deeper then.
-    Raises UserError for a negative count or more atoms than there are places.
+    One after another each takes the place on a spoke that is farthest from all atoms so far and from the boundary,
+    whose distance counts double (farthest point sampling). Places whose spoke leaves the organ on the way don't count.
+
+    Parameters
+    ----------
+    surface : Floats, shape (n, 3), m
+        Boundary points.
+    triangles : Ints, shape (t, 3)
+        Corner indices, counter-clockwise seen from outside.
+    atoms : Floats, shape (a, 3), m
+        Medial atoms.
+    count : int
+        Number of interior atoms.
+    layer : float, optional
+        Fraction of them that is spread one mean edge under the boundary, where cells change most; the others then lie
+        deeper.
+
+    Returns
+    -------
+    InteriorAtoms
+        The atoms.
+
+    Raises
+    ------
+    UserError
+        For a negative count, or more atoms than there are places.
+
+    References
+    ----------
+    Gonzalez 1985: Clustering to minimize the maximum intercluster distance.
     """
     check_interior(count)
     owner = nearest_atoms(surface, atoms, 1)[0][:, 0]
@@ -63,7 +94,7 @@ def place_interior_atoms(
     chosen: list[int] = []
 
     def choose(until: int, room: Floats) -> None:
-        """Take the places with the most room, until there are so many; room (p,) m is spent."""
+        """Take the places with the most room, until there are so many; room (p,) m is updated."""
         while len(chosen) < until:
             best = int(room.argmax())
             if room[best] <= 0.0:

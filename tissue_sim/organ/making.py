@@ -1,4 +1,4 @@
-"""From a CT, a mask or a mesh to an organ: the stages in their order."""
+"""Making of an organ from a CT, a mask or a mesh: the stages in their order."""
 
 from __future__ import annotations
 
@@ -25,19 +25,28 @@ if TYPE_CHECKING:
 
 MOST_ATOMS = 48
 SPARSE = 0.4  # of the surface's mean edge; cells between atoms that are closer are slivers
-_NOTED, _WRONG = 0.05, 0.4  # of the volume that was read: how far the one that is built may be off
+_NOTED, _WRONG = 0.05, 0.4  # relative error of the built volume
 _LARGEST_IMAGE = 3.0  # m, longest side: a whole body
 _PACKAGES = ("numpy", "scipy", "numba", "SimpleITK", "scikit-image", "trimesh")
 
 
 @dataclass(frozen=True)
 class Request:
-    """What an organ is made with, whatever it is made from.
+    """Parameters an organ is made with, whatever it is made from.
 
-    atoms: medial atoms, None for MOST_ATOMS, or fewer where those would lie closer than SPARSE of a surface edge, as in
-    a body without a long axis. branches: `auto` or `none`, as skeleton.extract has it. organ: whose bounds a
-    segmentation must keep, None for any organ's; accept: pass it on when it doesn't keep them, or when the organ has
-    another volume than what it is made from. interior_atoms: further atoms along the spokes.
+    Attributes
+    ----------
+    atoms : int | None
+        Number of medial atoms; None for MOST_ATOMS, or for fewer where those would lie closer than SPARSE of a surface
+        edge, as in a body without a long axis.
+    branches : str
+        `auto` or `none`, as in skeleton.extract.
+    interior_atoms : int
+        Number of further atoms along the spokes.
+    organ : str | None
+        Organ whose bounds a segmentation must keep; None for the bounds of any organ.
+    accept : bool
+        Pass on a segmentation outside the bounds, and an organ whose volume differs from its source's.
     """
 
     name: str
@@ -62,9 +71,30 @@ def organ_from_image(
     parameters: SegmentationParameters | None = None,
     progress: Progress | None = None,
 ) -> Organ:
-    """Segment the organ around `seed`, (3,) mm LPS, and build it.
+    """Segment the organ around a seed point and build it.
 
-    Raises UserError as the stages do.
+    Parameters
+    ----------
+    ct : Volume
+        The image.
+    seed : Floats, shape (3,), mm
+        Point in the organ, in LPS.
+    request : Request
+        What the organ is to be made with.
+    parameters : SegmentationParameters | None, optional
+        Parameters of the segmentation; None for the usual ones.
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        As the stages do.
     """
     from tissue_sim.organ.segmenting.segmentation import segment
 
@@ -102,10 +132,27 @@ def organ_from_image(
 
 
 def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = None) -> Organ:
-    """Build an organ from a bool mask: wall, balloon, skeleton, springs.
+    """Build an organ from a mask: wall, balloon, skeleton, springs.
 
-    Raises UserError as the stages do, for a mask that is no organ in size, and where the organ's volume is more than
-    two fifths off the mask's.
+    Parameters
+    ----------
+    mask : Volume
+        The voxels of the organ.
+    request : Request
+        What the organ is to be made with.
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        As the stages do, for a mask whose size is not an organ's, and where the organ's volume differs by more than two
+        fifths from the mask's.
     """
     _check_mask_size(mask)
     volume = float(np.count_nonzero(mask.array)) * mask.voxel_volume
@@ -113,7 +160,7 @@ def organ_from_mask(mask: Volume, request: Request, progress: Progress | None = 
 
 
 def _inflated(mask: Volume, request: Request, progress: Progress, volume: float) -> Organ:
-    """An organ from a mask; volume, mL, of what was read."""
+    """Return an organ from a mask; volume: mL of what was read."""
     from tissue_sim.organ.surfaces.balloon import inflate
     from tissue_sim.organ.surfaces.surface import wall_of_surface
 
@@ -154,9 +201,28 @@ def organ_from_mesh(
     keep_points: bool = False,
     progress: Progress | None = None,
 ) -> Organ:
-    """Build an organ from a closed surface; `keep_points` keeps its points and their order.
+    """Build an organ from a closed surface.
 
-    Raises UserError as the stages do.
+    Parameters
+    ----------
+    surface : SurfaceMesh
+        The surface.
+    request : Request
+        What the organ is to be made with.
+    keep_points : bool, optional
+        Whether the surface's points and their order are kept.
+    progress : Progress | None, optional
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    Organ
+        The organ.
+
+    Raises
+    ------
+    UserError
+        As the stages do.
     """
     from tissue_sim.organ.meshes.mesh_input import voxelize
     from tissue_sim.organ.organ import signed_volume
@@ -180,10 +246,10 @@ def organ_from_mesh(
 
 
 def _check_mask_size(mask: Volume) -> None:
-    """Refuse a mask that is no organ in size: its header has a wrong spacing."""
+    """Refuse a mask whose size is not an organ's: its header has a wrong spacing."""
     held = [np.flatnonzero(mask.array.any(axis=tuple({0, 1, 2} - {axis}))) for axis in (2, 1, 0)]
     if not all(len(index) for index in held):
-        return  # an empty one is told of by the wall
+        return  # the wall reports an empty mask
     size = 1e-3 * max(float(n[-1] - n[0] + 1) * step for n, step in zip(held, mask.spacing, strict=True))
     if not is_organ(size):
         raise UserError(
@@ -206,7 +272,7 @@ def _voxels(image: Volume) -> str:
 
 
 def _compared(volume: float, positions: Floats, triangles: Ints, request: Request, progress: Progress) -> Request:
-    """The request with both volumes in its provenance, which are told: mL of what was read, and of the surface.
+    """Return the request with the volumes read and built, mL, in its provenance, and report both.
 
     Raises UserError where they differ by more than two fifths, and that isn't accepted.
     """
@@ -287,7 +353,7 @@ def _assemble(wall: Wall, positions: Floats, triangles: Ints, request: Request, 
 
 
 def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: Progress) -> None:
-    """Tell where an inclusion lies within the organ's surface. Raises UserError when it doesn't."""
+    """Report where an inclusion lies within the organ's surface; raises UserError where it is outside."""
     from tissue_sim.organ.organ import signed_volume
     from tissue_sim.organ.surfaces.surface_distance import distance_to_surface
 
@@ -303,7 +369,7 @@ def _place(inclusion: Inclusion, positions: Floats, triangles: Ints, progress: P
 
 
 def wall_distance(wall: Wall, positions: Floats, triangles: Ints) -> float:
-    """Mean distance, mm, of the triangles from the wall: at corners, middles of edges and centres, by area."""
+    """Return the mean distance, mm, of the triangles from the wall: at corners, edge centres and centroids, by area."""
     corner = positions[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     weights = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=float)
