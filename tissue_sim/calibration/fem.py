@@ -113,7 +113,7 @@ class Body:
         return answer
 
     def settle(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Settled:
-        """Return the equilibrium of the neo-Hookean body under dead surface forces (n_surface, 3) N; see Solid.settle."""
+        """Return the equilibrium of the neo-Hookean body under dead surface forces (n_surface, 3) N."""
         return next(self.settle_many([force], acceleration))
 
     def settle_many(self, forces: Iterable[ArrayLike], acceleration: ArrayLike | None = None) -> Iterator[Settled]:

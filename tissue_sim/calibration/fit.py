@@ -77,7 +77,7 @@ class Misfit:
         return Evaluation(float(square.mean()), slope, np.sqrt(np.maximum(square, 0.0)))
 
     def curvature(self, stiffness: Floats) -> Floats:
-        """Return about the loss's curvature by each stiffness' logarithm, (p,): the diagonal of the Gauss-Newton matrix.
+        """Return the approximate curvature of the loss by each stiffness' logarithm, (p,), of the Gauss-Newton matrix.
 
         An entry is the sum of the squares of the slopes of all displacements; the square of the slope of their sum,
         each with a random sign, has the same mean (Bekas, Kokiopoulou & Saad 2007).

@@ -175,7 +175,7 @@ class Solid:
         return dissect(self.elements, self.nodes[self.elements[:, :4]].mean(axis=1), self.held)
 
     def factor(self, displacement: Floats, shift: float = 0.0) -> Cholesky:
-        """Return the Cholesky factor of the stiffness about a displaced state (n, 3) m, plus `shift` 1/s^2 times the mass.
+        """Return the Cholesky factor of the stiffness about a displaced state (n, 3) m, plus `shift` 1/s^2 times mass.
 
         Ties are included. Raises NotPositive.
         """

@@ -1,4 +1,4 @@
-"""`tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
+"""Command `tissue_sim build`: from a CT, a segmentation or a mesh to an organ file."""
 
 from __future__ import annotations
 
@@ -30,14 +30,20 @@ if TYPE_CHECKING:
     from tissue_sim.organ.organ import Organ
 
 
-# What stages take of a usual build, beside each other: only the bar's pace depends on it.
+# Relative durations of the stages of a usual build; only the pace of the progress bar depends on them.
 _SHARE = {"read": 8, "segment": 40, "wall": 6, "balloon": 38, "skeleton": 6, "springs": 2, "report": 25}
 _UNITS = ("mm", "cm", "m", "um", "in")
 _EXTRA = "install the extra: pip install 'tissue_sim[image]'"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `tissue_sim build`."""
+    """Add the arguments of `tissue_sim build`.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     parser.add_argument("image", nargs="?", metavar="IMAGE", help="CT: a NIfTI, NRRD or MHA file, or a DICOM folder")
     source = parser.add_argument_group("what the organ is made from (IMAGE with a seed, or one of --mask, --surface)")
     source.add_argument(
@@ -123,7 +129,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the organ that the arguments describe, print what was done, return 0. Raises UserError."""
+    """Build the organ that the arguments describe, print what was done, and return 0.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed arguments.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    Raises
+    ------
+    UserError
+        As the stages do, and for wrong use.
+    """
     try:
         return _run(args)
     except ModuleNotFoundError as error:
@@ -183,7 +205,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _add_stages(parser: argparse.ArgumentParser) -> None:
-    """An option for every field of SegmentationParameters, with its help and unit."""
+    """Add an option for every field of SegmentationParameters, with its help and unit."""
     group = parser.add_argument_group("segmentation from a seed")
     group.add_argument(
         "--organ",
@@ -218,7 +240,7 @@ def _parameters(args: argparse.Namespace) -> SegmentationParameters:
 
 
 def _check_counts(args: argparse.Namespace) -> None:
-    """Refuse at once what would be refused after the segmentation."""
+    """Refuse at once what would otherwise be refused after the segmentation."""
     from tissue_sim.organ.interior import check_interior
     from tissue_sim.organ.skeletons.skeleton import check_atoms
     from tissue_sim.organ.surfaces.balloon import check_points
@@ -242,7 +264,7 @@ def _check_counts(args: argparse.Namespace) -> None:
 
 
 def _source(args: argparse.Namespace) -> str:
-    """The one input that was named; refuses none, several, and options that don't belong to it."""
+    """Return the one input that was named; refuse none, several, and options that don't belong to it."""
     inputs = (("IMAGE", args.image), ("--mask", args.mask), ("--surface", args.surface))
     given = [(what, path) for what, path in inputs if path]
     if not given:
@@ -278,7 +300,7 @@ def _source(args: argparse.Namespace) -> str:
 
 
 def report_path(args: argparse.Namespace, out: Path) -> Path | None:
-    """Where the report goes: None without --report, beside `out` without a name.
+    """Return the path of the report: None without --report, beside `out` without a name.
 
     Raises UserError for what couldn't be written after the build.
     """
@@ -302,7 +324,7 @@ def _stem(path: Path) -> str:
 
 
 def _stages_of(args: argparse.Namespace) -> list[str]:
-    """The stages that this input goes through."""
+    """Return the stages that this input goes through."""
     left_out = {"segment"} if not args.image else set()
     left_out |= {"balloon"} if args.keep_points else set()
     stages = [stage for stage in STAGES if stage not in left_out]
@@ -341,20 +363,20 @@ def _build(args: argparse.Namespace, request: Request, progress: Progress) -> Or
 
 @contextmanager
 def _under_way(stages: list[str]) -> Iterator[Progress]:
-    """What the stages tell: lines on the standard output, and how far they are as shares of one task."""
+    """Yield the receiver of what the stages report: lines on the standard output, and progress as parts of one task."""
     start = dict(zip(stages, itertools.accumulate((_SHARE[stage] for stage in stages), initial=0.0), strict=False))
     with task(stages[0], sum(_SHARE[stage] for stage in stages), "%") as whole:
 
         def watch(stage: str, done: float) -> None:
             if stage in start:
                 whole.name = stage
-                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never back
+                whole.reach(max(whole.done, start[stage] + done * _SHARE[stage]))  # never backwards
 
         yield Progress(partial(print, flush=True), watch)
 
 
 def digest_of(source: Path) -> str:
-    """SHA-256 (hex) of a file, or of the names and contents of a folder's files in order; empty if there is none."""
+    """Return the SHA-256 (hex) of a file, or of a folder's file names and contents in order; empty if there is none."""
     if source.is_file():
         with source.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -367,7 +389,7 @@ def digest_of(source: Path) -> str:
 
 
 def parse_triple(option: str, text: str) -> Floats:
-    """Three finite numbers, (3,), of a text like `1.5,-20,300`. Raises UserError naming the option."""
+    """Return three finite numbers, (3,), of a text such as `1.5,-20,300`. Raises UserError naming the option."""
     try:
         values = np.array([float(part) for part in text.replace(" ", "").split(",")])
     except ValueError:

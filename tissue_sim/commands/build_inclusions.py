@@ -1,4 +1,4 @@
-"""The option --inclusion of `tissue_sim build`: what it says, and the surfaces around the labels that it names."""
+"""Option --inclusion of `tissue_sim build`: its syntax, and the surfaces around the labels that it names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,25 @@ if TYPE_CHECKING:
 
 
 def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str, float]:
-    """How many times as stiff each label is. Raises UserError for what isn't N:TIMES, or a label that comes twice."""
+    """Return the stiffness factor of each label.
+
+    Parameters
+    ----------
+    given : Sequence[str]
+        Values of the option, N:TIMES each.
+    label : str | None, optional
+        Label of the organ itself.
+
+    Returns
+    -------
+    dict[str, float]
+        Factors by label.
+
+    Raises
+    ------
+    UserError
+        Where a value isn't N:TIMES, or a label occurs twice.
+    """
     found: dict[str, float] = {}
     for text in given:
         part, _, times = text.rpartition(":")
@@ -33,7 +51,22 @@ def parse_inclusions(given: Sequence[str], label: str | None = None) -> dict[str
 
 
 def surrounded(parts: Sequence[Volume], wanted: Mapping[str, float], progress: Progress) -> tuple[Inclusion, ...]:
-    """Inclusions around what each label covers, in the order of their masks."""
+    """Return inclusions around what each label covers, in the order of their masks.
+
+    Parameters
+    ----------
+    parts : Sequence[Volume]
+        Masks of the labels.
+    wanted : Mapping[str, float]
+        Stiffness factors by label, in the same order.
+    progress : Progress
+        Receives the lines, the progress and the results of the stages.
+
+    Returns
+    -------
+    tuple[Inclusion, ...]
+        The inclusions.
+    """
     from tissue_sim.organ.surfaces.inclusion_surface import surround
 
     found: list[Inclusion] = []

@@ -1,4 +1,4 @@
-"""`tissue_sim export`: an organ's surface, its skeleton and its cells for other programs."""
+"""Command `tissue_sim export`: an organ's surface, its skeleton and its cells for other programs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tissue_sim.organ.reporting.exchange import CELLS, LINES, SURFACES, UNITS, W
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("organ", metavar="ORGAN", help="organ file (.npz)")
     parser.add_argument("out", metavar="OUT", help=f"surface to write, by its ending: {', '.join(SURFACES)}")
     parser.add_argument("--skeleton", metavar="FILE", help=f"write the medial atoms too, as lines: {', '.join(LINES)}")
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the surface, and skeleton and cells where asked; returns 0. Raises UserError."""
+    """Write the surface, and skeleton and cells on request; return 0. Raises UserError."""
     surface = _writer(args.out, SURFACES, "surface")
     lines = _writer(args.skeleton, LINES, "skeleton") if args.skeleton else None
     cells = _writer(args.cells, CELLS, "cells") if args.cells else None

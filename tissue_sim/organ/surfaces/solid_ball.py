@@ -194,9 +194,10 @@ def _touches(image, z, y, x, value):  # type: ignore[no-untyped-def]
 
 @kernel
 def _simple(image, z, y, x, ring, stack):  # type: ignore[no-untyped-def]
-    """Return whether a voxel is simple: one 6-connected part of the solid at its faces within its 18 neighbours,
+    """Return whether a voxel is simple.
 
-    and one 26-connected part of the outside.
+    It is where the solid has one 6-connected part at the voxel's faces within its 18 neighbours, and the rest one
+    26-connected part.
     """
     for c in range(3):
         for b in range(3):
