@@ -1,4 +1,4 @@
-"""How the time of a tick grows with the organ: whole model and modal region, 1k to 64k points."""
+"""Growth of a tick's time with the organ: whole model and modal region, 1k to 64k points."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from tissue_sim.organ.organ import Organ
 
 SIZES = (1000, 4000, 16000, 64000)
 QUICK_SIZES = SIZES[:2]
-FORCE = 0.1  # N on the patch of the smallest organ; the same pressure on the others, whose patches are smaller
+FORCE = 0.1  # N on the patch of the smallest organ; the others, whose patches are smaller, get the same pressure
 _NEIGHBOURS = 40  # coarse nodes that a fine one takes its displacement from
 
 
 class Grown(NamedTuple):
-    """One size: whole and modal ticks, their substeps and moving nodes, seconds that the modes took."""
+    """Results of one size: whole and modal ticks, their substeps and moving nodes, seconds to compute the modes."""
 
     points: int
     whole: Timing
@@ -41,7 +41,20 @@ class Grown(NamedTuple):
 
 
 def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
-    """Measure every size in turns with the others, `seconds` for each of its two ticks; nothing once it was stopped."""
+    """Measure every size in turns with the others.
+
+    Parameters
+    ----------
+    sizes : tuple[int, ...]
+        Numbers of surface points.
+    seconds : float, s
+        Duration for each of the two ticks of a size.
+
+    Returns
+    -------
+    list[Grown]
+        The results; empty once it was stopped.
+    """
     bursts: dict[str, Ticks] = {}
     made: dict[int, tuple[Simulation, Simulation, Modes, float]] = {}
     coarse: tuple[Organ, Modes] | None = None

@@ -45,7 +45,7 @@ TIP_REACH = 0.02  # m from the tip within which an external force finds the tiss
 MOST_FOUND = 8 * MOST_POINTS  # points, per body
 _ANY = fcl.CollisionRequest(num_max_contacts=1, enable_contact=False)
 _ALL = fcl.CollisionRequest(num_max_contacts=256, enable_contact=True)
-COARSEST = 0.75  # of a tool's smallest radius: largest distance of contact points, beyond which the nearest point is added
+COARSEST = 0.75  # of a tool's smallest radius: distance of contact points beyond which the nearest is added
 LEAST_DIVISIONS = 2  # a large ball that presses slightly touches less than a node's area
 MOST_DIVISIONS = 8
 
