@@ -101,7 +101,7 @@ class Flex:
 
 
 def tetrahedra(organ: Organ) -> NDArray[np.int32]:
-    """Return Delaunay tetrahedra (c, 4) of all nodes with centroids inside the organ, positively oriented, no slivers."""
+    """Return Delaunay tetrahedra (c, 4) of all nodes inside the organ, positively oriented, without slivers."""
     points = organ.rest_positions
     cells = Delaunay(points).simplices
     cells = cells[inside(points[cells].mean(axis=1), organ.surface_positions, organ.surface_triangles)]

@@ -93,14 +93,14 @@ def measure(sizes: tuple[int, ...], seconds: float) -> list[Grown]:
 
 
 def exponent(points: list[int], times: list[float]) -> float | None:
-    """The p of time = c n^p that fits best; None without two sizes."""
+    """Return the p of the best fit time = c n^p; None without two sizes."""
     if len(points) < 2:
         return None
     return float(np.polyfit(np.log(points), np.log(times), 1)[0])
 
 
 def with_modes(organ: Organ, modes: Modes) -> Simulation:
-    """A simulation with a modal region that uses these modes instead of computing its own, and keeps none of it."""
+    """Return a simulation with a modal region that uses these modes instead of computing and keeping its own."""
     own = reduction.remembered
     nothing = np.zeros((0, 0), dtype=np.float32)
     made: dict[str, NDArray[Any]] = {"frequency": modes.frequency, "shape": modes.shape, "compliance": nothing}
@@ -112,7 +112,7 @@ def with_modes(organ: Organ, modes: Modes) -> Simulation:
 
 
 def carried_modes(coarse: Organ, coarse_modes: Modes, fine: Organ, model: Model) -> Modes:
-    """Modes of a fine organ in the space of a coarse one's: carried over smoothly, then Rayleigh-Ritz.
+    """Return modes of a fine organ from a coarse one's: interpolated smoothly, then by Rayleigh-Ritz.
 
     For organs of the same shape and atoms, where eigsh on the fine one would take minutes.
     """
@@ -131,7 +131,18 @@ def carried_modes(coarse: Organ, coarse_modes: Modes, fine: Organ, model: Model)
 
 
 def as_json(grown: list[Grown]) -> dict[str, Any]:
-    """The growth for machines; units stand in the names."""
+    """Return the growth for machines; units stand in the names.
+
+    Parameters
+    ----------
+    grown : list[Grown]
+        The results.
+
+    Returns
+    -------
+    dict[str, Any]
+        The figures by name.
+    """
     points = [size.points for size in grown]
     return {
         "sizes": [

@@ -1,7 +1,8 @@
-"""`tissue_sim bench palpation`: a finger feels for a tumour; force against depth beside nonlinear finite elements.
+"""Benchmark `tissue_sim bench palpation`: a finger over a tumour; force against depth beside finite elements.
 
-A rigid sphere is pressed in over each inclusion, and doesn't slip; so are finite elements of the same shape, with the
-inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger would feel.
+A rigid sphere is pressed in over each inclusion, and doesn't slip; so are neo-Hookean finite elements of the same
+shape, with the inclusion and without. Then it is pressed in at every node around: the map of stiffness that a finger
+would feel.
 """
 
 from __future__ import annotations
@@ -31,26 +32,36 @@ DEFAULT = "kidney_tumour"
 FINGER = 0.007  # m, radius
 DEPTHS = np.array([0.001, 0.002, 0.003, 0.004])  # m
 MAP_DEPTH = 0.003  # m
-AROUND = 0.025  # m from the place over the inclusion, that the map reaches
+AROUND = 0.025  # m from the place over the inclusion, to which the map extends
 UNDER = 0.009  # m from there, where the finger may touch
 CLEAR = 0.002  # m between finger and organ at the start
-SPEED = 0.002  # m/s: so slow that an organ that bends at 1 Hz is not swung, and sticks where a still one would
-HOLDING, LONGEST = 0.2, 5.0  # s between two looks at the force at a depth, and at the most
-STILL = 1e-3  # of the force, by which it has changed since the last look
+SPEED = 0.002  # m/s: so slow that an organ with a mode at 1 Hz doesn't oscillate, and sticks where one at rest would
+HOLDING, LONGEST = 0.2, 5.0  # s between two checks of the force at a depth, and at most
+STILL = 1e-3  # relative change of the force since the last check
 STEPS = 2  # of the finite elements for each depth
-FRICTION = 10.0  # at which nothing slips
+FRICTION = 10.0  # so high that nothing slips
 MOST_OFF = 5.0  # %
 
 
 class Press(NamedTuple):
-    """Where a finger presses, and which way."""
+    """Press of a finger.
+
+    Attributes
+    ----------
+    node : int
+        Surface node.
+    place : Floats, shape (3,), m
+        Centre of the finger where it touches.
+    way : Floats, shape (3,)
+        Inward unit direction.
+    """
 
     node: int
     place: Floats  # (3,) m, of the finger's middle where it touches
     way: Floats  # (3,) inwards
 
     def at(self, deep: float) -> Floats:
-        """The finger's middle so deep, m."""
+        """Return the finger's centre at a depth, m."""
         return self.place + deep * self.way
 
 
@@ -70,19 +81,19 @@ class Felt(NamedTuple):
 
     @property
     def told_apart(self) -> Floats:
-        """By how much the inclusion makes the finite elements stiffer at each depth, %."""
+        """Relative increase of the finite elements' force by the inclusion at each depth, %."""
         return np.asarray(100.0 * (self.reference / self.plain - 1.0))
 
 
 class Map(NamedTuple):
-    """What a finger feels around an inclusion."""
+    """Stiffness that a finger feels around an inclusion."""
 
     nodes: Longs  # (k,)
     stiffness: Floats  # (k,) N/m
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     add_shared(
         parser, organ="the kidney with a tumour that ships", out="folder for a plot of curves and map", check=True
     )
@@ -106,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Feel, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Press, compare and print; return 0, or with --check 1 when a bound is missed."""
     check_shared(args)
     if args.places is not None:
         from tissue_sim.bench import palpation_places
@@ -130,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(organ: Organ) -> list[Felt]:
-    """A curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
+    """Return a curve for each inclusion. Raises UserError for an organ without any, and as Body does."""
     inclusions = inclusions_of(organ)
     if not inclusions:
         raise UserError(f"organ '{organ.name}' has no inclusion; build it with --mask and --inclusion")
@@ -146,7 +157,7 @@ def measure(organ: Organ) -> list[Felt]:
 
 
 def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
-    """A map around each place that was felt; an empty one for those that Ctrl-C has left out."""
+    """Return a map around each place; an empty one for those that Ctrl-C left out."""
     found: list[Map] = []
     with rows.until_stopped():
         for one in rows.each(felt, "maps"):
@@ -156,27 +167,42 @@ def measure_maps(organ: Organ, felt: Sequence[Felt]) -> list[Map]:
 
 
 def press_at(surface: Surface, node: int) -> Press:
-    """Where a finger touches at a surface node; it presses along the normal there."""
+    """Return the press at a surface node, along the normal there."""
     normal = surface.normal[node]
     return Press(node, surface.positions[node] + FINGER * normal, -normal)
 
 
 def over(organ: Organ, inclusion: Inclusion) -> Press:
-    """The place on the surface that is nearest to an inclusion's middle, and isn't held."""
+    """Return the press at the free surface node nearest to an inclusion's centre."""
     apart = np.linalg.norm(organ.surface_positions - inclusion.positions.mean(axis=0), axis=1)
     apart[organ.fixed] = np.inf
     return press_at(surface_of(organ), int(apart.argmin()))
 
 
 def finger(organ: Organ) -> Scene:
-    """The organ and a finger that doesn't slip."""
+    """Return the organ and a finger that doesn't slip."""
     scene = Scene(organ, [Tool("finger", radius=FINGER)], ticks_a_set=4)
     scene.simulation.settings.friction = FRICTION
     return scene
 
 
 def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
-    """Force (d,) N on the finger, against its way, that is held at each of several depths (d,) m."""
+    """Return the force on the finger that is held at each of several depths.
+
+    Parameters
+    ----------
+    scene : Scene
+        Organ and finger.
+    press : Press
+        Where it presses.
+    depths : Floats, shape (d,), m
+        Depths.
+
+    Returns
+    -------
+    Floats, shape (d,), N
+        Force against the direction of the press.
+    """
     scene.reset()
     tick, deep, found = scene.simulation.settings.tick_time, -CLEAR, []
     for depth in depths:
@@ -190,7 +216,7 @@ def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
 
 
 def held(scene: Scene, press: Press, deep: float) -> float:
-    """Force, N, on a finger that stays so deep, m, until it changes no more: an organ may take seconds to bend."""
+    """Return the force, N, on a finger that stays at a depth, m, until it is constant: an organ may take seconds to bend."""
     tick, force = scene.simulation.settings.tick_time, np.inf
     for _ in range(round(LONGEST / HOLDING)):
         for _ in range(round(HOLDING / tick)):
@@ -203,7 +229,7 @@ def held(scene: Scene, press: Press, deep: float) -> float:
 
 
 def by_elements(organ: Organ, press: Press) -> Floats:
-    """The same force (d,) N of finite elements, touched at all of their own nodes; nan where they don't settle."""
+    """Return the same force (d,) N of finite elements, touched at all of their nodes; nan where they don't settle."""
     touched = np.linalg.norm(organ.surface_positions - organ.surface_positions[press.node], axis=1) < UNDER
     solid, nodes = touchable(organ, touched)
     starts = np.concatenate([[0.0], DEPTHS[:-1]])
@@ -218,7 +244,7 @@ def by_elements(organ: Organ, press: Press) -> Floats:
 
 
 def mapped(organ: Organ, press: Press) -> Map:
-    """Stiffness at every node around a place, which the finger can press and that isn't near the clamp."""
+    """Return the stiffness at every node around a place that the finger can press and that isn't near the clamp."""
     surface, scene = surface_of(organ), finger(organ)
     near = np.linalg.norm(surface.positions - surface.positions[press.node], axis=1) < AROUND
     near &= surface.normal @ surface.normal[press.node] > 0.5
@@ -236,7 +262,7 @@ def mapped(organ: Organ, press: Press) -> Map:
 
 
 def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
-    """All figures and bounds: of each curve the error, and by how much the inclusion is told apart."""
+    """Return all figures and bounds: of each curve the error, and how clearly the inclusion is discernible."""
     table, bounds = [], []
     for number, (one, around) in enumerate(zip(felt, maps, strict=True)):
         settled = bool(np.isfinite(one.reference).all() and np.isfinite(one.plain).all())
@@ -267,7 +293,7 @@ def as_json(felt: Sequence[Felt], maps: Sequence[Map]) -> dict[str, Any]:
 
 
 def text(organ: Organ, found: dict[str, Any]) -> str:
-    """The figures as tables."""
+    """Return the figures as tables."""
     lines = [f"organ '{organ.name}': a finger of {1e3 * found['finger_m']:g} mm, held, that doesn't slip"]
     for row in found["inclusions"]:
         table = [["deep mm", "force N", "finite elements N", "off %", "without the inclusion N", "it tells by %"]]

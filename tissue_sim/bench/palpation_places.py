@@ -1,8 +1,8 @@
-"""`tissue_sim bench palpation --places N`: does a ball feel the same force at nodes, on edges and inside triangles?
+"""Benchmark `tissue_sim bench palpation --places N`: force of a ball at nodes, on edges and inside triangles.
 
-Balls of some mean edges of the organ's surface are pressed in at each, and don't slip; so are neo-Hookean finite
-elements of the same shape, fine under the ball. Then they slide over the surface at constant depth: the ripple of their
-force is what a hand feels of the mesh.
+Balls whose radius is some mean edges of the organ's surface are pressed in at each, and don't slip; so are neo-Hookean
+finite elements of the same shape, fine under the ball. Then they slide over the surface at constant depth: the ripple
+of their force is what a hand feels of the mesh.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ RADII = 0.5, 0.8, 1.0, 1.5, 2.0, 3.0  # mean edges
 LEAST_RADIUS, MOST_RADIUS, MOST_PLACES = 0.2, 5.0, 100
 DEPTHS = np.array([0.3, 0.5, 0.8, 1.0])  # radii
 KINDS = {"node": (1.0, 0.0, 0.0), "edge": (0.5, 0.5, 0.0), "triangle": (1 / 3, 1 / 3, 1 / 3)}  # weights of corners
-THROUGH = 0.35  # of the organ's thickness there, how deep a ball is pressed at most
-CLEAR, AROUND = 5.0, 4.0  # edges from the clamp; edges around a place that are to be flat
-FLATTEST = 0.25  # of the places that are clear of the clamp
-ALIKE = 0.05  # by which the least cosine between a place's normal and those around may be below the flattest one's
+THROUGH = 0.35  # fraction of the organ's thickness there, to which a ball is pressed at most
+CLEAR, AROUND = 5.0, 4.0  # edges from the clamp; edges around a place that should be flat
+FLATTEST = 0.25  # fraction of the places that are clear of the clamp
+ALIKE = 0.05  # tolerance of the least cosine between a place's normal and those around, below the flattest one's
 STEPS = 2  # of the finite elements for each depth
-ACROSS = 1.6  # elements of finite elements on a ball's radius at the least
+ACROSS = 1.6  # least number of elements on a ball's radius
 ELEMENTS = Grading(clamp=0, growth=1.0)  # places lie far from the clamp
 FRICTIONS = 0.6, 0.0  # of a sliding ball: the node's default, and none
 SLID_DEPTH = 0.5  # radii
-RUN_IN, WAY = 1.0, 3.0  # edges that are slid before the force counts, and while it does
+RUN_IN, WAY = 1.0, 3.0  # edges of sliding before the force counts, and while it does
 SLIDING, ENTERING = 0.01, 0.02  # m/s
 OUTSIDE, PAUSE = 0.0005, 0.2  # m before it enters, s before it slides
-KNOTS, ROUNDS = 25, 4  # of a track on an edge; of finding its distance
+KNOTS, ROUNDS = 25, 4  # knots of a track per edge; iterations to find its distance
 MOST_RIPPLE = 5.0  # %
 SLAB = np.array([0.06, 0.06, 0.025])  # m
 
 
 class Spot(NamedTuple):
-    """Where a ball is pressed in: number and kind of the place, (3,) m on the surface, inward unit vector (3,)."""
+    """Spot where a ball is pressed in: number and kind of the place, (3,) m on the surface, inward direction (3,)."""
 
     place: int
     kind: str
@@ -65,7 +65,7 @@ class Spot(NamedTuple):
 
 
 class Pressed(NamedTuple):
-    """A ball at a spot: its radius in mean edges; depths (d,) radii, forces (d,) N, nan where nothing settled."""
+    """Results of a ball at a spot: radius in mean edges; depths (d,) radii, forces (d,) N, nan where unsettled."""
 
     radius: float
     place: int
@@ -81,7 +81,7 @@ class Pressed(NamedTuple):
 
 
 class Slid(NamedTuple):
-    """A ball that slides: radius in mean edges, mean force along the normal, N, and its ripple, % of that."""
+    """Results of a sliding ball: radius in mean edges, mean force along the normal, N, and its ripple, % of that."""
 
     radius: float
     place: int
@@ -94,7 +94,18 @@ Reference = Callable[[Organ, Sequence[Spot], float, Floats], Floats]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Press, slide, compare and print; returns 0, or with --check 1 when a bound is missed."""
+    """Press, slide, compare and print.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Parsed arguments.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or with --check 1 when a bound is missed.
+    """
     radii = parse_radii(args.radii)
     if not 1 <= args.places <= MOST_PLACES:
         raise UserError(f"--places {args.places} is outside 1..{MOST_PLACES}")
@@ -171,7 +182,7 @@ def flat_places(organ: Organ, count: int) -> list[list[Spot]]:
 
 
 def thickness(organ: Organ, spot: Spot) -> float:
-    """How far the organ's other side is from a spot, along its way, m; inf where there is none."""
+    """Return the distance of the organ's other side from a spot, along its direction, m; inf where there is none."""
     corner = organ.surface_positions[organ.surface_triangles] - spot.point
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     across = np.cross(first, second)
@@ -185,7 +196,7 @@ def thickness(organ: Organ, spot: Spot) -> float:
 
 
 def slab() -> Organ:
-    """A slab of 60 x 60 x 25 mm that lies on its clamp, built and calibrated with defaults: four minutes, once.
+    """Return a slab of 60 x 60 x 25 mm that lies on its clamp, built and calibrated with defaults once, in four minutes.
 
     It is kept in the user's cache.
     """
@@ -202,7 +213,7 @@ def slab() -> Organ:
 
 
 def slab_as_built() -> Organ:
-    """The slab with the balloon's points and nothing fitted."""
+    """Return the slab with the balloon's points and nothing fitted."""
     import trimesh
 
     from tissue_sim.organ.making import Request, organ_from_mesh
@@ -221,7 +232,7 @@ def slab_as_built() -> Organ:
 def presses(
     organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]], reference: Reference | None = None
 ) -> Iterable[Pressed]:
-    """Yield what balls feel that are pressed in at all spots, beside the reference: finite elements if None.
+    """Yield the forces of balls that are pressed in at all spots, beside the reference: finite elements if None.
 
     radii: mean edges. Raises UserError as Body does.
     """
@@ -273,7 +284,7 @@ def by_elements(organ: Organ, spots: Sequence[Spot], radius: float, depths: Floa
 
 
 def _beneath(body: Body, nodes: Longs, spot: Spot, radius: float) -> Longs:
-    """Those nodes that a ball can reach which goes straight in: fewer take less time."""
+    """Return the nodes that a ball moving straight in can reach: fewer take less time."""
     away = body.solid.nodes[nodes] - spot.point
     beside = np.linalg.norm(away - np.outer(away @ spot.way, spot.way), axis=1)
     return nodes[beside < 1.1 * radius]
@@ -283,7 +294,7 @@ def _beneath(body: Body, nodes: Longs, spot: Spot, radius: float) -> Longs:
 
 
 class Track(NamedTuple):
-    """Where the middle of a ball goes that slides: m along, (k,); places (k, 3) m and outward normals (k, 3)."""
+    """Path of the centre of a sliding ball: m along, (k,); places (k, 3) m and outward normals (k, 3)."""
 
     along: Floats
     centres: Floats
@@ -298,11 +309,11 @@ class Track(NamedTuple):
 def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
     """Return the track over a spot on which a ball, its radius in m, lies SLID_DEPTH deep in the surface at rest.
 
-    A quadric through the nodes around leads it, and its distance from the triangles is kept: on a smooth track the ball
-    would feel the facets' shape, which finite elements have, too.
+    It follows a quadric through the nodes around, at a constant distance from the triangles: on a smooth track the ball
+    would feel the shape of the facets, which finite elements have, too.
     """
     surface, edge, out = surface_of(organ), mean_edge(organ), -spot.way
-    sideways = np.cross(out, [0.3, 1.0, 0.1])  # no axis, which rows of a mesh might follow
+    sideways = np.cross(out, [0.3, 1.0, 0.1])  # not an axis, which rows of a mesh might follow
     sideways /= np.linalg.norm(sideways)
     frame = np.array([sideways, np.cross(out, sideways), out])
     near = np.linalg.norm(surface.positions - spot.point, axis=1) < AROUND * edge
@@ -323,7 +334,7 @@ def track_over(organ: Organ, spot: Spot, radius: float) -> Track:
 
 
 def slides(organ: Organ, radii: Sequence[float], places: Sequence[Sequence[Spot]]) -> Iterable[Slid]:
-    """Yield what balls feel that slide over the middle of each place, with every friction; radii: mean edges."""
+    """Yield the forces of balls that slide over the middle of each place, with every friction; radii: mean edges."""
     edge = mean_edge(organ)
     with progress.task("slides", len(radii) * len(FRICTIONS) * len(places)) as under_way:
         for radius in radii:
@@ -357,7 +368,7 @@ def slid_force(scene: Scene, track: Track) -> Floats:
 
 
 def ripple(force: Floats) -> float:
-    """Return half the range of a force (k,) N about a parabola along the way, % of its mean.
+    """Return half the range of a force (k,) N about a parabola along the track, % of its mean.
 
     The parabola is the organ's: over a few edges its shape and its clamp change the force smoothly.
     """
@@ -421,7 +432,7 @@ def _known(values: Floats) -> list[float | None]:
 
 
 def _offs(pressed: Sequence[Pressed]) -> Floats:
-    """All differences, (k,) %, where finite elements settled."""
+    """Return all differences, (k,) %, where finite elements settled."""
     every = np.concatenate([one.off for one in pressed]) if pressed else np.zeros(0)
     return np.asarray(every[np.isfinite(every)])
 

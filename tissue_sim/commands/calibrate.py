@@ -28,7 +28,7 @@ from tissue_sim.commands.calibrate_many import (
 from tissue_sim.errors import UserError
 from tissue_sim.organ.organ import Organ
 
-MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check: mean and worst of smooth held-out loads, mean of sharp ones
+MEAN, WORST, SHARP = 5.5, 12.0, 15.0  # %, bounds of --check: smooth loads' mean and worst, sharp ones' mean
 RELEASE = 15.0  # %
 TIME = (
     "A kidney of 994 points takes two minutes on two quiet cores, and half a minute more where kernels have to be"

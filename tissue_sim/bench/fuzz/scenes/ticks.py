@@ -355,7 +355,7 @@ def look(scene: Scene, tick: int) -> None:
 
 
 def settle_down(scene: Scene, defaults: list[Settings]) -> None:
-    """Run without poses, loads and breath, with default settings, until all sleep. Raises Broken where a force remains."""
+    """Run without poses, loads and breath, until all sleep. Raises Broken where a force remains."""
     usual(scene, defaults)
     if scene.joined is not None:
         scene.joined.tell_breath(0.0)
