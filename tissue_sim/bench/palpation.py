@@ -216,7 +216,7 @@ def forces(scene: Scene, press: Press, depths: Floats) -> Floats:
 
 
 def held(scene: Scene, press: Press, deep: float) -> float:
-    """Return the force, N, on a finger that stays at a depth, m, until it is constant: an organ may take seconds to bend."""
+    """Return the force, N, on a finger that stays at a depth, m, until it is constant, which may take seconds."""
     tick, force = scene.simulation.settings.tick_time, np.inf
     for _ in range(round(LONGEST / HOLDING)):
         for _ in range(round(HOLDING / tick)):

@@ -196,7 +196,7 @@ def thickness(organ: Organ, spot: Spot) -> float:
 
 
 def slab() -> Organ:
-    """Return a slab of 60 x 60 x 25 mm that lies on its clamp, built and calibrated with defaults once, in four minutes.
+    """Return a slab of 60 x 60 x 25 mm that lies on its clamp, built and calibrated with defaults in four minutes.
 
     It is kept in the user's cache.
     """

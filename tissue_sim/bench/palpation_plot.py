@@ -49,7 +49,7 @@ def write_plots(organ: Organ, felt: Sequence[Felt], maps: Sequence[Map], folder:
 
 
 def drawn(organ: Organ, felt: Felt, around: Map) -> Any:
-    """Return curves on the left; on the right the map, seen along the finger's direction, with the inclusion's outline."""
+    """Return curves on the left, and the map with the inclusion's outline, seen along the finger's direction."""
     from matplotlib.figure import Figure
     from scipy.spatial import ConvexHull
 

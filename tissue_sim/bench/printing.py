@@ -179,7 +179,18 @@ def made_or_skipped[Made](make: Callable[[], tuple[Made, str]], *also: type[Exce
 
 
 def noise_lines(noise: float | None) -> list[str]:
-    """A remark on noise, the p99 of a fixed loop over its median, where it is high; nothing where it is not known."""
+    """Return a remark on noise, the p99 of a fixed loop over its median, where it is high.
+
+    Parameters
+    ----------
+    noise : float | None
+        The ratio; None where it isn't known.
+
+    Returns
+    -------
+    list[str]
+        One line, or none.
+    """
     if noise is None or noise < NOISY:
         return []
     return [f"noise: a fixed loop's p99 is {noise:.1f} times its median on this machine now; trust medians and ratios"]
@@ -188,7 +199,19 @@ def noise_lines(noise: float | None) -> list[str]:
 def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
     """Print the text and write JSON to a file, or with - print the JSON instead; both say when it was stopped.
 
-    Raises UserError when the file can't be written.
+    Parameters
+    ----------
+    found : dict[str, Any]
+        The figures.
+    text : str
+        The text.
+    json_to : str | None
+        File for the JSON, `-` for the standard output; None for no JSON.
+
+    Raises
+    ------
+    UserError
+        Where the file can't be written.
     """
     if rows.stopped():
         found, text = {**found, "stopped": True}, f"{STOPPED}\n\n{text}"
@@ -201,13 +224,32 @@ def emit(found: dict[str, Any], text: str, json_to: str | None) -> None:
 
 
 def told(pictures: Iterable[Path]) -> None:
-    """Name the pictures that were written, beside the standard output."""
+    """Name the pictures that were written on the standard error.
+
+    Parameters
+    ----------
+    pictures : Iterable[Path]
+        The files.
+    """
     for path in pictures:
         print(f"picture: {path}", file=sys.stderr)
 
 
 def write_json(found: Any, path: Path) -> None:
-    """Write JSON to a file; raises UserError when it can't be written."""
+    """Write JSON to a file.
+
+    Parameters
+    ----------
+    found : Any
+        The content.
+    path : Path
+        The file.
+
+    Raises
+    ------
+    UserError
+        Where it can't be written.
+    """
     try:
         path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     except OSError as error:

@@ -32,7 +32,7 @@ FINER = 2  # surface points between two beads, and one
 MATERIAL = Material(youngs_modulus=15.3e3, poisson_ratio=0.49, density=980.0)
 HELD = "z<0.05"  # for the calibration; here all of the surface is prescribed
 LED, STILL = 300, 1000  # ticks
-MOST_OFF, MOST_BEHIND = 0.5, 0.1  # mm on average at the last strain: error against the measurement, and excess over finite elements
+MOST_OFF, MOST_BEHIND = 0.5, 0.1  # mm on average at the last strain: error, and excess over finite elements'
 
 
 class Compressed(NamedTuple):

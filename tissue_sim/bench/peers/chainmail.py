@@ -148,7 +148,7 @@ def pass_on(position, rest, start, neighbours, driven, sources, stretch, shear):
 
 @kernel
 def relax(position, rest, start, neighbours, free):  # type: ignore[no-untyped-def]
-    """Put every free node (f,) at the mean of where its neighbours want it, one after the other; return the largest move, m."""
+    """Put every free node (f,) at the mean of where its neighbours want it; return the largest move, m."""
     largest = 0.0
     for k in range(len(free)):
         i = free[k]

@@ -54,7 +54,7 @@ class Ours:
         return Answer(found[0][0], seconds, found[0][1])
 
     def burst(self, load: Load) -> Burst:
-        """Return ticks under the load, which rises and falls; it has done so once before, so that no impact is measured."""
+        """Return ticks under the load, which rises and falls, after the first impact."""
         ticks = Ticks(self.simulation, load.nodes, load.force[load.nodes])
         ticks.swing()
         return ticks

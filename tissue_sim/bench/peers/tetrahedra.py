@@ -10,7 +10,7 @@ from tissue_sim.array_types import Floats, Ints
 from tissue_sim.calibration.fe_mesh import Grading, fill
 from tissue_sim.organ.organ import Organ
 
-UNGRADED = Grading(clamp=-10, near=-10)  # wanted edges are a thousand times the surface's, so that Netgen's mesh isn't refined
+UNGRADED = Grading(clamp=-10, near=-10)  # so large that Netgen's mesh isn't refined
 PAIRS = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 
 
