@@ -48,7 +48,7 @@ WORTH = 1.25  # median factor by which an observer has to raise the stiffness to
 
 
 class Row(NamedTuple):
-    """Results of a device at a rate, Hz, and a delay, s: stiffness, N/m, with and without an observer, and in theory."""
+    """Results of a device at a rate, Hz, and a delay, s: stiffness, N/m, found, with an observer, and in theory."""
 
     device: str
     rate: float

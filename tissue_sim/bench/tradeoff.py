@@ -64,7 +64,7 @@ class Error(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Row of the table; errors are empty and update is None where it was skipped, for which the remark gives the reason."""
+    """Row of the table; where it was skipped, errors are empty, update is None and the remark gives the reason."""
 
     name: str
     ours: bool
@@ -259,7 +259,7 @@ def as_json(organ: Organ, found: Found, seconds: float) -> dict[str, Any]:
 
 
 def _growth(sizes: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """Return how the time of the calibrated organ grows with its points, and whether its error falls; None for one size."""
+    """Return how time and error of the calibrated organ change with its points; None for one size."""
     if len(sizes) < 2:
         return None
     points, times = ([row[key] for row in sizes] for key in ("points", "ms_per_ms"))

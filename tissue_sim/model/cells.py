@@ -129,7 +129,7 @@ def penalty_of(rest: Floats, cells: Ints, inverse_mass: Floats, frequency: float
         Penalty.
     """
     slope, volume = shapes_of(rest, cells)  # slopes of J by each node, too
-    give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # response of J to an impulse along it, 1/(m^2 kg)
+    give = np.einsum("cnx,cnx,cn->c", slope, slope, inverse_mass[cells])  # of J to an impulse, 1/(m^2 kg)
     penalty = np.zeros(len(cells))
     free = give > 0.0
     penalty[free] = PENALTY * frequency**2 / give[free] / volume[free]

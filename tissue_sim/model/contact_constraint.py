@@ -144,7 +144,7 @@ def set_nodes(state: Any, mobility: Any, scratch: Any, near: int) -> float:
 
 @kernel
 def set_plane(state: Any, shapes: Any, scratch: Any, near: int) -> float:
-    """Write the tool's present state at a contact point to scratch.near_plane, see gather_contacts; return the gap, m."""
+    """Write the tool's state at a contact point to scratch.near_plane, see gather_contacts; return the gap, m."""
     entry, plane = scratch.near_entry[near], scratch.near_plane[near]
     body = state.contacts.body[entry]
     x, y, z, lx, ly, lz = point_in_body(state, entry, scratch.origin, scratch.rotation)
@@ -366,7 +366,7 @@ def resolve_contact(state: Any, shapes: Any, scratch: Any, near: int, friction: 
 def give_impulse(
     state: Any, shapes: Any, scratch: Any, near: int, px: float, py: float, pz: float, step: float
 ) -> None:
-    """Apply an impulse, N s, to a contact point, and the opposite one to its tool; with a step of 0 to the tool alone."""
+    """Apply an impulse, N s, to a contact point, and its opposite to the tool; with a step of 0 to the tool alone."""
     for c in range(3 if step > 0.0 else 0):
         node, move = scratch.near_node[near, c], scratch.near_move[near, c]
         state.velocity[node, 0] += move * px

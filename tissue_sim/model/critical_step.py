@@ -149,7 +149,7 @@ def substeps_for(tick_time: float, longest_step: float) -> int:
 
 
 def _dot(one: Floats, other: Floats) -> float:
-    """Return the sum of products, without BLAS, whose rounding depends on the processor: replays repeat to the last bit."""
+    """Return the sum of products, without BLAS, whose rounding depends on the processor, which a replay must not."""
     return float((one * other).sum())
 
 

@@ -135,7 +135,10 @@ def _neighbours(rest: Floats, cells: Longs) -> Longs:
 
 @kernel
 def _follow(neighbours: Any, free: Any, waiting: Any, waits: Any, found: Any) -> int:
-    """Fill the rows of found (c, CELLS); free (c,): number of free neighbours, -1 in the end; waiting, waits: stacks."""
+    """Fill the rows of found (c, CELLS); free (c,): number of free neighbours, -1 in the end.
+
+    waiting and waits are stacks.
+    """
     for cell in range(len(free) - 1, -1, -1):
         waiting[free[cell], waits[free[cell]]] = cell
         waits[free[cell]] += 1
@@ -259,9 +262,10 @@ def cell_forces(position: Any, tissue: Any, force: Any) -> None:
 
 @kernel
 def _resist(work: Any, constant: Any) -> int:
-    """Turn the arms of a block of groups into the forces of its last five nodes on the first; return how many are stiff.
+    """Turn the arms of a block of groups into the forces of its last five nodes on the first.
 
-    e is along the edge, a to d around it. The cells' volume ratios stay in the last rows of work.
+    The number of stiff cells is returned. e is along the edge, a to d around it. The cells' volume ratios stay in the
+    last rows of work.
     """
     stiff = 0
     for c in range(BLOCK):

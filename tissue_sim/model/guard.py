@@ -119,7 +119,7 @@ def lead_back(model: Any, state: Any, settings: Any) -> float:
 
 @kernel
 def is_bounded(position: Any, velocity: Any, rest: Any, span: float, speed: float) -> bool:
-    """Return whether no coordinate is `span`, m, or more from rest, nor changes at `speed`, m/s, or faster; flat arrays.
+    """Return whether all coordinates are within `span`, m, of rest and slower than `speed`, m/s; flat arrays.
 
     The good ones are counted, since whole numbers may be added in any order, so that the vector units do it.
     Comparisons with NaN are false, so this catches it, too.
@@ -161,7 +161,7 @@ def check(model: Any, state: Any, nodes: Any, span: float, speed: float, energy:
 
 @kernel
 def keep(model: Any, state: Any, scratch: Any) -> None:
-    """Take this shape as the last good one; of the whole organ every few ticks only, since copying it takes a while."""
+    """Keep this shape as the last good one; that of the whole organ only every few ticks, as copying it takes time."""
     if state.status.region != Region.WHOLE:
         copy_nodes(state.position, state.good_position, watched_nodes(model, state, scratch))
         state.status.good_age = KEEP_EVERY
@@ -174,7 +174,17 @@ def keep(model: Any, state: Any, scratch: Any) -> None:
 
 @kernel
 def check_cells(model: Any, state: Any, scratch: Any) -> None:
-    """Note which of the next few cells are inside out; state.status.turned tells how many are."""
+    """Note which of the next few cells are inverted; state.status.turned holds their number.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    scratch : Any
+        Working memory; updated.
+    """
     status, cells, x, is_turned = state.status, model.cells, state.position, state.is_turned
     if len(cells) == 0:
         return

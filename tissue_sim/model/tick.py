@@ -1,7 +1,7 @@
 """One tick: the same compiled function in the node's loop, in a test and in a replay.
 
-inputs taken up -> anything touching or moving? -> local region or whole -> substeps
--> finite and bounded? -> wrenches
+Its order: inputs are applied; if nothing touches or moves, it ends; a local region or the whole organ is chosen; the
+substeps follow; positions are checked to be finite and bounded; wrenches are reported.
 """
 
 from __future__ import annotations
@@ -51,12 +51,26 @@ from tissue_sim.model.tool_motion import (
 )
 from tissue_sim.model.watched import watch_contacts
 
-CRUMPLED = 0.02  # share of cells inside out from which on a tick takes four times its substeps
+CRUMPLED = 0.02  # fraction of inverted cells from which on a tick takes four times its substeps
 
 
 @part
 def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Advance the organ by one tick of settings.tick_time seconds."""
+    """Advance the organ by one tick of settings.tick_time seconds.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     scratch.plan.handled = state.status.loaded > 0
     if not plan_tick(model, state, shapes, settings, scratch):
         return
@@ -68,9 +82,22 @@ def tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> No
 
 @part
 def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> bool:
-    """Whether there is anything to advance, and in scratch.plan how.
+    """Return whether there is anything to advance, and write the plan to scratch.plan.
 
-    scratch.plan.handled tells whether nodes were loaded before links and other organs did.
+    scratch.plan.handled tells whether nodes were loaded before links and other organs loaded them.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
     status, count, plan = state.status, state.count, scratch.plan
     status.tick += 1
@@ -116,7 +143,21 @@ def plan_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) 
 
 @part
 def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Make ready for the substeps of the plan."""
+    """Prepare the substeps of the plan.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     status, plan = state.status, scratch.plan
     plan.eased = plan.substeps < status.substeps
     carry_force(state, status.substeps, plan.substeps)
@@ -127,19 +168,50 @@ def begin_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any)
 
 @part
 def take_substep(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, substep: int) -> None:
-    """Advance by one substep of the plan."""
+    """Advance by one substep of the plan.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    substep : int
+        Index of the substep.
+    """
     plan, first = scratch.plan, substep == 0
     substeps, implicit = plan.substeps, plan.implicit
     if plan.looking and substep == substeps - 1:
         begin_look(state, scratch)
-    # The last one of a region tells more, and one that takes up momentum needs the forces where it is.
+    # The last substep of a region has more to compute, and one that carries momentum over needs the forces at its own
+    # place.
     known = first and (plan.whole or (plan.regional and substeps > 1)) and not (implicit and plan.eased)
     advance_substep(model, state, shapes, settings, scratch, substep, substeps, implicit, known, plan.eased and first)
 
 
 @part
 def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -> None:
-    """Look at what the substeps made, hand out what is felt, and come to rest where nothing acts."""
+    """Check the result of the substeps, report the wrenches, and come to rest where nothing acts.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
+    """
     status, plan = state.status, scratch.plan
     if plan.looking:
         end_look(state, scratch)
@@ -158,7 +230,7 @@ def end_tick(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any) -
 
 
 def _or(kernel: Callable[..., Any], without: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """A function that is one kernel for models that are stepped implicitly, and another for the others."""
+    """Return a decorator for a function that is one kernel for implicit models and another for the others."""
     return chosen(lambda model, *_: kernel if has(model, "factor") else without)
 
 
@@ -179,10 +251,21 @@ def _never(model: Any, state: Any, settings: Any, scratch: Any) -> bool:
 
 @_or(_if_sound, _never)
 def steps_implicitly(model: Any, state: Any, settings: Any, scratch: Any) -> Any:
-    """True when this tick is one of the implicit integrator; then scratch.force has its first forces.
+    """Return whether this tick is one of the implicit integrator; then scratch.force has its first forces.
 
-    Not in a local region; nor after a fault, while nodes shiver, or where cells are inside out or stiffer than its
-    matrix knows, where its one step gains energy.
+    It is none in a local region, after a fault, while nodes oscillate, and where cells are inverted or stiffer than the
+    matrix assumes, where its one step would gain energy.
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    settings : Any
+        Settings of the simulation.
+    scratch : Any
+        Working memory; updated.
     """
 
 
@@ -198,12 +281,12 @@ def _in_none(model: Any, state: Any) -> bool:
 
 @chosen(lambda model, *_: _in_a_region if has(model, "tissue") and has(model, "adjacency") else _in_none)
 def is_region_of_cells(model: Any, state: Any) -> Any:
-    """True when this tick moves the cells around a load."""
+    """Return whether this tick moves only the cells around a load."""
 
 
 @kernel
 def caution(model: Any, state: Any, begun: bool) -> int:
-    """Factor on the substeps while cells are squeezed or inside out, or nodes shiver: tissue is stiffer then.
+    """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate: tissue is stiffer then.
 
     begun: the forces of this tick's first substep are known.
     """
@@ -225,7 +308,7 @@ def advance_substep(
     begun: bool,
     eased: bool,
 ) -> None:
-    """Forces, integration and contact of one substep.
+    """Compute forces, integration and contact of one substep.
 
     begun: its elastic forces are known; eased: it is the first of a longer step than the last.
     """
@@ -251,7 +334,7 @@ def advance_substep(
 
 @kernel
 def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None:
-    """Elastic forces of the whole organ at position (n, 3) m into scratch.force (n, 3) N."""
+    """Write the elastic forces of the whole organ at position (n, 3) m to scratch.force (n, 3) N."""
     scratch.force[:] = 0.0
     elastic_forces(model, position, scratch.force)
     scale_force(settings, scratch.force)
@@ -259,9 +342,10 @@ def whole_forces(model: Any, position: Any, settings: Any, scratch: Any) -> None
 
 @kernel
 def carry_momentum(model: Any, state: Any, force: Any, step: float) -> None:
-    """Turn velocities into the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
+    """Convert velocities to the force that gives them in a step, s: (M + h D + h^2 S) v+ = M v + h f.
 
-    For an implicit step S adds mass. What moved without that must not have its speed with it: that is energy.
+    For an implicit step S adds mass. Nodes that moved without it must not keep their speed with it: that would add
+    energy.
     """
     for index in range(len(model.moving)):
         node = model.moving[index]
@@ -288,7 +372,7 @@ def _implicitly(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any
 
 @kernel
 def _not_at_all(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, step: float) -> None:
-    """Never called."""
+    """Raise nothing and do nothing: it is never called."""
 
 
 @_or(_implicitly, _not_at_all)
@@ -308,7 +392,7 @@ def _no_mobility(model: Any, slot: int, node: int) -> float:
 
 @_or(_implicit_mobility, _no_mobility)
 def implicit_mobility(model: Any, slot: int, node: int) -> Any:
-    """Velocity that an impulse gives a node within an implicit step, 1/kg."""
+    """Return the velocity that a unit impulse gives a node within an implicit step, 1/kg."""
 
 
 @kernel
@@ -352,16 +436,16 @@ def integrate(model: Any, state: Any, shapes: Any, settings: Any, scratch: Any, 
 
 @kernel
 def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
-    """True when nodes are moved by the last contact impulses too: where these hold on, nothing is left to resolve."""
+    """Return whether the last contact impulses move nodes too: while these persist, nothing is left to resolve."""
     return implicit or (settings.integrator != Integrator.EXPLICIT and state.status.region == Region.WHOLE)
 
 
 @kernel
 def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any, implicit: bool) -> None:
-    """Velocity that an impulse gives each node within a substep, (n,) 1/kg, and what integration takes of its mass.
+    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's share of its mass.
 
-    Only when settings have changed. The damping is implicit, so it meets the contact's impulse too: 1 / (m + h d). With
-    1/m alone a body at rest would press with a force short by h d/m. An implicit step brings the stiffness in.
+    Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
+    With 1/m alone a body at rest would press with a force short by h d/m. An implicit step adds the stiffness.
     """
     slot = float(settings.factor_slot) if implicit else -1.0
     key, damping, scale = scratch.mobility_key, damping_of(state, settings), settings.stiffness_scale
