@@ -286,7 +286,7 @@ def is_region_of_cells(model: Any, state: Any) -> Any:
 
 @kernel
 def caution(model: Any, state: Any, begun: bool) -> int:
-    """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate: tissue is stiffer then.
+    """Return the factor on the substeps while cells are squeezed or inverted, or nodes oscillate, which stiffens them.
 
     begun: the forces of this tick's first substep are known.
     """

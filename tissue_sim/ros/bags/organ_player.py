@@ -28,7 +28,7 @@ class ToolInputs(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, tools: ToolSet) -> ToolInputs:
-        """Return the inputs of each body: a tool's own, or those of a gripper's jaws, the first of which takes its forces.
+        """Return the inputs of each body: a tool's own, or those of a gripper's jaws, the first of which takes forces.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ from tissue_sim.ros.shared.physics import Physics
 
 @dataclass(frozen=True)
 class ServedOrgan:
-    """An organ of the node; name: empty for an only one that no scene names."""
+    """An organ of the node; name: empty for a single one that no scene names."""
 
     name: str
     organ: Organ
@@ -27,7 +27,7 @@ class ServedOrgan:
 
     @property
     def below(self) -> str:
-        """What its topics begin with."""
+        """Return the prefix of its topics."""
         return f"~/{self.name}" if self.name else "~"
 
 
@@ -35,8 +35,18 @@ class ServedOrgan:
 class ServedScene:
     """The organs that `organ_file` or `scene_file` names, k of them.
 
-    title: what all of it is called; names (k,), those of a scene, or one that is empty; stiffness (k,) factors on that
-    of their tissue, beside the parameter's; joined: None for an organ alone.
+    Attributes
+    ----------
+    title : str
+        Name of the whole.
+    names : tuple[str, ...], shape (k,)
+        Names of the organs of a scene, or a single empty one.
+    simulations : tuple[Simulation, ...], shape (k,)
+        Their simulations.
+    stiffness : tuple[float, ...], shape (k,)
+        Factors on the stiffness of their tissue, beside the parameter's.
+    joined : Joined | None
+        What joins them; None for a single organ.
     """
 
     title: str
@@ -47,17 +57,30 @@ class ServedScene:
 
     @property
     def organs(self) -> list[Organ]:
-        """Of each."""
+        """Return the organs."""
         return [one.organ for one in self.simulations]
 
     @property
     def is_scene(self) -> bool:
-        """True when organs have names, and topics below these."""
+        """Return whether organs have names, and topics below these."""
         return self.names != ("",)
 
     @classmethod
     def of_parameters(cls, values: Parameters, shapes: Shapes) -> ServedScene:
-        """What a node's parameters say, for tools of these shapes. Raises UserError for what can't be used."""
+        """Return what a node's parameters name.
+
+        Parameters
+        ----------
+        values : Parameters
+            Parameters of the node.
+        shapes : Shapes
+            Shapes of the tools.
+
+        Raises
+        ------
+        UserError
+            When something can't be used.
+        """
         scene_file, organ_file = values["scene_file"], values["organ_file"]
         if scene_file and organ_file:
             raise UserError("organ_file and scene_file are both given; a scene names its organs itself")
@@ -81,13 +104,19 @@ class ServedScene:
         return cls(Path(scene_file).stem, said.names, simulations, said.stiffness, said.join(simulations))
 
     def apply(self, values: Parameters) -> None:
-        """Write the parameters that are settings, with the scene's own factors; substeps are yet to be worked out."""
+        """Write the parameters that are settings, with the scene's own factors; without the substeps.
+
+        Parameters
+        ----------
+        values : Parameters
+            Parameters of the node.
+        """
         for simulation, stiffness in zip(self.simulations, self.stiffness, strict=True):
             values.apply(simulation.settings)
             simulation.settings.stiffness_scale *= stiffness
 
     def set_substeps(self) -> None:
-        """Work out substeps after settings changed."""
+        """Compute the substeps after settings changed."""
         if self.joined is not None:
             self.joined.set_substeps()
         else:
@@ -95,7 +124,15 @@ class ServedScene:
 
 
 def told(names: Sequence[str], organs: Sequence[Organ]) -> str:
-    """What is served, for people."""
+    """Return what is served, for people.
+
+    Parameters
+    ----------
+    names : Sequence[str]
+        Names of the organs.
+    organs : Sequence[Organ]
+        The organs.
+    """
     if names == ("",):
         organ = organs[0]
         return f"organ '{organ.name}': {organ.n_surface} surface nodes, {organ.n_atoms} medial atoms"

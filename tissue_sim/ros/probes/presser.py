@@ -1,4 +1,4 @@
-"""Presses the tool `left` of a running node into its organ, and feels."""
+"""A hand that presses the tool `left` of a running node into its organ, and measures the force."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from tissue_sim.ros.probes.hand import Hand
 from tissue_sim.ros.shared import client
 from tissue_sim.ros.shared.executors import make_executor
 
-LOOKED_AT = 0.05  # s at the end of a press, whose wrenches are averaged
+LOOKED_AT = 0.05  # s at the end of a press whose wrenches are averaged
 PATIENCE = 2.0  # s for a service to answer, until it is asked again
 
 
 class Presser(Hand):
-    """A hand that sends poses at a rate, like a haptic bridge: the one of the moment, and none for a moment missed.
+    """A hand that sends poses at a rate, like a haptic bridge: the present one, and none for a moment missed.
 
     target: the node.
     """
@@ -36,17 +36,17 @@ class Presser(Hand):
         self._angles = node.create_publisher(JointState, "left/gripper/measured_js", client.stream_qos())
         self._wrenches = client.Inbox(node, WrenchStamped, "left/servo_cf", client.stream_qos())
         self._reset = node.create_client(Trigger, f"{target}/reset")
-        self.gap = 0.0  # s, longest between two poses of the last press: what the machine kept the hand waiting
+        self.gap = 0.0  # s, longest between two poses of the last press: the machine's delay of the hand
         self._executor = make_executor()
         self._executor.add_node(node)
 
     def meet(self) -> None:
-        """Wait until the node hears the hand. Raises UserError when it doesn't."""
+        """Wait until the node hears the hand; raise UserError when it doesn't."""
         super().meet()
         first_within(self._reset.service_is_ready, START_TIME, "the node's service was not found over DDS")
 
     def press(self, poses: Iterable[Floats], rate: float) -> Floats:
-        """Reset the organ, send poses (7,) at a rate, Hz; returns the force (3,) N in the end."""
+        """Reset the organ, send poses (7,) at a rate, Hz; return the final force (3,) N."""
         self.reset()
         self._wrenches.take_all()
         self._angles.publish(JointState(name=["jaw"], position=[0.0]))
@@ -66,7 +66,7 @@ class Presser(Hand):
         return force_in_the_end(felt)
 
     def reset(self) -> None:
-        """Bring the organ back to rest, without tools. Raises UserError when the node doesn't answer."""
+        """Bring the organ back to rest, without tools; raise UserError when the node doesn't answer."""
         end = time.monotonic() + START_TIME
         while time.monotonic() < end:
             pending = self._reset.call_async(Trigger.Request())
@@ -80,7 +80,7 @@ class Presser(Hand):
 def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
     """Return the mean force (3,) N of the last LOOKED_AT s of wrenches that came, s and N; zero where none did.
 
-    By time, not by their number: on a busy machine few come, and those before would be of another depth.
+    It counts by time, not by their number: on a busy machine few come, and earlier ones would be of another depth.
     """
     if not felt:
         return np.zeros(3)
@@ -91,7 +91,24 @@ def force_in_the_end(felt: Sequence[tuple[float, Floats]]) -> Floats:
 def pressing(organ_file: str, organ: Organ, parameters: Sequence[str]) -> Iterator[Presser]:
     """Start a node with an organ of a file and parameters, and a hand at it.
 
-    Raises UserError when the node doesn't start.
+    Parameters
+    ----------
+    organ_file : str
+        The file.
+    organ : Organ
+        The same organ.
+    parameters : Sequence[str]
+        Parameters of the node.
+
+    Yields
+    ------
+    Iterator[Presser]
+        the hand
+
+    Raises
+    ------
+    UserError
+        When the node doesn't start.
     """
     with Graph() as graph:
         served = graph.start_node(organ_file, *parameters)

@@ -1,4 +1,4 @@
-"""The executor that node and probes spin with."""
+"""The executor of node and probes."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ OLD_RCLPY = "rclpy is older than 7.1.4 and has no EventsExecutor: poses take lon
 
 
 def make_executor() -> Executor:
-    """The one that costs least for a pose, or in an old rclpy the usual one."""
+    """Return the one that costs least for a pose, or in an old rclpy the usual one."""
     return SingleThreadedExecutor() if EventsExecutor is None else EventsExecutor()

@@ -31,7 +31,7 @@ from tissue_sim.ros.shared.tool_topics import TOOL_TOPICS
 
 @dataclass(frozen=True)
 class Spec:
-    """One parameter. `setting` is the field of the simulation's settings that it changes, if any."""
+    """One parameter; `setting` is the field of the simulation's settings that it changes, if any."""
 
     name: str
     default: Any
