@@ -28,7 +28,7 @@ Rng = np.random.Generator
 TOOLS = ("left", "right", "jaws")
 SECONDS = 0.25  # duration of an act
 PATIENCE = 10.0  # s for an answer that a live node gives at once
-QUIET, STARVED_QUIET = 0.15, 1.0  # s of silence after which no wrench counts as coming: usually, and before a zero has come
+QUIET, STARVED_QUIET = 0.15, 1.0  # s without a wrench that count as silence: usually, and before a zero
 ALL = QoSProfile(depth=4000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 STREAM = client.stream_qos()
 KEPT = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)

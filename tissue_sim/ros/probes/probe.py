@@ -180,7 +180,7 @@ class Probe(Hand):
         )
 
     def report(self) -> dict[str, float]:
-        """Return the node's newest figures: ticks, late ones, and the median time of a tick, us; poses go on meanwhile."""
+        """Return the node's newest ticks, late ticks and median time of a tick, us; poses go on meanwhile."""
         self._report = {}
         end = time.monotonic() + 5.0
         while not self._report:

@@ -12,7 +12,7 @@ REACH = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 ONLY_HERE, PEERS, SERVER = "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
 
 DOMAIN = "ROS_DOMAIN_ID"
-LAST_DOMAIN, LAST_OWN_DOMAIN = 232, 101  # the last with ports (DDSI-RTPS 9.6.1), and the last below the ephemeral ones of Linux
+LAST_DOMAIN, LAST_OWN_DOMAIN = 232, 101  # last with ports (DDSI-RTPS 9.6.1); last below Linux's ephemeral ones
 
 # Fast DDS 2 (Jazzy) reads the first, Fast DDS 3 the second.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")

@@ -143,7 +143,7 @@ class Loop:
 
     @property
     def clock_stands(self) -> bool:
-        """Return whether ticks follow a posted time that has not come yet, or that has stood still for half a second."""
+        """Return whether ticks follow a posted time that has not come yet, or has stood still for half a second."""
         return bool(self._standing[0]) and not self.hold.active
 
     @property
