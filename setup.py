@@ -10,13 +10,13 @@ HERE = Path(__file__).resolve().parent
 
 
 def version() -> str:
-    """Version named in tissue_sim/__init__.py, read without importing the package."""
+    """Return the version named in tissue_sim/__init__.py, read without importing the package."""
     text = (HERE / NAME / "__init__.py").read_text(encoding="utf-8")
     return re.search(r'^__version__ = "(.+)"$', text, re.MULTILINE).group(1)
 
 
 def share_files(*folders: str) -> list[tuple[str, list[str]]]:
-    """Every file under the folders, as data_files that keep their place below share/tissue_sim."""
+    """Return every file under the folders, as data_files that keep their place below share/tissue_sim."""
     installed: dict[str, list[str]] = {}
     for folder in folders:
         for path in sorted((HERE / folder).rglob("*")):

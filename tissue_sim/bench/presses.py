@@ -1,4 +1,4 @@
-"""Benchmark `tissue_sim bench presses`: tools enter fast, late or in one jump; is each of them resisted?
+"""Benchmark `tissue_sim bench presses`: tools enter fast, late or in one jump; whether each of them is resisted.
 
 Each press ends at the place of one that was made slowly, and its force there is compared with that one's. The node runs
 in real time, and poses come over DDS: beside a busy program the benchmark shows the effect of a busy machine on a hand.

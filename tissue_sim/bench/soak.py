@@ -218,7 +218,7 @@ def as_json(
     failures: Sequence[str],
     repeats: bool | None = None,
 ) -> dict[str, Any]:
-    """All figures, and the bounds that they are held against.
+    """Return all figures, and the bounds that they are compared with.
 
     turns: of the bare loop, when each began, s, and how late its ticks were, s; drift: m, of the shape at rest; clamp:
     N; problems: counters of the diagnostics that are not 0; failures: what they called an error.

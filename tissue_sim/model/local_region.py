@@ -17,9 +17,7 @@ from tissue_sim.model.forces import edge_forces, return_forces, spring_forces
 
 FROZEN_HOPS = 2  # the "second layer"; every spring counts as one hop
 MODAL_HOPS = 1  # enough with a table of the rest's compliance: a second layer changes equilibria by 0.2 %
-UNTABLED_HOPS = (
-    2  # with modes alone: one layer on an organ of 4000 points gives errors of up to 20 %, two 7 %
-)
+UNTABLED_HOPS = 2  # with modes alone: one layer on an organ of 4000 points gives errors of up to 20 %, two 7 %
 
 
 @kernel

@@ -187,14 +187,9 @@ class Simulation:
     # what users read ---------------------------------------------------------------------------
     @property
     def positions(self) -> Floats:
-        """Return the nodes' positions: surface nodes, medial atoms, interior nodes; the live array, not a copy.
+        """Nodes' positions (n, 3) m: surface nodes, medial atoms, interior nodes; the live array, not a copy.
 
         Reading it brings the nodes outside a modal region up to date.
-
-        Returns
-        -------
-        Floats
-            shape (n, 3), m
         """
         status = self.state.status
         if status.region == Region.MODAL and status.shown != status.tick and not self.asleep:
@@ -203,29 +198,17 @@ class Simulation:
 
     @property
     def velocities(self) -> Floats:
-        """Return the nodes' velocities, the live array.
-
-        Returns
-        -------
-        Floats
-            shape (n, 3), m/s
-        """
+        """Nodes' velocities (n, 3) m/s, the live array."""
         return self.state.velocity
 
     @property
     def time(self) -> float:
-        """Return the simulated time.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Simulated time, s."""
         return float(self.state.status.tick) / self.rate
 
     @property
     def asleep(self) -> bool:
-        """Return whether the organ rests untouched and ticks cost nothing."""
+        """Whether the organ rests untouched and ticks cost nothing."""
         return bool(self.state.status.asleep)
 
     # what users do -----------------------------------------------------------------------------
@@ -372,20 +355,15 @@ class Simulation:
 
     @property
     def critical_step(self) -> float:
-        """Return the longest stable step of the integrator for the present stiffness and damping.
+        """Longest stable step of the integrator for the present stiffness and damping, s.
 
         Infinite for the implicit integrator.
-
-        Returns
-        -------
-        float
-            s
         """
         return self._longest_step(self.integrator)
 
     @property
     def energy(self) -> Energy:
-        """Return the kinetic and elastic energy, J."""
+        """Kinetic and elastic energy, J."""
         energy = energy_of(self.model, self.positions, self.velocities)
         return energy._replace(elastic=energy.elastic * float(self.settings.stiffness_scale))
 
@@ -411,13 +389,7 @@ class Simulation:
 
     @property
     def longest_step(self) -> float:
-        """Return the longest substep allowed: the critical step, or what these tools allow however soft the organ is.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Longest substep allowed, s: the critical step, or what these tools allow however soft the organ is."""
         return self._longest_step_taken(self.integrator)
 
     def _longest_step_taken(self, integrator: str) -> float:

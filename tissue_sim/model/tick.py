@@ -442,7 +442,7 @@ def has_taken_impulses(state: Any, settings: Any, implicit: bool) -> bool:
 
 @kernel
 def set_mobility(model: Any, state: Any, settings: Any, step: float, scratch: Any, implicit: bool) -> None:
-    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's share of its mass.
+    """Write each node's velocity for a unit impulse in a substep, (n,) 1/kg, and the integration's part of its mass.
 
     Only when settings have changed. The damping is implicit, so it acts on the contact's impulse too: 1 / (m + h d).
     With 1/m alone a body at rest would press with a force short by h d/m. An implicit step adds the stiffness.

@@ -103,13 +103,7 @@ class Joined:
 
     @property
     def wrench(self) -> Floats:
-        """Return the wrench of all organs on every body of the tools, about its origin.
-
-        Returns
-        -------
-        Floats
-            shape (b, 6), N and N m
-        """
+        """Wrench of all organs on every body of the tools, about its origin, (b, 6) N and N m."""
         wrench = np.zeros_like(self.simulations[0].state.wrench)
         sum_felt(self.worlds, wrench)
         return wrench

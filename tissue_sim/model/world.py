@@ -158,7 +158,7 @@ def load_world(world: Any, nodes: Any, forces: Any) -> None:
 
 @kernel
 def prescribe_world(world: Any, nodes: Any, positions: Any, ticks: int) -> None:
-    """From the next tick on move nodes to positions within some ticks, and hold them there.
+    """Move nodes to positions within some ticks, from the next one on, and hold them there.
 
     The whole organ moves from here on, from where the region and the rest of it are.
 

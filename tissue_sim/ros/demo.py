@@ -136,7 +136,7 @@ def status_line(values: Mapping[str, str]) -> str:
 
 
 class Watch:
-    """Follows the node's diagnostics until the time is over, which counts from when node and bridge both run."""
+    """Observer of the node's diagnostics until the time is over, which counts from when node and bridge both run."""
 
     def __init__(self, seconds: float | None) -> None:
         self._seconds = seconds

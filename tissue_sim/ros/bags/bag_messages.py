@@ -27,7 +27,7 @@ class BagMessages:
 
     @property
     def active(self) -> bool:
-        """Return whether messages are recorded."""
+        """Whether messages are recorded."""
         return self.recording and self.spool is not None and self.spool.is_open
 
     def put(self, name: str, raw: bytes) -> bool:

@@ -37,7 +37,7 @@ class Shown:
 
     @property
     def ticks(self) -> Longs:
-        """Return every tick of which something is shown, ascending."""
+        """Every tick of which something is shown, ascending."""
         return np.unique(np.concatenate([*self.wrench_ticks, *self.surface_ticks]))
 
     def within(self, first: int, last: int) -> Shown:
@@ -98,12 +98,12 @@ class Deviation:
 
     @property
     def largest(self) -> float:
-        """Return the largest deviation, in its unit; 0 where nothing was compared."""
+        """Largest deviation, in its unit; 0 where nothing was compared."""
         return float(self.values.max(initial=0.0))
 
     @property
     def tick(self) -> int:
-        """Return the tick of the largest deviation; -1 where there is none."""
+        """Tick of the largest deviation; -1 where there is none."""
         return int(self.ticks[np.argmax(self.values)]) if self.largest > 0.0 else -1
 
     def __str__(self) -> str:
@@ -111,7 +111,7 @@ class Deviation:
 
     @property
     def first_beyond(self) -> int:
-        """Return the first tick beyond the tolerance; -1 where there is none."""
+        """First tick beyond the tolerance; -1 where there is none."""
         beyond = np.flatnonzero(self.values > self.tolerance)
         return int(self.ticks[beyond[0]]) if len(beyond) else -1
 
@@ -128,22 +128,22 @@ class Comparison:
 
     @property
     def quantities(self) -> tuple[Deviation, Deviation, Deviation]:
-        """Return all of them."""
+        """All three deviations."""
         return self.force, self.torque, self.position
 
     @property
     def holds_nothing(self) -> bool:
-        """Return whether there was nothing to compare, which is no success."""
+        """Whether there was nothing to compare, which is no success."""
         return self.wrenches == 0 and self.surfaces == 0
 
     @property
     def first_beyond(self) -> int:
-        """Return the first tick at which any quantity is beyond its tolerance; -1 where none is."""
+        """First tick at which any quantity is beyond its tolerance; -1 where none is."""
         return min((found.first_beyond for found in self.quantities if found.first_beyond >= 0), default=-1)
 
     @property
     def passes(self) -> bool:
-        """Return whether something was compared, and all is within the tolerances."""
+        """Whether something was compared, and all is within the tolerances."""
         return not self.holds_nothing and self.first_beyond < 0
 
 

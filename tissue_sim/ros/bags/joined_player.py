@@ -13,7 +13,7 @@ from tissue_sim.ros.bags.organ_player import OrganPlayer
 
 
 class JoinedPlayer:
-    """Advances organs together, and applies where they touch."""
+    """Player that advances organs together, and applies where they touch."""
 
     def __init__(self, recording: JoinedRecording, organs: Sequence[OrganPlayer]) -> None:
         self._recording, self._organs = recording, list(organs)

@@ -18,7 +18,7 @@ from tissue_sim.ros.shared.loop import Loop
 
 
 class JoinedRecorder:
-    """Writes where organs touch and which links hold them.
+    """Recorder of where organs touch and which links hold them.
 
     Parameters
     ----------

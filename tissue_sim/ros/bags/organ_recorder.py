@@ -41,7 +41,7 @@ class _Notes:
 
 
 class OrganRecorder:
-    """Writes what an organ applied and showed, while `messages` has a bag open.
+    """Recorder of what an organ applied and showed, while `messages` has a bag open.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class OrganRecorder:
 
     @property
     def active(self) -> bool:
-        """Return whether messages are recorded."""
+        """Whether messages are recorded."""
         return self._messages.active
 
     # life --------------------------------------------------------------------------------------

@@ -78,7 +78,7 @@ class OrganRecording:
 
     @property
     def first_tick(self) -> int:
-        """Return the tick of the state."""
+        """Tick of the state."""
         return int(self.state["status"]["tick"].item())
 
     def organ(self) -> Organ:

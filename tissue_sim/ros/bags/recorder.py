@@ -86,17 +86,17 @@ class Recorder:
 
     @property
     def active(self) -> bool:
-        """Return whether messages are recorded."""
+        """Whether messages are recorded."""
         return self._messages.active
 
     @property
     def lost(self) -> int:
-        """Return the number of messages that the newest bag lacks."""
+        """Number of messages that the newest bag lacks."""
         return self._messages.spool.lost if self._messages.spool is not None else 0
 
     @property
     def error(self) -> str:
-        """Return what ended the newest bag before its time; empty where nothing did."""
+        """What ended the newest bag before its time; empty where nothing did."""
         return self._messages.spool.error if self._messages.spool is not None else ""
 
     def add_topic(self, tool: str, topic: str, name: str = "", qos: QoSProfile = STREAM) -> str:

@@ -117,17 +117,17 @@ class Recording:
 
     @property
     def wrench_rows(self) -> np.ndarray:
-        """Return which tick each wrench shows, records of bag.WrenchRow."""
+        """Which tick each wrench shows, records of bag.WrenchRow."""
         return (self.organs[0] if self.joined is None else self.joined).journal["wrenches"]
 
     @property
     def first_tick(self) -> int:
-        """Return the tick of the states."""
+        """Tick of the states."""
         return self.organs[0].first_tick
 
     @property
     def last_tick(self) -> int:
-        """Return the last tick that the journal knows."""
+        """Last tick that the journal knows."""
         rows = [one.journal[kind]["tick"] for one in self.organs for kind in ("inputs", "surfaces")]
         return int(max([np.max(found) for found in [*rows, self.wrench_rows["tick"]] if len(found)], default=0))
 

@@ -117,7 +117,7 @@ class Spool:
             return True
 
     def flush(self) -> None:
-        """Have everything that waits on the disk soon."""
+        """Request that everything that waits is soon on the disk."""
         with self._lock:
             self._soon = True
         self._wake.set()

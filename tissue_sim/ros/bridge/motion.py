@@ -122,13 +122,7 @@ class Path:
 
     @property
     def duration(self) -> float:
-        """Return the time from its first pose to the first of the next round.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Time from its first pose to the first of the next round, s."""
         return len(self.poses) / self.rate
 
     def then(

@@ -66,7 +66,7 @@ def cast(values: Mapping[str, Any], args: argparse.Namespace) -> Cast:
 
 
 class Player:
-    """Sends a path's poses for some seconds; late ones are left out, so that speeds stay true."""
+    """Sender of a path's poses for some seconds; late ones are left out, so that speeds stay true."""
 
     def __init__(self, tools: Sequence[ScriptedTool], seconds: float | None) -> None:
         self._tools = tools

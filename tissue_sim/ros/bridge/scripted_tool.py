@@ -16,7 +16,7 @@ from tissue_sim.ros.shared.tool_messages import FORCE_TYPES, N_WRENCH, WRENCH_TY
 
 
 class ScriptedTool:
-    """Sends poses, and the angle between jaws if there are any; receives wrenches."""
+    """Sender of poses, and of the angle between jaws if there are any, and receiver of wrenches."""
 
     def __init__(self, node: Node, link: ToolLink, has_jaws: bool = False) -> None:
         topics = link.topics
@@ -62,7 +62,7 @@ class ScriptedTool:
 
     @property
     def heard(self) -> bool:
-        """Return whether somebody subscribes to the poses, and to the jaws if there are any."""
+        """Whether somebody subscribes to the poses, and to the jaws if there are any."""
         publishers = [self._publisher] if self._jaws is None else [self._publisher, self._jaws]
         return all(publisher.get_subscription_count() for publisher in publishers)
 

@@ -70,7 +70,7 @@ def plan(
 
 
 class _Planner:
-    """Appends actions to a path; each begins and ends outside of the organ."""
+    """Builder of a path from actions, each of which begins and ends outside of the organ."""
 
     def __init__(
         self, surface: Surface, radius: float, n_tools: int, gripper: Sequence[tuple[int, Jaws]], rate: float

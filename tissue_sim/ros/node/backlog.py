@@ -23,7 +23,7 @@ Post = Callable[[Callable[[], None]], object]  # the executor does it after ever
 
 
 class Backlog:
-    """Measures how long a posted task waits for the executor; doubles the pause until that is short."""
+    """Measurement of how long a posted task waits for the executor; the pause doubles until that is short."""
 
     def __init__(self, post: Post) -> None:
         self._post = post
@@ -66,7 +66,7 @@ class Backlog:
 
 
 class Turnstile:
-    """Lets messages of one stream pass, as often as a backlog allows."""
+    """Gate for the messages of one stream, as often as a backlog allows."""
 
     def __init__(self, backlog: Backlog) -> None:
         self._backlog, self._passed = backlog, -math.inf

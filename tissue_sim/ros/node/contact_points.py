@@ -28,7 +28,7 @@ PATIENCE = 0.02  # s for a tick to post its state
 
 
 class ContactPoints:
-    """Publishes the contact points of each tool as ~/<tool>/contacts, at the marker rate.
+    """Publisher of the contact points of each tool as ~/<tool>/contacts, at the marker rate.
 
     Each point has its place, m; the normal out of the tissue there; the force on the tool, N; and the number of its
     organ. Forces are those of the tick's last substep, and add up to the tool's wrench where that is steady.

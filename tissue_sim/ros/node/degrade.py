@@ -28,18 +28,18 @@ class Look(NamedTuple):
 
     @property
     def strained(self) -> bool:
-        """Return whether the machine is too slow."""
+        """Whether the machine is too slow."""
         return self.load > STRAINED_LOAD or self.late > STRAINED_LATE or self.dropped > 0
 
     @property
     def words(self) -> str:
-        """Return what it saw, for people."""
+        """What it saw, for people."""
         lost = f", {self.dropped} were given up" if self.dropped else ""
         return f"ticks took {100 * self.load:.0f} % of the time, {100 * self.late:.0f} % of them were late{lost}"
 
     @property
     def well(self) -> bool:
-        """Return whether there is room to take a step back."""
+        """Whether there is room to take a step back."""
         return self.load < WELL_LOAD and self.late < WELL_LATE and self.dropped == 0
 
 
@@ -66,7 +66,7 @@ def halvings(level: int) -> int:
 
 
 class Ladder:
-    """Decides the level from one check to the next, without a clock or a node of its own.
+    """Decision on the level from one check to the next, without a clock or a node of its own.
 
     A step is taken after a second of uninterrupted strain, and back after ten seconds of wellness since the last
     strain; a check that is neither takes one of these away, since even an idle machine has hiccups. When a step had to

@@ -48,7 +48,7 @@ class Entities:
 
     @property
     def names(self) -> list[str]:
-        """Return the names: organs first, then tools."""
+        """Names of the entities: organs first, then tools."""
         return [*self._organs, *self._tools]
 
     def where(self, name: str) -> Placed:

@@ -51,64 +51,41 @@ class Freshness:
 
     @property
     def age(self) -> float:
-        """Return the time since the newest message; infinite when there was none.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Time since the newest message, s; infinite when there was none."""
         return self._clock.now() - self._came
 
     @property
     def is_fresh(self) -> bool:
-        """Return whether less than `stale_time` has passed since the last message."""
+        """Whether less than `stale_time` has passed since the last message."""
         return not self._organs.loop.clock_stands and self.age <= self._organs.stale_time
 
     @property
     def counts(self) -> bool:
-        """Return whether a stale input has not yet faded, which takes a `ramp_time` more."""
+        """Whether a stale input has not yet faded, which takes a `ramp_time` more."""
         return not self._organs.loop.clock_stands and self.age < self._organs.stale_time + self._organs.ramp_time
 
     @property
     def last_stamp(self) -> int:
-        """Return the earliest stamp, ns, of the next message; 0 for a stream that begins anew, with any stamp."""
+        """Earliest stamp, ns, of the next message; 0 for a stream that begins anew, with any stamp."""
         return self._stamp if self.counts and not self._organs.loop.standing else 0
 
     @property
     def period(self) -> float:
-        """Return the mean time between two messages.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Mean time between two messages, s."""
         return self._period
 
     @property
     def too_slow(self) -> float:
-        """Return the time between messages of a steady stream where each is stale before the next; 0 for any other.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Time between messages of a steady stream where each is stale before the next, s; 0 for any other."""
         gaps = sorted(self._gaps)
         gap = gaps[len(gaps) // 2] if len(gaps) == GAPS and self.age < LONGEST_GAP else 0.0
         return gap if gap > self._organs.stale_time else 0.0
 
     @property
     def delay(self) -> float:
-        """Return the mean time from a message's stamp until it came.
+        """Mean time from a message's stamp until it came, s.
 
         It is 0 for messages without a stamp, or from a machine whose clock is ahead, or far behind.
-
-        Returns
-        -------
-        float
-            s
         """
         return self._delay
 

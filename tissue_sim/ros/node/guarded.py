@@ -56,7 +56,7 @@ class GuardedNode(Node):
         def call(*args: P.args, **named: P.kwargs) -> None:
             try:
                 callback(*args, **named)
-            except Exception as error:  # whatever it is: the node goes on
+            except Exception as error:  # of any kind: the node goes on
                 self.mishaps.note(error)
 
         return call
@@ -108,7 +108,7 @@ class GuardedNode(Node):
         def call(request: Any, response: Any) -> Any:
             try:
                 return callback(request, response)
-            except Exception as error:  # whatever it is: the node goes on
+            except Exception as error:  # of any kind: the node goes on
                 return failed(type(response)(), request, self.mishaps.note(error))
 
         return super().create_service(srv_type, srv_name, call, *args, **named)

@@ -25,7 +25,7 @@ WORTH = 0.9  # halving the rate is worth it if it leaves at most this fraction o
 
 
 class LiveSettings:
-    """Computes settings from parameters and the level of degradation, and posts them; any thread may call it.
+    """Settings from parameters and the level of degradation, computed and posted; any thread may call it.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ class LiveSettings:
 
     @property
     def _first(self) -> Simulation:
-        """Return the first simulation; all have the same rate and local region."""
+        """First simulation; all have the same rate and local region."""
         return self._served.simulations[0]
 
     @property
     def _tick_time(self) -> float:
-        """Return the tick time at the level of degradation, s."""
+        """Tick time at the level of degradation, s."""
         return float(2.0 ** degrade.halvings(self.level) / self._parameters["rate"])
 
     def _renew_bound(self) -> None:
@@ -113,13 +113,7 @@ class LiveSettings:
 
     @property
     def coupling_stiffness(self) -> float:
-        """Return the stiffness between device and tool that is in use.
-
-        Returns
-        -------
-        float
-            N/m
-        """
+        """Stiffness between device and tool that is in use, N/m."""
         return float(self._first.settings.coupling_stiffness)
 
     def describe(self) -> str:
@@ -168,13 +162,7 @@ class LiveSettings:
 
     @property
     def marker_rate(self) -> float:
-        """Return the rate of markers and surfaces.
-
-        Returns
-        -------
-        float
-            Hz
-        """
+        """Rate of markers and surfaces, Hz."""
         wanted = float(self._parameters["marker_rate"])
         return min(wanted, degrade.MARKER_RATE) if self.level >= degrade.MARKERS else wanted
 

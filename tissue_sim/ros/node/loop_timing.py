@@ -32,17 +32,17 @@ class Timing:
 
     @property
     def rate(self) -> float:
-        """Return the ticks per second of wall time."""
+        """Ticks per second of wall time."""
         return self.ticks / self.seconds
 
     @property
     def load(self) -> float:
-        """Return the fraction of the wall time that the ticks took."""
+        """Fraction of the wall time that the ticks took."""
         return float(self.busy.sum()) / self.seconds
 
     @property
     def late_share(self) -> float:
-        """Return the fraction of the ticks that began more than a period late."""
+        """Fraction of the ticks that began more than a period late."""
         return self.late_ticks / max(self.ticks, 1)
 
 

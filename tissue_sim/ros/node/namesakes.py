@@ -8,7 +8,7 @@ from tissue_sim.ros.shared.report import Report
 
 
 class Namesakes:
-    """Counts the nodes in the graph that have this one's name."""
+    """Count of the nodes in the graph that have this one's name."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

@@ -141,7 +141,7 @@ class Outlet:
         return min(wait, self._organs.tick_time) if fading else wait
 
     def _marker_rate(self) -> float:
-        """Return the marker rate; low while nothing moves, though not 0, since somebody may have come to look."""
+        """Return the marker rate; low while nothing moves, though not 0, since a viewer may connect."""
         before, self._seen = self._seen, (*self._organs.surface_sequences, *(port.input.poses for port in self._ports))
         rate = self._live.marker_rate
         return rate if self._seen != before else min(rate, IDLE_MARKER_RATE)

@@ -97,11 +97,11 @@ class Stream(Protocol):
 
     @property
     def period(self) -> float:
-        """Return the time between two of them, s."""
+        """Time between two of them, s."""
 
     @property
     def delay(self) -> float:
-        """Return the time until one has come, s."""
+        """Time until one has come, s."""
 
 
 class DevicePort:
@@ -127,13 +127,7 @@ class DevicePort:
 
     @property
     def patience(self) -> float:
-        """Return how long a damped force stands, until the next pose is overdue or the last one stale.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Time, s, that a damped force stands: until the next pose is overdue or the last one stale."""
         return min(LATE * self._poses.period, self._settings().stale_time) if self.most > 0.0 else 0.0
 
     def forget(self) -> None:

@@ -21,7 +21,7 @@ PAUSED = "paused: no ticks and no forces until ~/pause is called with data: fals
 
 
 class Pausing:
-    """Pauses the node's ticks, and steps them; the executor calls its methods, except for the work of a step.
+    """Pausing and stepping of the node's ticks; the executor calls it, except for the work of a step.
 
     Poses that come meanwhile are kept as the newest; forces are zero until the node goes on.
 
@@ -54,12 +54,12 @@ class Pausing:
 
     @property
     def paused(self) -> bool:
-        """Return whether the node is paused, or stopped."""
+        """Whether the node is paused, or stopped."""
         return self._loop.hold.active
 
     @property
     def possible(self) -> bool:
-        """Return whether the node can be paused: not while its ticks follow /clock."""
+        """Whether the node can be paused: not while its ticks follow /clock."""
         return not self._clock.active
 
     def pause(self) -> None:

@@ -125,7 +125,7 @@ class OrganPresenter:
 
 
 class ScenePresenter:
-    """Publishes the markers of all organs of a scene as one array, and its ligaments, while somebody subscribes."""
+    """Publisher of the markers of a scene's organs as one array, and of its ligaments, while somebody subscribes."""
 
     def __init__(
         self,

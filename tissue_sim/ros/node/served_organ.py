@@ -27,7 +27,7 @@ class ServedOrgan:
 
     @property
     def below(self) -> str:
-        """Return the prefix of its topics."""
+        """Prefix of its topics."""
         return f"~/{self.name}" if self.name else "~"
 
 
@@ -57,12 +57,12 @@ class ServedScene:
 
     @property
     def organs(self) -> list[Organ]:
-        """Return the organs."""
+        """The organs."""
         return [one.organ for one in self.simulations]
 
     @property
     def is_scene(self) -> bool:
-        """Return whether organs have names, and topics below these."""
+        """Whether organs have names, and topics below these."""
         return self.names != ("",)
 
     @classmethod

@@ -45,23 +45,23 @@ class ServedTool:
 
     @property
     def bodies(self) -> list[int]:
-        """Return which of all rigid bodies are the tool's: the two jaws of a gripper, or one."""
+        """Which of all rigid bodies are the tool's: the two jaws of a gripper, or one."""
         return self.tools.bodies[self.index]
 
     @property
     def is_gripper(self) -> bool:
-        """Return whether it is a tool of two jaws."""
+        """Whether it is a tool of two jaws."""
         return len(self.bodies) > 1
 
     @property
     def is_unmoved(self) -> bool:
-        """Return whether its poses come in the organ's frame, under that name, and are not scaled."""
+        """Whether its poses come in the organ's frame, under that name, and are not scaled."""
         topics = self.topics
         return topics.frame_id == self.organ_frame and self.frames.to_organ(topics.frame_id).is_identity
 
     @property
     def nowhere(self) -> NewestPose:
-        """Return what stands for its newest pose before there is one."""
+        """What stands for its newest pose before there is one."""
         pose = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         to_organ = self.frames.to_organ(self.topics.frame_id)
         return NewestPose(0, pose, np.tile(pose, (len(self.bodies), 1)), self.topics.frame_id, to_organ, b"", b"")

@@ -71,12 +71,12 @@ class ShapesShown:
 
     @property
     def first_rows(self) -> list[int]:
-        """Return the row of each organ's first node in `positions`."""
+        """Row of each organ's first node in `positions`."""
         return [part.start for part in self._parts]
 
     @property
     def sequence(self) -> tuple[int, ...]:
-        """Return a value that changes whenever any organ moved."""
+        """Value that changes whenever any organ moved."""
         return tuple(one.surface_sequence for one in self._physics)
 
     def refresh(self) -> int:

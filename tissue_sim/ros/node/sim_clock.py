@@ -15,7 +15,9 @@ NANOSECOND = Duration(nanoseconds=1)
 
 
 class SimClock:
-    """Hands every time of /clock to the loop. Without a clock there is no tick; a jump back resets the organ.
+    """The clock that ticks follow; hands every time of /clock to the loop.
+
+    Without a clock there is no tick; a jump back resets the organ.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ def tf_installed() -> bool:
 
 
 class TfLookup:
-    """Looks up frames against one target; call it from the executor's thread only.
+    """Lookup of frames against one target; call it from the executor's thread only.
 
     It listens to /tf only after the first question, since that costs time.
     """

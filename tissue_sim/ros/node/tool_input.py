@@ -39,7 +39,7 @@ class Refused(Exception):
 
 
 class ToolInput:
-    """Subscribes a tool's measured_cp, external_cf where it has a name, and of a gripper measured_js.
+    """Input of a tool's measured_cp, external_cf where it has a name, and of a gripper measured_js.
 
     It posts messages to the loop and the bag. Inside, and in a bag, a pose is a PoseStamped and a force a
     WrenchStamped, both in the organ's frame. While the executor is behind by its backlog, some of them are skipped.
@@ -113,17 +113,17 @@ class ToolInput:
 
     @property
     def passed_over(self) -> int:
-        """Return the number of poses and forces that were skipped, as the executor was behind."""
+        """Number of poses and forces that were skipped, as the executor was behind."""
         return self._pose_gate.passed_over + self._force_gate.passed_over
 
     @property
     def topic(self) -> str:
-        """Return the full name of the topic of its poses."""
+        """Full name of the topic of its poses."""
         return str(self._subscriptions[0].topic_name)
 
     @property
     def bridges(self) -> int:
-        """Return the number of publishers of its poses."""
+        """Number of publishers of its poses."""
         return self._count_publishers(self.topic)
 
     def place(self, values: tuple[float, ...]) -> None:

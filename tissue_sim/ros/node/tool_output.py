@@ -23,7 +23,7 @@ from tissue_sim.ros.shared.tool_messages import N_WRENCH
 
 
 class ToolOutput:
-    """Publishes a tool's servo_cf, and the tissue's wrench on it in the organ's frame, which a bag holds.
+    """Output of a tool's servo_cf, and of the tissue's wrench on it in the organ's frame, which a bag holds.
 
     A wrench is published in answer to each pose, from that pose's own callback; `keep_publishing` goes on at the tick
     rate when poses stop, until the wrench is zero.

@@ -74,28 +74,22 @@ class ToolPort:
 
     @property
     def name(self) -> str:
-        """Return the tool's name."""
+        """Name of the tool."""
         return self._tool.name
 
     @property
     def bodies(self) -> list[int]:
-        """Return which of all rigid bodies are the tool's."""
+        """Which of all rigid bodies are the tool's."""
         return self._tool.bodies
 
     @property
     def newest(self) -> NewestPose:
-        """Return the newest pose that was applied."""
+        """Newest pose that was applied."""
         return self.input.newest
 
     @property
     def extents(self) -> Floats:
-        """Return the radii of the balls about the origins of its bodies that enclose them.
-
-        Returns
-        -------
-        Floats
-            shape (b,), m
-        """
+        """Radii (b,) m of the balls about the origins of its bodies that enclose them."""
         return np.asarray(self._tool.tools.shapes.extent[self.bodies])
 
     def place(self, frame_id: str, pose: Sequence[float]) -> None:

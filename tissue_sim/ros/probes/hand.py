@@ -25,7 +25,7 @@ UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 class Hand:
-    """Sends poses of the tool `left` from a rclpy node, `rate` times a second, Hz."""
+    """Sender of poses of the tool `left` from a rclpy node, `rate` times a second, Hz."""
 
     def __init__(self, node: Node, organ: Organ, rate: float = 1000.0) -> None:
         self._node, self._period = node, 1.0 / rate

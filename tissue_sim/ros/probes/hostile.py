@@ -41,7 +41,7 @@ class Fault(Exception):
 
 
 class Hostile:
-    """Sends what acts (hostile_acts) request to the node `target`, and checks it; its methods raise Fault.
+    """Client that sends what acts (hostile_acts) request to the node `target`, and checks it; methods raise Fault.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def resident(process: int) -> tuple[float, float]:
 
 
 class Watch:
-    """Watches a node from a rclpy node of this process that nothing spins.
+    """Observer of a node from a rclpy node of this process that nothing spins.
 
     Parameters
     ----------

@@ -58,12 +58,12 @@ class Child:
 
     @property
     def exit_code(self) -> int | None:
-        """Return the exit code; None while it runs."""
+        """Exit code; None while it runs."""
         return self._process.poll()
 
     @property
     def pid(self) -> int:
-        """Return the number of its process."""
+        """Number of its process."""
         return self._process.pid
 
     def last_words(self) -> str:

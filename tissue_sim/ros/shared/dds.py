@@ -23,7 +23,7 @@ PROFILE, LOCAL_PROFILE = "config/fastdds.xml", "config/fastdds_local.xml"
 
 
 def prepare(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Before rclpy.init, limit the reach to this machine and allow large organs, unless the user chose otherwise.
+    """Limit the reach to this machine and allow large organs, unless the user chose otherwise; before rclpy.init.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ class Ending:
 
     @property
     def interrupted(self) -> bool:
-        """Return whether Interrupted was raised."""
+        """Whether Interrupted was raised."""
         return self._raised
 
     def started(self) -> None:

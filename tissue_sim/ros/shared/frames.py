@@ -77,7 +77,7 @@ class Transform(NamedTuple):
 
     @property
     def is_identity(self) -> bool:
-        """Return whether it changes no pose."""
+        """Whether it changes no pose."""
         return self == UNMOVED
 
     def inverse(self) -> Transform:

@@ -16,7 +16,7 @@ SECOND = 1_000_000_000  # ns
 
 
 class Hold:
-    """Holds a running loop that follows the monotonic clock; any thread may call it.
+    """Control that holds a running loop that follows the monotonic clock; any thread may call it.
 
     A held loop follows a time of its own, as others follow /clock: that stands, and advances by a tick at a time, so
     that exactly those ticks are due.
@@ -36,7 +36,7 @@ class Hold:
 
     @property
     def active(self) -> bool:
-        """Return whether the loop is held."""
+        """Whether the loop is held."""
         return self._frozen is not None
 
     def now(self) -> float:

@@ -28,7 +28,7 @@ _waiting_libc = ctypes.CDLL(None)
 
 
 class Loop:
-    """Ticks simulations at the rate of the first one; methods may be called from any one thread each.
+    """Loop that ticks simulations at the rate of the first one; each method may be called from any one thread.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Loop:
 
     @property
     def priority(self) -> int:
-        """Return the real-time priority of the loop, 0 where it is a thread like others."""
+        """Real-time priority of the loop, 0 where it is a thread like others."""
         return os.sched_getparam(self._thread.native_id or 0).sched_priority if self.alive else 0
 
     def stop(self) -> None:
@@ -118,7 +118,7 @@ class Loop:
 
     @property
     def alive(self) -> bool:
-        """Return whether the loop runs."""
+        """Whether the loop runs."""
         return self._thread.is_alive()
 
     def answers_within(self, age: int) -> bool:
@@ -138,28 +138,22 @@ class Loop:
 
     @property
     def standing(self) -> bool:
-        """Return whether no tick is due: the loop is held, or the clock that it follows stands."""
+        """Whether no tick is due: the loop is held, or the clock that it follows stands."""
         return self.hold.active or self.clock_stands
 
     @property
     def clock_stands(self) -> bool:
-        """Return whether ticks follow a posted time that has not come yet, or has stood still for half a second."""
+        """Whether ticks follow a posted time that has not come yet, or has stood still for half a second."""
         return bool(self._standing[0]) and not self.hold.active
 
     @property
     def tick_time(self) -> float:
-        """Return the simulated time of the next tick, by the settings that the last one applied.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Simulated time of the next tick, by the settings that the last one applied, s."""
         return float(self._settings[0].tick_time)
 
     @property
     def ticks(self) -> int:
-        """Return the number of ticks done."""
+        """Number of ticks done."""
         return int(self.words.control.loop_ticks)
 
     # in ----------------------------------------------------------------------------------------
@@ -179,7 +173,7 @@ class Loop:
 
     @property
     def resets(self) -> int:
-        """Return the number of resets requested."""
+        """Number of resets requested."""
         return int(self.words.control.resets)
 
     def post_respiration(self, share: float) -> int:

@@ -19,7 +19,7 @@ ASK_AGAIN = 1.0  # s; a server drops the answer to a client that it has not disc
 
 
 class NodeParameters:
-    """Reads the parameters of the node `target` and of its tools, for the node `client`.
+    """Parameters of the node `target` and of its tools, read for the node `client`.
 
     It has a node of its own, for an executor that handles nothing but the answers.
 

@@ -85,40 +85,22 @@ class Organs:
 
     @property
     def stale_time(self) -> float:
-        """Return the time without input after which it is stale.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Time without input after which it is stale, s."""
         return self.each[0].stale_time
 
     @property
     def ramp_time(self) -> float:
-        """Return the time in which a stale input fades.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Time in which a stale input fades, s."""
         return self.each[0].ramp_time
 
     @property
     def tick_time(self) -> float:
-        """Return the simulated time of a tick, by the newest settings.
-
-        Returns
-        -------
-        float
-            s
-        """
+        """Simulated time of a tick, by the newest settings, s."""
         return self.each[0].tick_time
 
     @property
     def answers(self) -> bool:
-        """Return whether the loop answers, see Physics.answers."""
+        """Whether the loop answers, see Physics.answers."""
         return self.each[0].answers
 
     def wrenches(self) -> tuple[int, Floats]:
@@ -159,5 +141,5 @@ class Organs:
 
     @property
     def surface_sequences(self) -> tuple[int, ...]:
-        """Return the surface_sequence of each, see Physics."""
+        """The surface_sequence of each organ, see Physics."""
         return tuple(one.surface_sequence for one in self.each)

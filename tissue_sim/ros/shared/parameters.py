@@ -164,7 +164,7 @@ class Values(Protocol):
     """Parameters by name: a node's own, or a dictionary of another node's."""
 
     def __getitem__(self, name: str, /) -> Any:
-        """The value of a parameter."""
+        """Return the value of a parameter."""
 
 
 def tool_of(values: Values, name: str) -> Tool:
@@ -337,7 +337,7 @@ class Parameters:
 
     @property
     def tf_target(self) -> str:
-        """Return the frame that other frames are looked up against."""
+        """Frame that other frames are looked up against."""
         return self["base_frame"] or self["frame_id"]
 
     def apply(self, settings: Settings) -> None:

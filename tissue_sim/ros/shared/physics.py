@@ -52,7 +52,7 @@ class Physics:
 
     @property
     def answers(self) -> bool:
-        """Return whether the loop's last post is younger than a tool's force may be without poses, or two ticks."""
+        """Whether the loop's last post is younger than a tool's force may be without poses, or two ticks."""
         return self.loop.answers_within(self._oldest)
 
     # in ----------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ class Physics:
 
     @property
     def surface_sequence(self) -> int:
-        """Return a number that rises whenever the positions moved."""
+        """Number that rises whenever the positions moved."""
         return self.loop.ticks if self.box.demand.on_demand else int(self.box.shape.sequence[0])
 
     def positions(self, out: Floats, timeout: float = 0.02) -> tuple[int, Floats]:

@@ -70,12 +70,12 @@ class ToolLink:
 
     @property
     def qos(self) -> QoSProfile:
-        """Return the QoS that the node's subscriptions match."""
+        """QoS that the node's subscriptions match."""
         return RELIABLE if self.topics.reliable else STREAM
 
     @property
     def pose_type(self) -> type:
-        """Return the message class of its poses."""
+        """Message class of its poses."""
         return POSE_TYPES[self.topics.pose_type].message
 
 

@@ -60,12 +60,12 @@ class ToolTopics:
 
     @property
     def has_axes_of_its_own(self) -> bool:
-        """Return whether `wrench_rotation` turns the wrench to axes that no pose has."""
+        """Whether `wrench_rotation` turns the wrench to axes that no pose has."""
         return self.wrench_rotation != (0.0, 0.0, 0.0, 1.0)
 
     @property
     def turns_wrench(self) -> bool:
-        """Return whether the wrench is published along other axes than those of the poses."""
+        """Whether the wrench is published along other axes than those of the poses."""
         return self.wrench_frame == "body" or self.has_axes_of_its_own
 
     def outgoing(self) -> Any:

@@ -27,7 +27,7 @@ type Answer = Callable[[ServerConnection, Request], Response | None]
 
 
 class Guard:
-    """Refuses requests with 403: without the token where there is one, else for a foreign host name.
+    """Filter of requests, which answers 403: without the token where there is one, else for a foreign host name.
 
     On loopback, where there is no token, a web page that the user has open elsewhere is kept out: the browser sends its
     origin, and a name that was made to point here (DNS rebinding) appears as the host.

@@ -20,7 +20,7 @@ SHORTEST = 0.005  # m from hinge to tips, for the speed of the tips
 
 
 class HeldJaws:
-    """Publishes a gripper's measured_js from a separate thread, from a `turn` until the jaws have reached the goal.
+    """Publisher of a gripper's measured_js in a separate thread, from a `turn` until the jaws reach the goal.
 
     Their tips move like a held tool: no faster, and without a jump in speed.
 
@@ -45,7 +45,7 @@ class HeldJaws:
 
     @property
     def moving(self) -> bool:
-        """Return whether angles are published."""
+        """Whether angles are published."""
         return self._thread is not None
 
     def rivals(self) -> int:

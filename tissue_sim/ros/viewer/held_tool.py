@@ -47,7 +47,7 @@ def limited(vector: Floats, length: float) -> Floats:
 
 
 class HeldTool:
-    """Publishes a tool's poses from a separate thread, between `take` and `release`.
+    """Publisher of a tool's poses in a separate thread, between `take` and `release`.
 
     The thread keeps publishing while the viewer is busy with a picture, so that no pose gets stale.
 
@@ -81,12 +81,12 @@ class HeldTool:
 
     @property
     def topic(self) -> str:
-        """Return the topic of the poses."""
+        """Topic of the poses."""
         return (self._link or ToolLink.by_default(self._name, "")).topics.names["measured_cp"]
 
     @property
     def held(self) -> bool:
-        """Return whether it is between `take` and `release`."""
+        """Whether it is between `take` and `release`."""
         return self._thread is not None
 
     def rivals(self) -> int:

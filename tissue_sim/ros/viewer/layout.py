@@ -74,7 +74,7 @@ def write(kind: str, node: str) -> int:
 
 
 def _told(values: dict[str, Any], tool: str, node: str) -> str:
-    """The topic of a tool's wrenches."""
+    """Return the topic of a tool's wrenches."""
     from tissue_sim.ros.shared.tool_link import ToolLink
 
     link = ToolLink.told(values, tool, node)

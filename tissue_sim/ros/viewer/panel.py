@@ -14,7 +14,7 @@ from tissue_sim.ros.shared.appearance import SCALE, TISSUE, Colour, tissue_colou
 
 NO_VALUE = "-"
 LINES = 3  # lines of the headline
-TRANSLUCENT, SOLID = 0.8, 1.0  # opacity of one organ, which shows its inside; of several, which would show through each other
+TRANSLUCENT, SOLID = 0.8, 1.0  # opacity of one organ, which shows its inside; of several
 LAST = 1e9  # order in the panel: below everything that comes later
 
 

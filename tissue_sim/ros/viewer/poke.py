@@ -194,7 +194,7 @@ class Poke:
             self._gizmo = None
 
     def _watch(self, holder: viser.ClientHandle, gone: threading.Event) -> None:
-        """Release the tool when the page no longer answers: one that was left, or lies behind others, stays connected."""
+        """Release the tool when the page no longer answers: one that was left or is hidden stays connected."""
         while not gone.wait(PROBE_EVERY):
             try:
                 holder.local_storage.get_item("hand", timeout=self._patience)

@@ -50,13 +50,7 @@ class ToolView:
 
     @property
     def opening(self) -> float | None:
-        """Return the angle between its jaws, the first and the last part; None while the tool's place is unknown.
-
-        Returns
-        -------
-        float | None
-            rad
-        """
+        """Angle between its jaws, the first and the last part, rad; None while the tool's place is unknown."""
         shafts = [
             Rotation.from_quat(np.roll(p.wxyz, -1)).apply([0.0, 0.0, 1.0]) for p in self._parts.values() if p.visible
         ]
@@ -64,13 +58,7 @@ class ToolView:
 
     @property
     def reach(self) -> float:
-        """Return the distance from the tool's origin to its surface, across and ahead; 0 while its shape is unknown.
-
-        Returns
-        -------
-        float
-            m
-        """
+        """Distance from the tool's origin to its surface, across and ahead, m; 0 while its shape is unknown."""
         return max(self._reaches.values(), default=0.0)
 
     def show(self, markers: Sequence[Marker]) -> None:
