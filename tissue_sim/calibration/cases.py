@@ -48,11 +48,23 @@ class Cases:
         return len(self.kind)
 
     def scaled(self, factor: Floats) -> Cases:
-        """Return the same cases with their forces times factor (c,)."""
+        """Return the same cases with their forces multiplied.
+
+        Parameters
+        ----------
+        factor : Floats, shape (c,)
+            Factor of each case.
+        """
         return replace(self, force=self.force * factor[:, None, None])
 
     def chosen(self, index: Longs) -> Cases:
-        """Return some of the cases, by index."""
+        """Return some of the cases.
+
+        Parameters
+        ----------
+        index : Longs
+            Indices of the cases.
+        """
         return Cases(self.force[index], [self.centre[i] for i in index], [self.kind[i] for i in index])
 
 

@@ -228,11 +228,33 @@ class Cholesky:
         return list(single)
 
     def solve(self, right: Floats) -> Floats:
-        """Return the solution (3n, c) for right-hand sides (3n, c); 0 at the held unknowns."""
+        """Return the solution; 0 at the held unknowns.
+
+        Parameters
+        ----------
+        right : Floats, shape (3n, c)
+            Right-hand sides.
+
+        Returns
+        -------
+        Floats
+            shape (3n, c)
+        """
         return self._solve(right, self.factors, dtrsm, dgemm, np.float64)
 
     def precondition(self, right: Floats) -> Floats:
-        """Return the solution (3n, c) in single precision, in half the time."""
+        """Return the solution in single precision, in half the time.
+
+        Parameters
+        ----------
+        right : Floats, shape (3n, c)
+            Right-hand sides.
+
+        Returns
+        -------
+        Floats
+            shape (3n, c)
+        """
         return self._solve(right, self._single, strsm, sgemm, np.float32).astype(np.float64)
 
     def _solve(self, right: Floats, factors: list[Factor], triangle: Any, product: Any, kind: Any) -> Any:

@@ -45,16 +45,36 @@ class Elastic:
         return self._trace
 
     def tangent(self, stiffness: Floats) -> csc_array:
-        """Return the stiffness matrix over the free axes, (a, a) N/m."""
+        """Return the stiffness matrix over the free axes, (a, a) N/m.
+
+        Parameters
+        ----------
+        stiffness : Floats, shape (p,)
+            Stiffness of every spring or cell.
+        """
         size = len(self.free)
         return csc_array((self._table @ stiffness, *self._pattern), shape=(size, size))
 
     def factor(self, tangent: csc_array) -> Factor:
-        """Return a factored tangent."""
+        """Return a factorised tangent.
+
+        Parameters
+        ----------
+        tangent : csc_array, shape (a, a), N/m
+            The tangent.
+        """
         return Factor(self._elimination, tangent)
 
     def sensitivity(self, answer: Floats, adjoint: Floats) -> Floats:
-        """Return the slope, by each stiffness (p,), of the work of tangent times answer along adjoint, both (a, r)."""
+        """Return the slope (p,), by each stiffness, of the work of tangent times answer along adjoint.
+
+        Parameters
+        ----------
+        answer : Floats, shape (a, r)
+            The answer.
+        adjoint : Floats, shape (a, r)
+            The adjoint.
+        """
         row, column = self._entries
         work = np.empty(len(row))
         for first in range(0, len(row), _AT_A_TIME):

@@ -95,7 +95,13 @@ class Factor:
         return self._cholesky is not None
 
     def solve(self, right: Floats) -> Floats:
-        """Return the solutions (a, c) or (a,) of right-hand sides of that shape."""
+        """Return the solutions of right-hand sides, of the same shape.
+
+        Parameters
+        ----------
+        right : Floats, shape (a, c) or (a,)
+            The right-hand sides.
+        """
         assert self._cholesky is not None
         columns = right.reshape(len(right), -1)
         whole = np.zeros((3 * self._order.size, columns.shape[1]))

@@ -113,11 +113,27 @@ class Body:
         return answer
 
     def settle(self, force: ArrayLike, acceleration: ArrayLike | None = None) -> Settled:
-        """Return the equilibrium of the neo-Hookean body under dead surface forces (n_surface, 3) N."""
+        """Return the equilibrium of the neo-Hookean body under dead surface forces.
+
+        Parameters
+        ----------
+        force : ArrayLike, shape (n_surface, 3), N
+            The forces.
+        acceleration : ArrayLike | None, shape (3,), m/s^2, optional
+            Acceleration of its mass.
+        """
         return next(self.settle_many([force], acceleration))
 
     def settle_many(self, forces: Iterable[ArrayLike], acceleration: ArrayLike | None = None) -> Iterator[Settled]:
-        """Yield the equilibria under several forces, in their order: in a third of the time of one by one."""
+        """Yield the equilibria under several forces, in their order: in a third of the time of one by one.
+
+        Parameters
+        ----------
+        forces : Iterable[ArrayLike], shape (n_surface, 3), N
+            The forces.
+        acceleration : ArrayLike | None, shape (3,), m/s^2, optional
+            Acceleration of its mass.
+        """
         for found in self.solid.settle_many(self.loads(force, acceleration) for force in forces):
             surface = found.displacement[: self.organ.n_surface].copy()
             yield Settled(

@@ -65,7 +65,15 @@ class Misfit:
         self._load[inside] = (force.reshape(len(force), -1)[:, free[inside]] / size).T @ self.combinations
 
     def evaluate(self, stiffness: Floats, factor: Factor | None = None) -> Evaluation:
-        """Return loss, gradient and errors: two solves, and a factorisation unless the factor is given."""
+        """Return loss, gradient and errors: two solves, and a factorisation unless the factor is given.
+
+        Parameters
+        ----------
+        stiffness : Floats, shape (p,)
+            Stiffness of every spring or cell.
+        factor : Factor | None, optional
+            Factorised tangent of that stiffness.
+        """
         factor = factor or self.elastic.factor(self.elastic.tangent(stiffness))
         answer = factor.solve(self._load)
         off = answer[self._inside] - self._wanted

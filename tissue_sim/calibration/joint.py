@@ -59,19 +59,40 @@ class Together:
         self._start = np.random.default_rng(0).standard_normal(len(misfit.elastic.free))
 
     def split(self, logarithm: Floats) -> tuple[Floats, Floats]:
-        """Return stiffness (p,) and masses (n,) kg."""
+        """Return stiffness (p,) and masses (n,), kg.
+
+        Parameters
+        ----------
+        logarithm : Floats, shape (p + moving nodes,)
+            Their logarithms.
+        """
         mass = self.around.copy()
         mass[self.moving] *= np.exp(logarithm[len(self.first) :])
         return self.first * np.exp(logarithm[: len(self.first)]), mass
 
     def join(self, stiffness: Floats, mass: Floats) -> Floats:
-        """Return the logarithms of stiffness (p,) and masses (n,) kg."""
+        """Return the logarithms of stiffness and masses.
+
+        Parameters
+        ----------
+        stiffness : Floats, shape (p,)
+            Stiffness of every spring or cell.
+        mass : Floats, shape (n,), kg
+            Masses of the nodes.
+        """
         return np.concatenate([np.log(stiffness / self.first), np.log(mass / self.around)[self.moving]])
 
     def evaluate(self, logarithm: Floats, low: float, high: float) -> tuple[float, Floats, Floats]:
         """Return the loss, its gradient by every logarithm, and the errors (c,) of the cases.
 
-        low, high: weights of the lowest and of the fastest modes.
+        Parameters
+        ----------
+        logarithm : Floats, shape (p + moving nodes,)
+            The logarithms.
+        low : float
+            Weight of the lowest modes.
+        high : float
+            Weight of the fastest modes.
         """
         elastic, count = self.misfit.elastic, len(self.first)
         stiffness, mass = self.split(logarithm)

@@ -121,14 +121,31 @@ class Solid:
 
     # matrices ----------------------------------------------------------------------------------
     def tangent(self, displacement: Floats) -> bsr_array:
-        """Return the stiffness (3n, 3n) N/m about a displaced state (n, 3) m, held axes included, without ties."""
+        """Return the stiffness about a displaced state, held axes included, without ties.
+
+        Parameters
+        ----------
+        displacement : Floats, shape (n, 3), m
+            The displacement.
+
+        Returns
+        -------
+        bsr_array
+            shape (3n, 3n), N/m
+        """
         blocks = np.empty((len(self._columns), 3, 3))
         tangent(displacement, *self._fixed_arguments(), self._slots, blocks)
         n = len(self.nodes)
         return bsr_array((blocks, self._columns, self._row_start), shape=(3 * n, 3 * n))
 
     def energy(self, displacement: Floats) -> tuple[float, Floats, float]:
-        """Return the elastic energy J, its gradient (n, 3) N, and the least det F; the energy is inf where inverted."""
+        """Return the elastic energy J, its gradient (n, 3) N, and the least det F; the energy is inf where inverted.
+
+        Parameters
+        ----------
+        displacement : Floats, shape (n, 3), m
+            The displacement.
+        """
         forces = np.empty_like(self.nodes)
         energy, least = energy_and_forces(displacement, *self._fixed_arguments(), forces)
         if self.ties is not None:
@@ -160,7 +177,13 @@ class Solid:
         return csr_array((found, self._columns, self._row_start), shape=(n, n))
 
     def add_masses(self, masses: Floats) -> None:
-        """Add point masses (n,) kg to nodes, beside the tissue's own mass: weights that hang there."""
+        """Add point masses to nodes, beside the tissue's own mass: weights that hang there.
+
+        Parameters
+        ----------
+        masses : Floats, shape (n,), kg
+            The masses.
+        """
         share = (masses / np.maximum(np.bincount(self.elements.ravel(), minlength=len(masses)), 1))[self.elements]
         corner = np.arange(NODES)
         self._element_masses[:, corner, corner] += share
@@ -175,9 +198,21 @@ class Solid:
         return dissect(self.elements, self.nodes[self.elements[:, :4]].mean(axis=1), self.held)
 
     def factor(self, displacement: Floats, shift: float = 0.0) -> Cholesky:
-        """Return the Cholesky factor of the stiffness about a displaced state (n, 3) m, plus `shift` 1/s^2 times mass.
+        """Return the Cholesky factor of the stiffness about a displaced state, plus a multiple of the mass.
 
-        Ties are included. Raises NotPositive.
+        Ties are included.
+
+        Parameters
+        ----------
+        displacement : Floats, shape (n, 3), m
+            The displacement.
+        shift : float, 1/s^2, optional
+            Factor on the mass.
+
+        Raises
+        ------
+        NotPositive
+            When it has none.
         """
 
         def fill(number: int, place: Longs, pieces: Pieces) -> None:
@@ -201,7 +236,13 @@ class Solid:
         return Cholesky(self._fronts, len(self.nodes), fill)
 
     def solve(self, loads: Floats) -> Floats:
-        """Return linear displacements (c, n, 3) m under nodal loads (c, n, 3) N."""
+        """Return linear displacements (c, n, 3), m, under nodal loads.
+
+        Parameters
+        ----------
+        loads : Floats, shape (c, n, 3), N
+            The loads.
+        """
         loads = np.asarray(loads, dtype=np.float64)
         answer = np.empty(loads.shape)
         for first in range(0, len(loads), AT_ONCE):
@@ -223,6 +264,11 @@ class Solid:
         """Yield equilibria under several loads, in their order, each as it is ready; see settle.
 
         Several advance together, so that they share the preconditioner: reading it takes most of the time.
+
+        Parameters
+        ----------
+        loads : Iterable[Floats], shape (n, 3), N
+            The loads.
         """
         room = max(1, min(MOST_TOGETHER, int(MEMORY / (9 * 8 * len(self._columns)))))
         waiting = iter(enumerate(loads))
@@ -247,10 +293,18 @@ class Solid:
                 following += 1
 
     def follow(self, start: Floats, load: Floats, factor: Renewable, tolerance: float) -> Followed:
-        """Return the equilibrium near a state (n, 3) m under nodal loads (n, 3) N, with ties, by Newton's method.
+        """Return the equilibrium near a state under nodal loads, with ties, by Newton's method.
 
-        factor: the preconditioner, which is renewed where it is worn; tolerance: fraction of the tissue's energy that a
-        step may still release.
+        Parameters
+        ----------
+        start : Floats, shape (n, 3), m
+            Displacement of the state.
+        load : Floats, shape (n, 3), N
+            The loads.
+        factor : Renewable
+            The preconditioner, which is renewed where it is worn.
+        tolerance : float
+            Fraction of the tissue's energy that a step may still release.
         """
         moved = start
         energy, inner, _ = self.energy(moved)

@@ -213,7 +213,13 @@ class ContactFinder:
         return self._add_nearest(body, position, near, origin, count) if self._is_fine[body] else count, 0.0
 
     def warm_up(self, position: Floats) -> None:
-        """Compile what a contact needs, so that the first one doesn't wait for it."""
+        """Compile what a contact needs, so that the first one doesn't wait for it.
+
+        Parameters
+        ----------
+        position : Floats, shape (n, 3), m
+            Positions of the nodes.
+        """
         n_bodies = len(self.tools.grown)
         poses = np.tile(np.append(position[0], [0.0, 0.0, 0.0, 1.0]), (n_bodies, 1))
         everything, none = np.ones(n_bodies, dtype=np.int64), np.zeros(n_bodies, dtype=np.int64)
@@ -227,6 +233,15 @@ class ContactFinder:
 
         The centres of a capsule's caps count, too: a tip may lie in tissue, between nodes, with everything else
         outside.
+
+        Parameters
+        ----------
+        body : int
+            Index of the body.
+        position : Floats, shape (n, 3), m
+            Positions of the nodes.
+        pose : Floats, shape (7,), m and unit quaternion xyzw
+            Pose of the body.
         """
         self._place(body, pose, 0.0)
         origin, low, high = pose[:3], self._box_low, self._box_high

@@ -28,11 +28,28 @@ class Jaws(NamedTuple):
     length: float
 
     def gap(self, angle: float) -> float:
-        """Return the distance, m, between the tips at an angle, rad, between the jaws."""
+        """Return the distance between the tips, m.
+
+        Parameters
+        ----------
+        angle : float, rad
+            Angle between the jaws.
+        """
         return float(2.0 * (self.radius * np.cos(0.5 * angle) + self.length * np.sin(0.5 * angle) - self.radius))
 
     def angle(self, gap: float) -> float:
-        """Return the angle, rad, at a distance of the tips, m; raises ValueError where they don't open so wide."""
+        """Return the angle between the jaws, rad.
+
+        Parameters
+        ----------
+        gap : float, m
+            Distance between the tips.
+
+        Raises
+        ------
+        ValueError
+            Where they don't open so wide.
+        """
         if not 0.0 <= gap <= self.gap(WIDEST):
             raise ValueError(f"the tips open to {1e3 * self.gap(WIDEST):.3g} mm at most")
         lever = np.hypot(self.radius, self.length)

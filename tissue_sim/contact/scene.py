@@ -140,7 +140,13 @@ class Scene:
         self._origin[:] = 0.0
 
     def set_gravity(self, gravity: ArrayLike) -> None:
-        """Set the gravity (3,) m/s^2 of all organs, under which they have their shapes."""
+        """Set the gravity of all organs, under which they have their shapes.
+
+        Parameters
+        ----------
+        gravity : ArrayLike, shape (3,), m/s^2
+            The gravity.
+        """
         for one in self.simulations:
             one.set_gravity(gravity)
         if self.joined is not None:
@@ -200,7 +206,15 @@ class Scene:
                 simulation.take_pose(body, carried, self._sequence, stamp)
 
     def push(self, tool: int, force: ArrayLike) -> None:
-        """Set a new external force (3,) N on the tissue at a tool's tip."""
+        """Set a new external force on the tissue at a tool's tip.
+
+        Parameters
+        ----------
+        tool : int
+            Index of the tool.
+        force : ArrayLike, shape (3,), N
+            The force.
+        """
         self._sequence += 1
         body = self.tools.bodies[tool][0]
         for simulation in self.simulations:

@@ -121,11 +121,35 @@ class SceneFile:
         )
 
     def join(self, simulations: Sequence[Simulation]) -> Joined:
-        """Return the joined simulations of its organs. Raises UserError where things don't fit together."""
+        """Return the joined simulations of its organs.
+
+        Parameters
+        ----------
+        simulations : Sequence[Simulation]
+            Simulations of the organs.
+
+        Raises
+        ------
+        UserError
+            When things don't fit together.
+        """
         return join(simulations, self.attachments, self.breathing, self.breathes, self.friction)
 
     def scene(self, tools: list[Tool], **options: Any) -> Scene:
-        """Return the scene with tools; options as in Scene. Raises UserError where things don't fit together."""
+        """Return the scene with tools.
+
+        Parameters
+        ----------
+        tools : list[Tool]
+            The tools.
+        options : Any
+            Options of Scene.
+
+        Raises
+        ------
+        UserError
+            When things don't fit together.
+        """
         return Scene(
             self.organs,
             tools,

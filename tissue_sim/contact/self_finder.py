@@ -52,7 +52,13 @@ class SelfFinder:
         self._was[:] = -1
 
     def find(self, surface: Floats) -> tuple[Longs, Floats]:
-        """Return the pairs on a surface (n, 3) m: nodes (p, 4), one and a triangle's three, and weights (p, 3)."""
+        """Return the pairs on a surface: nodes (p, 4), one and a triangle's three, and weights (p, 3).
+
+        Parameters
+        ----------
+        surface : Floats, shape (n, 3), m
+            Points of the surface.
+        """
         surface = np.ascontiguousarray(surface)
         near, around = self._near, self._around
         few, count = self._within_reach(surface), 0

@@ -122,7 +122,22 @@ class ToolSet:
         )
 
     def poses(self, tool: int, pose: Floats, angle: float = 0.0) -> Floats:
-        """Return poses (b, 7) of a tool's bodies at a pose (7,), m and unit quaternion xyzw; angle rad of a gripper."""
+        """Return the poses of a tool's bodies.
+
+        Parameters
+        ----------
+        tool : int
+            Index of the tool.
+        pose : Floats, shape (7,), m and unit quaternion xyzw
+            Pose of the tool.
+        angle : float, rad, optional
+            Angle between the jaws of a gripper.
+
+        Returns
+        -------
+        Floats
+            shape (b, 7), m and unit quaternion xyzw
+        """
         chosen = self.tools[tool]
         if chosen.n_bodies == 1:
             return pose[None]

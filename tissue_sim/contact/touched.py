@@ -38,7 +38,13 @@ class TouchedOrgan:
         self.contacts = self._set_goal = None
 
     def find(self, sequence: int) -> None:
-        """Find what the bodies may touch at present, and apply it; sequence: number of the contact set."""
+        """Find what the bodies may touch at present, and apply it.
+
+        Parameters
+        ----------
+        sequence : int
+            Number of the contact set.
+        """
         state = self.simulation.state
         fresh = ((state.bodies.age >= 0) & (state.bodies.released == 0)).astype(np.int64)
         pushing = (state.bodies.force_age >= 0).astype(np.int64)

@@ -258,13 +258,31 @@ def resolve_contacts(
 
     Projected Gauss-Seidel on accumulated impulses: a point pushed too far by its neighbours moves back, so that points
     sharing nodes converge to one distribution of force instead of alternating. It starts from the impulses of the last
-    substep, and ends when a pass changes them by less than TOLERANCE of their sum.
-    scratch.origin (T, 3), scratch.rotation (T, 9) are the tools at the substep's end, last_* at its
-    beginning; mobility (n,) 1/kg is the velocity that an impulse gives a node; step s; spread: True when the
-    integrator has moved the organ by the last impulses already: points are then all but where they end, and the tool
-    is as flat as it is there. Adds to
-    scratch.impulse (T, 6) what acts on the tissue, N s, and its moment
-    about the tool's origin, N m s. Cells of the model that are squeezed too much are resolved along with the points.
+    substep, and ends when a pass changes them by less than TOLERANCE of their sum. Squeezed cells of the model are
+    resolved along with the points.
+
+    scratch.origin (T, 3) and scratch.rotation (T, 9) are the tools at the substep's end, last_* at its beginning. The
+    impulses on the tissue, N s, and their moments about the tool's origin, N m s, are added to scratch.impulse (T, 6).
+
+    Parameters
+    ----------
+    model : Any
+        Constants of the model.
+    state : Any
+        State of the simulation; updated.
+    shapes : Any
+        Shapes of the bodies.
+    mobility : Any, shape (n,), 1/kg
+        Velocity that a unit impulse gives each node.
+    scratch : Any
+        Working memory; updated.
+    settings : Any
+        Settings of the simulation.
+    step : float, s
+        The substep.
+    spread : bool
+        True when the integrator has moved the organ by the last impulses already: points are then nearly at their final
+        places, and the tool is as flat as it is there.
     """
     squeezed = find_squeezed(model, state, mobility, scratch, step)
     scratch.squeezing[0] = squeezed

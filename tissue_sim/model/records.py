@@ -34,12 +34,29 @@ class Record:
 
     @classmethod
     def rows(cls, words: Longs) -> Any:
-        """Return the records (k,) in words (k * words(),)."""
+        """Return the records in words.
+
+        Parameters
+        ----------
+        words : Longs, shape (k * words(),)
+            Memory of the records.
+
+        Returns
+        -------
+        Any
+            shape (k,)
+        """
         return words.view(cls.dtype).view(np.recarray)
 
     @classmethod
     def at(cls, words: Longs) -> Self:
-        """Return the record in words (words(),)."""
+        """Return the record in words.
+
+        Parameters
+        ----------
+        words : Longs, shape (words(),)
+            Memory of the record.
+        """
         row: Self = cls.rows(words)[0]
         return row
 

@@ -88,7 +88,13 @@ class Progress:
     record: BuildRecord = field(default_factory=BuildRecord)
 
     def say(self, line: str) -> None:
-        """Report a line and keep it in the record."""
+        """Report a line and keep it in the record.
+
+        Parameters
+        ----------
+        line : str
+            The line.
+        """
         self.record.lines.append(line)
         self.tell(line)
 
@@ -121,5 +127,11 @@ class Progress:
         self.watch(stage, min(max(done, 0.0), 1.0))
 
     def took(self, name: str) -> str:
-        """Return the duration of a stage as text, in brackets."""
+        """Return the duration of a stage as text, in brackets.
+
+        Parameters
+        ----------
+        name : str
+            Name of the stage.
+        """
         return f"({self.record.seconds[name]:.1f} s)"

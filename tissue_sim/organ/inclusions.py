@@ -40,13 +40,30 @@ class Inclusion(NamedTuple):
 
 
 def check_stiffness(stiffness: float) -> None:
-    """Raise UserError for a stiffness factor outside the accepted range."""
+    """Check a stiffness factor.
+
+    Parameters
+    ----------
+    stiffness : float
+        The factor.
+
+    Raises
+    ------
+    UserError
+        When it is outside the accepted range.
+    """
     if not LEAST <= stiffness <= MOST:
         raise UserError(f"an inclusion {stiffness:g} times as stiff is outside {LEAST:g}..{MOST:g}")
 
 
 def inclusions_of(organ: Organ) -> list[Inclusion]:
-    """Return the inclusions of an organ, in the order of its file."""
+    """Return the inclusions of an organ, in the order of its file.
+
+    Parameters
+    ----------
+    organ : Organ
+        The organ.
+    """
     found = []
     for number, stiffness in enumerate(organ.inclusion_stiffness):
         triangles = organ.inclusion_triangles[organ.inclusion_of == number]

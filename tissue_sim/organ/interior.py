@@ -43,7 +43,18 @@ class InteriorAtoms:
 
 
 def check_interior(count: int) -> None:
-    """Raise UserError for a negative number of interior atoms."""
+    """Check the number of interior atoms.
+
+    Parameters
+    ----------
+    count : int
+        The number.
+
+    Raises
+    ------
+    UserError
+        When it is negative.
+    """
     if count < 0:
         raise UserError(f"--interior {count} is negative; use 0 or more")
 

@@ -42,26 +42,59 @@ def assemble_organ(
     inclusions: Sequence[Inclusion] = (),
     provenance: Mapping[str, Any] | None = None,
 ) -> Organ:
-    """Make a node-ready organ from a closed surface and its medial atoms.
+    """Return a node-ready organ from a closed surface and its medial atoms.
 
-    surface_positions (n_surface, 3) m, surface_triangles (n_triangles, 3) outward,
-    atom_positions (n_atoms, 3) m, atom_radius (n_atoms,) m, atom_parent (n_atoms,) with -1 at the
-    root, fixed (n_fixed,) surface nodes, interior_atoms: number of further atoms along the spokes, interior_layer: the
-    fraction of them that lies a mean edge under the surface, youngs_modulus Pa,
-    density kg/m^3, inclusions: tissue of another stiffness, and so all springs that run through it.
+    Springs: one for each triangle edge, k = E h sum(A)/l^2 [1]_ with the shell thickness h, 0.8 of the mean edge
+    length; from each surface node to its nearest inner node (spoke) and the next three of its four nearest (virtual),
+    which share the stiffness A sqrt(E M)/L of the tissue column under the node, M the oedometric modulus; between
+    neighbouring medial atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge with the bending stiffness
+    of a plate, E h^3/(12 (1 - nu^2)), discretised as in [2]_. With interior atoms, the tetrahedra between the inner
+    nodes carry the tissue there, k = E sum(V)/l^2 on their edges [1]_, and the skeleton the rest of its section.
+    Masses: density times volume, 80 % on the surface by area, the rest on the inner nodes by stiffness, so that they
+    don't determine the critical step.
 
-    Springs: one for each triangle edge (Van Gelder 1998: k = E h sum(A)/l^2, shell thickness h
-    0.8 of the mean edge length); from each surface node to its nearest inner node (spoke) and the next three of its
-    four nearest (virtual), sharing the stiffness A sqrt(E M)/L of the tissue column under the node,
-    M the oedometric modulus;
-    between neighbouring medial atoms (skeleton) with E pi r^2/l. Angular springs sit on every edge
-    with the bending stiffness of a plate, E h^3/(12 (1 - nu^2)), discretised as by
-    Bergou et al. (2006). With interior atoms, the tetrahedra between the inner nodes carry the
-    tissue there: k = E sum(V)/l^2 on their edges (Van Gelder 1998), and the skeleton the rest of its section.
-    Masses: density times volume, 80 % on the surface by area, the rest on the inner nodes by stiffness,
-    so that they don't set the critical step.
+    Parameters
+    ----------
+    name : str
+        Name of the organ.
+    surface_positions : ArrayLike, shape (n_surface, 3), m
+        Points of the surface.
+    surface_triangles : ArrayLike, shape (n_triangles, 3)
+        Corner indices, counter-clockwise seen from outside.
+    atom_positions : ArrayLike, shape (n_atoms, 3), m
+        Medial atoms.
+    atom_radius : ArrayLike, shape (n_atoms,), m
+        Their radii.
+    atom_parent : ArrayLike, shape (n_atoms,)
+        Parent of each atom, -1 at the root.
+    fixed : ArrayLike, shape (n_fixed,), optional
+        Fixed surface nodes.
+    interior_atoms : int, optional
+        Number of further atoms along the spokes.
+    interior_layer : float, optional
+        Fraction of them that lies a mean edge under the surface.
+    youngs_modulus : float, Pa, optional
+        Young's modulus.
+    poisson_ratio : float, optional
+        Poisson's ratio.
+    density : float, kg/m^3, optional
+        Density.
+    inclusions : Sequence[Inclusion], optional
+        Tissue of another stiffness, which applies to all springs that run through it.
+    provenance : Mapping[str, Any] | None, optional
+        Origin of the organ, kept in its file.
 
-    Raises UserError for an open or inverted surface, no atoms, or tissue out of range.
+    Raises
+    ------
+    UserError
+        For an open or inverted surface, no atoms, or tissue out of range.
+
+    References
+    ----------
+    .. [1] A. Van Gelder, "Approximate simulation of elastic membranes by triangulated spring meshes", Journal of
+    Graphics Tools 3, 1998.
+    .. [2] M. Bergou, M. Wardetzky, D. Harmon, D. Zorin and E. Grinspun, "A quadratic bending model for inextensible
+    surfaces", Eurographics Symposium on Geometry Processing, 2006.
     """
     surface = np.asarray(surface_positions, dtype=np.float64)
     triangles = np.asarray(surface_triangles, dtype=np.int32)

@@ -45,11 +45,23 @@ class Engine(Protocol):
     update: float  # simulated s that an update stands for
 
     def settle(self, load: Load) -> Answer:
-        """Return the equilibrium of the surface under a load, from the rest shape."""
+        """Return the equilibrium of the surface under a load, from the rest shape.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        """
         ...
 
     def burst(self, load: Load) -> Burst:
-        """Return a function that times updates under a load."""
+        """Return a function that times updates under a load.
+
+        Parameters
+        ----------
+        load : Load
+            The load.
+        """
         ...
 
 

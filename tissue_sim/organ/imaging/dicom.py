@@ -336,7 +336,13 @@ class FrameGrid(NamedTuple):
 
 
 def is_dicom(file: Path) -> bool:
-    """Return whether a file begins with the DICOM mark."""
+    """Return whether a file begins with the DICOM mark.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+    """
     if not file.is_file():
         return False
     with file.open("rb") as opened:

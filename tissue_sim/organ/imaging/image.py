@@ -109,7 +109,13 @@ class Volume:
         return ((np.asarray(points, dtype=np.float64) - self.origin) @ np.linalg.inv(self.direction).T) / self.spacing
 
     def contains(self, index: ArrayLike) -> bool:
-        """Return whether a continuous voxel index (3,) lies within the image, up to the outer voxels' faces."""
+        """Return whether a place lies within the image, up to the outer voxels' faces.
+
+        Parameters
+        ----------
+        index : ArrayLike, shape (3,), voxels
+            Continuous voxel index.
+        """
         i = np.asarray(index, dtype=np.float64)
         return bool(np.all(np.isfinite(i)) and np.all(i >= -0.5) and np.all(i <= np.array(self.size) - 0.5))
 
@@ -162,7 +168,13 @@ class Volume:
         )
 
     def with_array(self, array: NDArray[Any]) -> Volume:
-        """Return an image of another array (nz, ny, nx) on the same grid."""
+        """Return an image of another array on the same grid.
+
+        Parameters
+        ----------
+        array : NDArray[Any], shape (nz, ny, nx)
+            The array.
+        """
         return replace(self, array=array)
 
     def to_sitk(self) -> sitk.Image:

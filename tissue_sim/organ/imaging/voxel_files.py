@@ -76,7 +76,13 @@ def millimetres(path: Path, units: Sequence[str], field: str) -> float:
 
 
 def unscaled(path: Path) -> str:
-    """Return the note on an image whose header gives no voxel size."""
+    """Return the note on an image whose header gives no voxel size.
+
+    Parameters
+    ----------
+    path : Path
+        File of the image.
+    """
     return f"warning: {path.name} doesn't say how large its voxels are: 1 mm was taken, so write their size into it"
 
 
@@ -144,7 +150,20 @@ def check_room(path: Path, beside: Sequence[Path], size: Sequence[int], voxel: i
 
 
 def check_count(path: Path, size: Sequence[int]) -> None:
-    """Raise UserError where a volume has more voxels than can be processed."""
+    """Check that a volume has no more voxels than can be processed.
+
+    Parameters
+    ----------
+    path : Path
+        File of the image.
+    size : Sequence[int], voxels
+        Its size along each axis.
+
+    Raises
+    ------
+    UserError
+        When it has more.
+    """
     if math.prod(size) > MOST_VOXELS:
         raise UserError(
             f"{path} has {_axes(size)} voxels, more than {MOST_VOXELS / 1e6:.0f} million; crop it around the organ, or"

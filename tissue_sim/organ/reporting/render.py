@@ -42,7 +42,18 @@ class View:
     scale: float
 
     def project(self, points: ArrayLike) -> Floats:
-        """Return points (n, 3) as supersampled pixel coordinates x, y (down) and height towards the viewer."""
+        """Return supersampled pixel coordinates x, y (down) and height towards the viewer.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3)
+            The points.
+
+        Returns
+        -------
+        Floats
+            shape (n, 3), pixels
+        """
         local = (np.asarray(points, dtype=np.float64) - self.centre) @ self.axes.T * self.scale
         width, height = self.size
         pixels = np.stack([0.5 * width + local[:, 0], 0.5 * height - local[:, 1], local[:, 2]], axis=1)

@@ -78,7 +78,18 @@ class Skeleton:
 
 
 def check_atoms(atoms: int) -> None:
-    """Raise UserError for fewer than 1 atom."""
+    """Check the number of atoms.
+
+    Parameters
+    ----------
+    atoms : int
+        The number.
+
+    Raises
+    ------
+    UserError
+        When it is less than 1.
+    """
     if atoms < 1:
         raise UserError(f"--atoms {atoms} is too few; use 1 or more")
 

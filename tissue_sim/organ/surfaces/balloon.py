@@ -89,7 +89,18 @@ class Balloon:
 
 
 def check_points(points: int) -> None:
-    """Raise UserError for fewer than 50 points."""
+    """Check the number of surface points.
+
+    Parameters
+    ----------
+    points : int
+        The number.
+
+    Raises
+    ------
+    UserError
+        When it is less than 50.
+    """
     if points < FEWEST_POINTS:
         raise UserError(f"--points {points} is too few for an organ; use {FEWEST_POINTS} or more")
 

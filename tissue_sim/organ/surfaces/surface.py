@@ -83,18 +83,38 @@ class Wall:
     cut: float = 0.0
 
     def sample(self, points: ArrayLike) -> Floats:
-        """Return the signed distance (n,) mm at points (n, 3) mm."""
+        """Return the signed distance (n,), mm.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3), mm
+            The points.
+        """
         index = np.asarray(points, dtype=np.float64).T[::-1] / self.spacing
         return ndimage.map_coordinates(self.level, index, output=np.float64, order=1, mode="nearest")
 
     def gradient(self, points: ArrayLike) -> Floats:
-        """Return the gradient (n, 3) of the signed distance at points (n, 3) mm, by central differences."""
+        """Return the gradient (n, 3) of the signed distance, by central differences.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3), mm
+            The points.
+        """
         p = np.asarray(points, dtype=np.float64)
         step = 0.5 * self.spacing * np.eye(3)
         return np.stack([self.sample(p + e) - self.sample(p - e) for e in step], axis=1) / self.spacing
 
     def project(self, points: Floats, steps: int = 4) -> Floats:
-        """Move points (n, 3) mm near the wall onto it, along the gradient, by damped Newton steps."""
+        """Move points near the wall onto it, along the gradient, by damped Newton steps.
+
+        Parameters
+        ----------
+        points : Floats, shape (n, 3), mm
+            The points.
+        steps : int, optional
+            Number of the steps.
+        """
         p = points.copy()
         for _ in range(steps):
             gradient = self.gradient(p)
@@ -124,11 +144,23 @@ class Wall:
         return float(steep.sum(dtype=np.float64)) * self.spacing**2
 
     def to_patient(self, points: ArrayLike) -> Floats:
-        """Return points (n, 3) mm of the grid as metres in the patient frame."""
+        """Return points of the grid in the patient frame, (n, 3), m.
+
+        Parameters
+        ----------
+        points : ArrayLike, shape (n, 3), mm
+            The points.
+        """
         return (self.origin + np.asarray(points, dtype=np.float64) @ self.direction.T) * MM
 
     def outward(self, triangles: Ints) -> Ints:
-        """Return triangles (t, 3), outward on the grid, so that they are outward in the patient frame."""
+        """Return triangles, outward on the grid, so that they are outward in the patient frame.
+
+        Parameters
+        ----------
+        triangles : Ints, shape (t, 3)
+            Corner indices.
+        """
         return triangles if np.linalg.det(self.direction) > 0.0 else np.ascontiguousarray(triangles[:, ::-1])
 
 
