@@ -6,7 +6,7 @@ Cauchy's stress and weight in the known shape, whose volumes and gradients are c
 References
 ----------
 .. [1] S. Govindjee and P. A. Mihalic, "Computational methods for inverse finite elastostatics", Computer Methods in
-Applied Mechanics and Engineering 136, 1996.
+   Applied Mechanics and Engineering 136, 1996.
 """
 
 from __future__ import annotations

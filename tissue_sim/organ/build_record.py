@@ -57,7 +57,7 @@ class BuildRecord:
 
     @property
     def warnings(self) -> list[str]:
-        """Lines that warn, without the prefix `warning: `."""
+        """Lines of warnings, without their prefix."""
         return [line.removeprefix("warning: ") for line in self.lines if line.startswith("warning: ")]
 
 

@@ -92,9 +92,9 @@ def assemble_organ(
     References
     ----------
     .. [1] A. Van Gelder, "Approximate simulation of elastic membranes by triangulated spring meshes", Journal of
-    Graphics Tools 3, 1998.
+       Graphics Tools 3, 1998.
     .. [2] M. Bergou, M. Wardetzky, D. Harmon, D. Zorin and E. Grinspun, "A quadratic bending model for inextensible
-    surfaces", Eurographics Symposium on Geometry Processing, 2006.
+       surfaces", Eurographics Symposium on Geometry Processing, 2006.
     """
     surface = np.asarray(surface_positions, dtype=np.float64)
     triangles = np.asarray(surface_triangles, dtype=np.int32)

@@ -6,7 +6,7 @@ than the device has put in, it adds as much damping as removes the rest in the n
 References
 ----------
 .. [1] B. Hannaford and J.-H. Ryu, "Time-domain passivity control of haptic interfaces", IEEE Transactions on Robotics
-and Automation 18, 2002.
+   and Automation 18, 2002.
 """
 
 from __future__ import annotations
