@@ -40,7 +40,7 @@ class Fallen(NamedTuple):
     deepest: float  # m, of the raised one
     off: float  # relative L2 of the settled surface, raised and let fall
     settled: bool  # both
-    turned: int  # cells inside out that only the fall has left
+    turned: int  # inverted cells that only the fall has left
     least: float  # volume of a cell over that at rest, after the fall
     faults: int  # of the fall
 

@@ -32,7 +32,7 @@ class Pinch(NamedTuple):
     width: float  # m
     seconds: Floats  # of processor time of every tick in contact
     substeps: int  # the most
-    most_turned: int  # cells inside out, at the worst
+    most_turned: int  # inverted cells, at worst
     held_turned: int  # when the tools have stood still
     least: float  # J of a cell then
     left_turned: int  # long after

@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     """Motion at t instants; the first is the start."""
 
     time: Floats  # (t,) s
-    displacement: Floats  # (t, k, 3) m of the nodes asked for
+    displacement: Floats  # (t, k, 3) m of the requested nodes
     energy: Floats  # (t,) J, kinetic and elastic
 
 

@@ -23,7 +23,7 @@ from tissue_sim.progress import steps
 NAME = "abdomen"
 BREATHS, WAY = 15.0, (0.0, 0.0, -0.015)  # per minute; m that the liver moves: z points to the head
 LIGAMENT = 0.004  # m beyond the nearest nodes of two organs, up to which a ligament joins them
-FALCIFORM = 0.02  # m in front of the liver, where it hangs on the wall
+FALCIFORM = 0.02  # m in front of the liver, where it is attached to the wall
 ENDINGS = (".nii.gz", ".nii", ".nrrd", ".mha")
 
 

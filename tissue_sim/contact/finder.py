@@ -122,7 +122,7 @@ class ContactFinder:
         for give, size, kind, is_fine in zip(
             gives, tools.smallest, tools.shapes.kind.tolist(), self._is_fine, strict=True
         ):
-            # The face of a jaw lies on many triangles at once: as many points on each as the longest asks for would
+            # The face of a jaw lies on many triangles at once: as many points on each as the longest needs would
             # take most of a tick.
             each = edges if kind in (CONVEX, GRID) and not is_fine else np.full(len(edges), longest)
             parts = np.array([divisions_of(edge / (give.spacing * size)) for edge in each])

@@ -105,7 +105,7 @@ class ToolSet:
             else (centre if body.grid is None else _deepest(body.grid))[None]
             for body, centre in zip(bodies, centres, strict=True)
         ]
-        self.clearance = [  # m, from there to the body's surface at the most
+        self.clearance = [  # m, from there to the farthest point of the body's surface
             body.size[0] or float(np.linalg.norm(body.corners - middle[0], axis=1).max())
             for body, middle in zip(bodies, self.middle, strict=True)
         ]

@@ -51,7 +51,7 @@ def gather_contacts(
         body = state.contacts.body[entry]
         pressed = state.contact_pressed[0, entry]
         if pressed == 0.0:
-            # A tool that gives way moves by what touches it, too.
+            # The contact moves a compliant tool, too.
             speed = tissue if scratch.give[body] == 0.0 else FAST
             scratch.watched_gap[index] -= step * (scratch.watched_speed[index] + speed)
             if scratch.watched_gap[index] >= NEAR:

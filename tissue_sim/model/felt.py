@@ -43,7 +43,7 @@ def report_wrenches(state: Any, shapes: Any, settings: Any, scratch: Any) -> Non
         for body in range(len(state.wrench)):
             if shapes.tool[body] == tool:
                 fresh = freshness(state.bodies[body].age, settings)
-                # A tool that was let go begins anew when it comes back, however slowly a force may change.
+                # A released tool starts from zero when it comes back, whatever the limit on the force's rate.
                 kept = clamped if fresh > 0.0 else 0.0
                 for c in range(6):
                     state.felt[body, c] *= kept

@@ -266,7 +266,7 @@ def _loop(
         if late > period:
             control.overruns += 1
         before, answered = answered, control.asked
-        fence()  # what was posted before it was asked for is taken up
+        fence()  # inputs posted before the request are applied
         take(worlds, boxes, control.resets, joined, joined_box)
         tick(worlds, joined)
         post(worlds, boxes, joined_box)

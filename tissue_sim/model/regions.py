@@ -27,7 +27,7 @@ RETURN_SHARE = 0.5
 CALM_TIME = 0.2  # s for which it has to be below
 SLOWEST = 1.01  # of the time in which the far field follows a load: longest tick of a modal region
 # Gradient of the displacement at a region's edge from which on the whole model moves: a modal region is then off by 5 %
-# at the most, wherever the load is (`bench region`).
+# at most, wherever the load is (`bench region`).
 STEEPEST_EDGE = 0.04
 CALM_SPEED = 2e-3  # m/s; the modes of a new region start at rest
 

@@ -143,7 +143,7 @@ class State(NamedTuple):
     prescribed_ticks: Longs  # (n,) until they are there
     prescribed_from: Floats  # (n, 3) m, where they are, on their way to
     prescribed_to: Floats  # (n, 3) m
-    is_turned: Longs  # (c,) 1 for cells of the inside that are turned inside out
+    is_turned: Longs  # (c,) 1 for cells of the inside that are inverted
     region_hop: Longs  # (n,) 0 loaded, 1, 2 hops away, -1 outside the local region
     contacts: ContactSet  # which points may touch
 

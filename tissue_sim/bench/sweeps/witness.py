@@ -19,7 +19,7 @@ class Turned(NamedTuple):
 
     cells: int  # tetrahedra of a surface triangle and its nearest inner node, with the opposite sign
     folds: int  # edges whose two triangles lie folded on each other, and didn't at rest
-    volume: float  # enclosed volume over that at rest; negative: inside out
+    volume: float  # enclosed volume over that at rest; negative: inverted
 
 
 class Witness:

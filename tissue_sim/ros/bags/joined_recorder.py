@@ -39,7 +39,7 @@ class JoinedRecorder:
         self._read = 0  # rows of the loop's journal
         self._notes: list[tuple[int, Sequence[int]]] = []
         self._newest: tuple[int, Longs] | None = None  # number and words of a set
-        self._newest_share = (0, 0.0)  # number, and share of the breath's way
+        self._newest_share = (0, 0.0)  # number, and fraction of the breath's way
         self._shares = [self._newest_share]
         self._state_tick = -1
 

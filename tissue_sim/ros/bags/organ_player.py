@@ -95,7 +95,7 @@ class OrganPlayer:
         self._tool_ticks = {tools for _, tools, _ in self.found_from.values()}
         self._surfaces: dict[int, Floats] = {}
         self._tools: dict[int, tuple[Floats, Longs]] = {}
-        # Only what is new in a row is taken up again.
+        # Only the new values of a row are applied.
         before = max((tick for tick in self.inputs if tick <= first), default=None)
         if before is None:
             raise UserError("the bag doesn't tell what its state had taken up; its recording lost messages")

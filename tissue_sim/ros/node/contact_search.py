@@ -66,7 +66,7 @@ class ContactSearch:
         n_bodies = len(self._port_of)
         self._positions = np.zeros((len(served.physics.simulation.model.rest), 3))
         self._extents = finder.tools.shapes.extent
-        self._told = np.full(n_bodies, -1)  # the life, by `releases`, of which it was told that a body is held off
+        self._told = np.full(n_bodies, -1)  # life, by `releases`, in which a held-off body was reported
         self._last_goals = np.zeros((n_bodies, 7))
         self._last_time = time.monotonic()
         self._last_key: tuple[object, ...] = ()

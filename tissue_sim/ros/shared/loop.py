@@ -60,7 +60,7 @@ class Loop:
         self._asked, self._waiting = field_of(control, "asked"), field_of(control, "waiting")
         self._napping, self._standing = field_of(control, "napping"), field_of(control, "standing")
         self._looked_up, self._sim_time = field_of(control, "looked_up"), field_of(control, "sim_time")
-        self._snapshot_lock = threading.Lock()  # held while somebody reads the states that were asked for
+        self._snapshot_lock = threading.Lock()  # held while somebody reads the requested states
         for semaphore in (self._bell, self._answered):
             _libc.sem_init(semaphore, 0, 0)
         # Separate settings: those of a simulation change between ticks, when a parameter does.
